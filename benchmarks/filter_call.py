@@ -17,7 +17,7 @@ from benchmarks._report import parser
 from hydro_bridge.ros.node import request_realtime
 from hydro_core.cli.console import Table, progress
 from hydro_core.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.controller.factory import FilterChoice, warm_up
+from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Trial, run
@@ -77,7 +77,6 @@ def main(arguments: list[str] | None = None) -> int:
     bench = Bench.nominal()
     choice = FilterChoice(bench=bench)
     learned = choice.make(LoopFilterSettings())
-    warm_up(learned, bench)
     samples = runs(bench, learned, asked.samples)
     scheduling = request_realtime(realtime=asked.realtime)
     columns = {"filter": "", "p50": "us per call", "p99": "", "p99.9": "", "max": ""}

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from benchmarks._report import parser
 from benchmarks._truths import truth_fleet
@@ -35,11 +34,9 @@ from hydro_core.signals import (
     StateArray,
     Waveform,
 )
-from hydro_filter.controller import innovations
-from hydro_filter.controller.innovations import COUNT, EQUATIONS
-from hydro_filter.controller.loop_filter import LoopFilter, default_filter
-from hydro_filter.model import observer
-from hydro_filter.model.loop import memories
+from hydro_filter.controller.loop_filter import EQUATIONS, LoopFilter, default_filter
+from hydro_filter.model.loop import samples_of
+from hydro_filter.model.records import memories, monitors, watch
 from hydro_filter.validation.runs import CASES
 from hydro_policy.envs.vector_env import VectorBench, fleet_filter
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
@@ -154,21 +151,8 @@ def references(rng: np.random.Generator, count: int) -> list[ReferenceSignal]:
     ]  # fmt: skip
 
 
-@njit
-def _watch(loop, monitors, memories, x, currents, highest):
-    """Samples of all benches: x (benches, n, 8), currents (benches, n)."""
-    alarms = 0
-    for i in range(len(x)):
-        m = monitors[i]
-        for k in range(x.shape[1]):
-            observer.settle(loop, memories[i], x[i, k], currents[i, k], 0.0)
-            innovations.update(loop.model, 1.0, m, x[i, k], memories[i].hidden)
-            observer.follow(loop, memories[i], x[i, k], currents[i, k], 0.0)
-            for j in range(COUNT):
-                highest[j] = max(highest[j], m.sums[j, 0], m.sums[j, 1])
-            alarms += m.broken != 0
-            m.broken = 0
-    return alarms
+ALARM = 50.0
+"""HYDRO_ALARM of firmware/hydro/monitor.h."""
 
 
 def alarms(minutes: float, seed: int) -> Table:
@@ -195,13 +179,17 @@ def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
     changes = gains - (fleet.config.base_kp, fleet.config.base_ki)
     for i, signal in enumerate(references(rng, BENCHES)):
         fleet.begin(i, signal, seed * BENCHES + i)
-    loop, monitors, followed = default_filter(bench).parts.loop, innovations.monitors(BENCHES), memories(BENCHES)
-    highest, alarms = np.zeros(COUNT), 0
+    loop = default_filter(bench).parts["loop"]
+    watched = [(memories(), monitors()) for _ in range(BENCHES)]
+    highest, alarms = np.zeros(len(EQUATIONS)), 0
     tripped = np.zeros(BENCHES, bool)
     for k in progress(range(steps), label=f"no alarm, {plant}", unit="step"):
         samples = fleet.step(changes[:, k])
         x = np.stack([samples[name] for name in PLANT_FIELDS], axis=-1)
-        alarms += _watch(loop, monitors, followed, x, np.ascontiguousarray(samples["valve_current"]), highest)
+        for i, (memory, monitor) in enumerate(watched):
+            sums = watch(loop, samples_of(x[i], current=samples["valve_current"][i]), memory, monitor).max(axis=-1)
+            highest = np.maximum(highest, sums.max(axis=0))
+            alarms += int((sums > ALARM).any(axis=-1).sum())
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
     spent = steps * BENCHES * SAMPLES_PER_STEP * SAMPLE_PERIOD / 60.0
     sums = dict(zip(EQUATIONS, highest.tolist(), strict=True))

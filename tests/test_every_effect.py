@@ -12,8 +12,8 @@ import pytest
 
 from hydro_core.signals import FloatArray
 from hydro_filter.metric import MetricDesign, rest_loop
-from hydro_filter.model.loop import SUBSTEPS, loop_of, memories
-from hydro_filter.model.observer import follow, settle
+from hydro_filter.model.loop import SUBSTEPS, Loop, closing_current, loop_of, samples_of
+from hydro_filter.model.records import follow, memories
 from hydro_sim.files import recordings
 from hydro_sim.identification.bench_learning import learn
 from hydro_sim.model.bench import Bench
@@ -92,23 +92,24 @@ def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> No
     loop = loop_of(bench, BENCH)
     free, push, feedback = rest_loop(loop, MetricDesign().gain_low)
     assert np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max() < 1.0
-    model, p, memory = BenchModel(bench, substeps=SUBSTEPS), loop.model, memories()[0]
+    model, memory, xs = BenchModel(bench, substeps=SUBSTEPS), memories(), []
     k, y, z = model.begin(model.values)
-    for current in 4e-3 * np.sin(2e-3 * np.pi * 3.0 * np.arange(400)):
-        x = shown(p, y, z)
-        settle(loop, memory, x, -p.before - p.after, 0.0)
-        follow(loop, memory, x, float(current), 0.0)
+    currents = 4e-3 * np.sin(2e-3 * np.pi * 3.0 * np.arange(400))
+    for current in currents:
+        xs.append(shown(loop, y, z))
         z = model.sample(k, y, float(current))
-    hidden = memory["hidden"][6 : len(y)]
+    assert currents[0] == closing_current(loop) or label.startswith("valve_offset")
+    follow(loop.record, samples_of(np.array(xs), current=currents), memory)
+    hidden = memory["hidden"][0, 6 : len(y)]
     scales = np.array([state.scale for state in model.states])[6:]
     np.testing.assert_allclose(hidden / scales, y[6:] / scales, atol=2e-3)
-    np.testing.assert_allclose(memory["hidden"][:2] / 1e6, y[:2] / 1e6, atol=2e-3)
+    np.testing.assert_allclose(memory["hidden"][0, :2] / 1e6, y[:2] / 1e6, atol=2e-3)
 
 
-def shown(parts: Any, y: FloatArray, z: FloatArray) -> FloatArray:
+def shown(loop: Loop, y: FloatArray, z: FloatArray) -> FloatArray:
     """x of a state and its readings, with rates as they are."""
     x = np.zeros(8)
     x[[0, 2, 4, 5, 6]] = z
-    x[3] = parts.gain[1] * y[parts.cell_rate] if parts.cell_rate >= 0 else 0.0
-    x[7] = parts.gain[4] * y[3]
+    x[3] = loop["gain"][1] * y[loop["whole.cell_rate"]] if loop["whole.cell_rate"] >= 0 else 0.0
+    x[7] = loop["gain"][4] * y[3]
     return x

@@ -30,10 +30,11 @@ from hydro_core.signals import CorrectionStatus, FloatArray
 from hydro_filter.certificate import closed_form
 from hydro_filter.controller.loop_filter import Result as Correction
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model import coordinates
+from hydro_filter.model.loop import loop_of, samples_of
+from hydro_filter.model.records import law_gradient
 from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
-from hydro_sim.box.box import BoxConfig
+from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 
 TABLE = PRINTED["training_metric"]
@@ -82,16 +83,12 @@ class ForceLaw:
     """Slope K = du/dx of the law that the box runs on the nominal bench."""
 
     def __init__(self) -> None:
-        bench = Bench.nominal()
-        self.constants, self.current_max = bench.constants(), bench.valve_current_max
-        self.gain_floor = float(BoxConfig().constants(bench)["gain_floor"][0])
+        self.loop, self.current_max = loop_of(load_model(), Bench.nominal()).record, Bench.nominal().valve_current_max
 
     def gradient(self, sample: Sample) -> FloatArray:
         """K [A per unit of each state], shape (8,)."""
-        out = np.empty(STATES)
-        gain = sample.proportional_gain
-        coordinates.gradient(self.constants, sample.state, sample.nominal_current, gain, self.gain_floor, out)
-        return out
+        signals = {"nominal": sample.nominal_current, "k_p": sample.proportional_gain}
+        return law_gradient(self.loop, samples_of(sample.state[None], **signals))
 
 
 class PaperFilter:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gain-scheduled metric M(K_p): its design at rest, the compiled metric, the object and its file (safetensors).
+"""The gain-scheduled metric M(K_p): its design at rest, the object and its file (safetensors).
 
 ::
 
-    gain K_p --clip--> table of Cholesky factors --> L(K_p) --> M = L L' + floor I
+    gain K_p --clip--> table of Cholesky factors --> L(K_p) --> M = L L' + floor I      firmware/hydro/loop_filter.h
 
 M is symmetric and positive definite whatever the table holds. It is scheduled by K_p because no single metric holds for
 all stable gains: the loop is about s^2 + d s + w^2 with w^2 proportional to K_p, and one quadratic form decays for all
@@ -24,10 +24,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from importlib import resources
 from math import isqrt
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
@@ -36,14 +37,12 @@ from hydro_core.files.tensors import LARGEST, UnsoundError, check_shapes
 from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
 from hydro_filter.model.coordinates import LOOP, LOOP_FIELDS, Q_HYDRAULIC
-from hydro_filter.model.linearization import linearize
-from hydro_filter.model.loop import closing_current, coordinates_of, memories, rest_measurement, step_of
-from hydro_filter.model.observer import settle
-from hydro_filter.model.parts import Loop
+from hydro_filter.model.loop import Loop, closing_current, coordinates_of, rest_measurement, samples_of
+from hydro_filter.model.records import FILTER, follow, library, record_of
+from hydro_sim.box.firmware import Records, at
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor, made_for
 from hydro_sim.files.weights import WeightsError
-from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
 
 
@@ -83,26 +82,14 @@ ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
 """K_p [1/s] of `require_decay`."""
 
 
-class MetricParts(NamedTuple):
-    """The metric as arrays for the kernels."""
-
-    gains: FloatArray
-    """K_p [1/s] of the table's factors but the last, evenly spaced, shape (n,); the ends are the certified range."""
-    table: FloatArray
-    """Cholesky factors by rows, shape (n + 1, 36) for eight coordinates; the last is for uncertified gains."""
-    floor: float
-    """Smallest eigenvalue of M, above 0."""
-
-
 def rest_loop(
     loop: Loop, proportional_gain: float, velocity_compensation: float = 1.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return F, G, K of the bench at rest as its sensors show it, about a closed valve."""
-    step, memory, closing, x = step_of(loop), memories()[0], closing_current(loop), rest_measurement(loop.model)
-    settle(loop, memory, x, closing, 0.0)
-    scales = float(velocity_compensation), 1.0
-    linearize(loop, memory["hidden"], x, 1e-9, closing, float(proportional_gain), scales, step)
-    return step.transition.copy(), step.push.copy(), step.feedback.copy()
+    closing = closing_current(loop)
+    signals = {"nominal": 1e-9, "current": closing, "k_p": float(proportional_gain), "c_1": float(velocity_compensation)}
+    rest = follow(loop.record, samples_of(rest_measurement(loop)[None], **signals))
+    return rest.transition[0], rest.push[0], rest.feedback[0]
 
 
 def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
@@ -122,7 +109,7 @@ def require_decay(loop: Loop, velocity_compensation: float = 1.0) -> None:
     closed = (_closed(loop, gain, velocity_compensation) for gain in ANY_GAIN)
     if any(float(np.abs(np.linalg.eigvals(each)).max()) < 1.0 for each in closed):
         return
-    valve, dead = 1e3 * loop.model.spool_age, 1e3 * loop.model.delay
+    valve, dead = 1e3 * loop["spool_age"], 1e3 * loop["delay"]
     raise ValueError(
         f"no gain has a certificate: the loop of this bench, whose valve is {valve:.1f} ms late by its lag and "
         f"{dead:.1f} ms by its dead time, decays at no K_p from {ANY_GAIN[0]:g} to {ANY_GAIN[-1]:g} 1/s"
@@ -159,20 +146,24 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
 
 def best_correction(loop: Loop, design: MetricDesign) -> tuple[FloatArray, FloatArray]:
     """Return the Riccati solution P of the best correction about the bench at rest, and its feedback K [A]."""
-    unit, (free, push, _) = 0.14 * loop.current_max, rest_loop(loop, design.gain_low)
+    unit, (free, push, _) = 0.14 * loop.believed.valve_current_max, rest_loop(loop, design.gain_low)
     push, weights = unit * push, [*design.foreign_weights, *[design.added_weight] * (len(loop.scale) - LOOP)]
     weight = np.asarray(solve_discrete_are(free, push[:, np.newaxis], np.diag(weights), np.array([[design.effort]])))
     feedback = -(push @ weight @ free) / (design.effort + push @ weight @ push)
     return weight, unit * feedback
 
 
-def design_table(loop: Loop, design: MetricDesign) -> MetricParts:
-    """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`)."""
+def design_table(loop: Loop, design: MetricDesign) -> dict[str, Any]:
+    """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`).
+
+    Returns `gains`, `table` and `floor` of a `ScheduledMetric`.
+    """
     gains = _gains(design)
     closed = [_closed(loop, gain, design.velocity_compensation) for gain in gains]
     rows = [lyapunov(each, np.ones(len(loop.scale)), design.own_decay) for each in closed]
     rows.append(best_correction(loop, design)[0])
-    return MetricParts(gains, np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor)
+    table = np.array([factor_entries(row / row[3, 3]) for row in rows])
+    return {"gains": gains, "table": table, "floor": design.floor}
 
 
 def _gains(design: MetricDesign) -> FloatArray:
@@ -219,11 +210,11 @@ class ScheduledMetric:
     """M(K_p) on loop coordinates in units of their scale."""
 
     gains: FloatArray
-    """See `MetricParts`."""
+    """K_p [1/s] of the table's factors but the last, evenly spaced, shape (n,); the ends are the certified range."""
     table: FloatArray
-    """See `MetricParts`."""
+    """Cholesky factors by rows, shape (n + 1, 36) for eight coordinates; the last is for uncertified gains."""
     floor: float
-    """See `MetricParts`."""
+    """Smallest eigenvalue of M, above 0."""
     thresholds: Thresholds = Thresholds()
     coordinates: tuple[str, ...] = LOOP_FIELDS
     """Names of the loop's coordinates."""
@@ -245,7 +236,7 @@ class ScheduledMetric:
     def designed(cls, loop: Loop, design: MetricDesign) -> ScheduledMetric:
         """Create a metric of the table that is solved at rest."""
         return cls(
-            **design_table(loop, design)._asdict(), coordinates=coordinates_of(loop),
+            **design_table(loop, design), coordinates=coordinates_of(loop),
             velocity_compensation=design.velocity_compensation,
             thresholds=Thresholds(integral_allowance=float(loop.scale[Q_HYDRAULIC]) * 2.0 / 3.0),
         )  # fmt: skip
@@ -266,15 +257,26 @@ class ScheduledMetric:
         )
 
     @property
-    def parts(self) -> MetricParts:
-        """Arrays for the kernels."""
-        return MetricParts(self.gains, self.table, self.floor)
+    def fields(self) -> dict[str, Any]:
+        """Fields of hydro_loop_filter (firmware/hydro/loop_filter.h), but `table`."""
+        gains = self.gains
+        return {
+            "rows": len(gains), "gain_low": gains[0], "gain_high": gains[-1], "floor": self.floor,
+            "gain_step": gains[1] - gains[0] if len(gains) > 1 else 1.0,
+            "velocity_compensation": self.velocity_compensation,
+        }  # fmt: skip
+
+    @cached_property
+    def _record(self) -> Records:
+        """For `matrix`: no loop is needed."""
+        width = {"loop.coordinates": len(self.coordinates)}
+        return record_of(FILTER, self.fields | width, {"table": self.table})
 
     def matrix(self, gain: float) -> FloatArray:
         """Return M, of all coordinates, at K_p [1/s]."""
-        factor, matrix = scratch(self.parts)
-        evaluate(self.parts, float(gain), factor, matrix)
-        return matrix
+        made = np.empty((len(self.coordinates), len(self.coordinates)))
+        library().hydro_c_filter_metric(at(self._record), gain, self.velocity_compensation, at(made))
+        return made
 
     def save(self, path: str | Path) -> None:
         """Write a weights file."""
@@ -347,47 +349,3 @@ def width_of(entries: int) -> int:
     if width * (width + 1) != 2 * entries or width < LOOP:
         raise ValueError(f"{entries} entries are no Cholesky factor of {LOOP} coordinates or more")
     return width
-
-
-def scratch(parts: MetricParts) -> tuple[FloatArray, FloatArray]:
-    """Allocate `factor` and `matrix` of `evaluate`."""
-    entries = parts.table.shape[1]
-    return np.zeros(entries), np.zeros((width_of(entries), width_of(entries)))
-
-
-@njit(inline="always")
-def uncertified(parts, gain):
-    """Return whether K_p [1/s] is outside of the certified range; true for NaN."""
-    return not parts.gains[0] <= gain <= parts.gains[-1]
-
-
-@njit(inline="always")
-def evaluate(parts, gain, factor, matrix):
-    """Write the factor's entries and M for K_p [1/s], the factors interpolated linearly between the table's gains."""
-    rows, outside = len(parts.gains), uncertified(parts, gain)
-    if outside or rows == 1:
-        row = parts.table[rows if outside else 0]
-        for i in range(len(factor)):
-            factor[i] = row[i]
-    else:
-        place = (gain - parts.gains[0]) / (parts.gains[1] - parts.gains[0])
-        low = min(int(place), rows - 2)
-        share = place - low
-        for i in range(len(factor)):
-            factor[i] = (1.0 - share) * parts.table[low, i] + share * parts.table[low + 1, i]
-    if len(matrix) == LOOP:  # a count that the compiler knows
-        _square(LOOP, factor, parts.floor, matrix)
-    else:
-        _square(len(matrix), factor, parts.floor, matrix)
-
-
-@njit(inline="always")
-def _square(count, factor, floor, matrix):
-    """M = L L' + floor I."""
-    for i in range(count):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(j + 1):
-                total += factor[i * (i + 1) // 2 + k] * factor[j * (j + 1) // 2 + k]
-            matrix[i, j] = matrix[j, i] = total
-        matrix[i, i] += floor

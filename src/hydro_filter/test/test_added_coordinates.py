@@ -11,16 +11,11 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.controller import innovations
 from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric import MetricDesign, ScheduledMetric, require_decay, rest_loop
-from hydro_filter.model import coordinates
 from hydro_filter.model.coordinates import LOOP
-from hydro_filter.model.linearization import CLOSED, displace
-from hydro_filter.model.loop import SUBSTEPS, coordinates_of, loop_of, memories, rest_measurement
-from hydro_filter.model.observer import follow, model_state, settle
-from hydro_filter.model.parts import NONE, Loop
-from hydro_filter.model.sample import STATES
+from hydro_filter.model.loop import SUBSTEPS, Loop, coordinates_of, loop_of, rest_measurement, samples_of
+from hydro_filter.model.records import NONE, Followed, follow, law_gradient, memories, monitors, watch
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -28,6 +23,8 @@ from hydro_sim.model.plant import AnalyticPlant
 
 Entry = dict[str, Any]
 LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
+CLOSED = 1e-9
+"""HYDRO_CLOSED of firmware/hydro/loop.h."""
 LEAK: Entry = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
 
 
@@ -59,17 +56,16 @@ def of(case: str) -> Loop:
 def whole_loop(bench: Bench, gain: float) -> FloatArray:
     """One sample of bench and force law about rest, all states and the box's velocity, without an integral."""
     model, loop = BenchModel(bench, substeps=SUBSTEPS), loop_of(bench, Bench.nominal())
-    p, n = loop.model, len(model.states)
+    n, spool, memory = len(model.states), loop["whole.spool"], loop["velocity_memory"]
     k, y, _ = model.begin(model.values)
-    y[n - p.past :] = CLOSED  # the edges' slopes differ on both sides of zero
-    if p.spool != NONE:
-        y[p.spool] = CLOSED
+    y[n - loop["past"] :] = CLOSED  # the edges' slopes differ on both sides of zero
+    if spool != NONE:
+        y[spool] = CLOSED
     _, slopes, _ = model.jacobian(k, y, CLOSED)
-    law, memory = np.empty(STATES), p.memories[1]
-    coordinates.gradient(loop.bench, rest_measurement(p), 1e-9, gain, loop.gain_floor, law)
-    shown = {chamber: signal for signal, _, chamber in p.lagging}
+    law = law_gradient(loop.record, samples_of(rest_measurement(loop)[None], nominal=1e-9, k_p=gain))
+    shown = {int(one["chamber"]): int(one["signal"]) for one in loop["lagging"][: loop["lagging_count"]]}
     closed, feedback = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
-    feedback[[p.cell, 2, n]] = law[[2, 6, 7]]
+    feedback[[loop["whole.cell"], 2, n]] = law[[2, 6, 7]]
     for chamber in range(2):
         feedback[shown.get(chamber, chamber)] += law[4 + chamber]
     closed[:n, :n] = slopes[:, :n]
@@ -134,18 +130,19 @@ def run(bench: Bench, gain: float, *, noise: float = 0.0, samples: int = 700, am
 LAW = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
 
 
+def seen_by(loop: Loop, seen: Run) -> Followed:
+    """What the filter makes of a run's samples."""
+    fields = ("nominal", "current", "reference", "reference_rate", "k_p")
+    signals = dict(zip(fields, seen.law.T, strict=True))
+    return follow(loop.record, samples_of(seen.x, **signals), linearized=np.zeros(len(seen.x), np.bool_))
+
+
 def test_the_pressure_behind_a_slow_sensor_is_estimated() -> None:
     """Without noise nearly without an error; with it, better than the reading."""
     bench, loop = having(*CASES["all of it"]), of("all of it")
     for noise, share in ((0.0, 0.01), (1.0, 0.5)):
-        seen, memory = run(bench, 60.0, noise=noise), memories()[0]
-        found = np.empty((len(seen.x), 2))
-        for k, x in enumerate(seen.x):
-            settle(loop, memory, x, seen.law[k, 1], 0.0)
-            y = np.empty(len(loop.model.rest))
-            model_state(loop.model, memory["hidden"], x, y, True)
-            found[k] = y[:2]
-            follow(loop, memory, x, seen.law[k, 1], 0.0)
+        seen = run(bench, 60.0, noise=noise)
+        found = seen_by(loop, seen).states[:, :2]
         late = slice(100, None)
         ours, theirs = ((one - seen.y[:, :2])[late].std() for one in (found, seen.x[:, 4:6]))
         assert ours < share * theirs, (noise, ours, theirs)
@@ -156,13 +153,9 @@ def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(
     """A valve that gives 40 % less; the pressures that are estimated are then wrong, and f_h tells it."""
     gain, loop = {"id": "valve_gain", "parameters": {"ratio": ratio}}, of("all of it")
     seen = run(having(*CASES["all of it"], gain), 60.0, noise=1.0, samples=2000, amplitude=250.0)
-    memory, monitor = memories(), innovations.monitors()
-    for x, (_, current, _, rate, _) in zip(seen.x, seen.law, strict=True):
-        innovations.update(loop.model, 1.0, monitor[0], x, memory[0]["hidden"])
-        settle(loop, memory[0], x, current, rate)
-        follow(loop, memory[0], x, current, rate)
-    told = innovations.sentence(monitor[0])
-    assert (told != "") == (ratio < 1.0), told
+    monitor = monitors()
+    watch(loop.record, samples_of(seen.x, current=seen.law[:, 1]), memories(), monitor)
+    assert bool(monitor["broken"][0]) == (ratio < 1.0)
 
 
 def test_a_metric_of_other_coordinates_and_a_second_lag_are_refused_in_a_sentence(tmp_path: Path, bench: Bench) -> None:
@@ -181,15 +174,7 @@ def test_a_metric_of_other_coordinates_and_a_second_lag_are_refused_in_a_sentenc
 def test_a_bench_that_follows_its_reference_is_not_displaced() -> None:
     """Without noise, at a gain that follows well: no added coordinate stands out."""
     bench, loop = having(*CASES["all of it"]), of("all of it")
-    seen, memory, v = run(bench, 80.0), memories()[0], np.empty(len(loop.scale))
-    sizes = []
-    for k, x in enumerate(seen.x):
-        _, current, reference, rate, _ = seen.law[k]
-        settle(loop, memory, x, current, rate)
-        displace(loop, memory, x, reference, rate, v)
-        sizes.append(np.abs(v))
-        follow(loop, memory, x, current, rate)
-    typical = np.median(np.array(sizes)[300:], axis=0)
+    typical = np.median(np.abs(seen_by(loop, run(bench, 80.0)).displacement)[300:], axis=0)
     assert typical[LOOP:].max() < 2.0 * typical[:LOOP].max() and typical[LOOP:].max() < 0.1, typical
 
 
@@ -199,13 +184,7 @@ def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None
     found = []
     for effects in ((LAG, LEAK), (LAG, LEAK, slow)):
         bench = having(*effects)
-        loop, v = loop_of(bench, Bench.nominal()), np.empty(LOOP)
-        seen, memory = run(bench, 60.0, samples=550), memories()[0]
-        for k, x in enumerate(seen.x):
-            _, current, reference, rate, _ = seen.law[k]
-            settle(loop, memory, x, current, rate)
-            displace(loop, memory, x, reference, rate, v)
-            follow(loop, memory, x, current, rate)
-        found.append((v.copy(), x[0]))
+        seen = run(bench, 60.0, samples=550)
+        found.append((seen_by(loop_of(bench, Bench.nominal()), seen).displacement[-1], seen.x[-1, 0]))
     np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-3)
     assert abs(found[0][1] - found[1][1]) > 1.0

@@ -8,14 +8,9 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
-from hydro_filter import certificate
+from hydro_core.signals import CorrectionStatus
 from hydro_filter.certificate import LEAST_IMPROVEMENT, closed_form
-from hydro_filter.model.coordinates import LOOP
-from hydro_filter.model.loop import loop_of, step_of
 from hydro_filter.validation.osqp_solver import Osqp
-from hydro_sim.files.learned_bench import load_model
-from hydro_sim.model.bench import Bench
 
 U_MAX = 0.05
 LIMIT = 1e-6  # A, of the 1e-4
@@ -88,41 +83,3 @@ def test_closed_form_is_feasible_and_smallest() -> None:
 @pytest.mark.parametrize("a", [0.0, 1e-300, -1e-300, 5e-324])
 def test_a_vanishing_slope_is_infeasible_not_a_full_stroke(a: float) -> None:
     assert closed_form(a, -1.0, -0.05, 0.05) == (0.0, CorrectionStatus.INFEASIBLE)
-
-
-def test_the_quadratic_is_two_samples_moved_on() -> None:
-    step = step_of(loop_of(load_model(), Bench.nominal()))
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        root = rng.standard_normal((LOOP, LOOP))
-        metric = root @ root.T
-        step.transition[:], step.push[:] = rng.standard_normal((LOOP, LOOP)), rng.standard_normal(LOOP)
-        step.feedback[:] = rng.standard_normal(LOOP)
-        v, known, asked = rng.standard_normal(LOOP), rng.standard_normal(), rng.standard_normal()
-        one, two = np.empty(LOOP), np.empty(LOOP)
-        bent, slope, level, size = certificate.quadratic(step, metric, v, known, asked, 3.0, one, two)
-        moved = step.transition @ v + step.push * (step.feedback @ v + known)
-        assert size == pytest.approx(moved @ metric @ moved)
-        for change in (0.0, 0.7, -2.0):
-            last = step.transition @ moved + step.push * (step.feedback @ moved + asked + change)
-            wanted = last @ metric @ last - np.exp(-6.0 * SAMPLE_PERIOD) * moved @ metric @ moved
-            assert bent * change**2 + 2.0 * slope * change + level == pytest.approx(wanted, rel=1e-9, abs=1e-9)
-
-
-def test_the_half_line_gives_the_smallest_du_of_the_interval() -> None:
-    rng = np.random.default_rng(1)
-    for _ in range(2000):
-        bent, slope = 10.0 ** rng.uniform(-6, 6), rng.standard_normal() * 10.0 ** rng.uniform(-6, 6)
-        level = slope**2 / bent * rng.uniform(-2.0, 1.0)  # with an answer
-        a, b, _ = certificate.half_line(bent, slope, level)
-        change, _ = closed_form(a, b, -1e15, 1e15)
-        left = bent * change**2 + 2.0 * slope * change + level
-        assert left <= 1e-9 * abs(level)
-        if level > 0.0:
-            nearer = 0.999 * change
-            assert bent * nearer**2 + 2.0 * slope * nearer + level > 0.0
-
-
-def test_where_no_du_helps_the_nearest_is_told() -> None:
-    a, b, best = certificate.half_line(1.0, 1.0, 2.0)
-    assert np.isnan([a, b]).all() and best == -1.0

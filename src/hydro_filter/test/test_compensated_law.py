@@ -21,10 +21,10 @@ from hydro_core.signals import (
     ReferenceSignal,
     Waveform,
 )
-from hydro_filter.controller.loop_decision import certified_gain, feedforward_excess, integral_term
-from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter
 from hydro_filter.metric import ScheduledMetric, lyapunov, rest_loop
-from hydro_filter.model.loop import loop_of
+from hydro_filter.model.loop import loop_of, samples_of
+from hydro_filter.model.records import follow
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
 from hydro_sim.box.box import Box, BoxConfig, law_state
@@ -70,32 +70,14 @@ def run(
 
 
 def test_the_integral_is_that_of_the_box(bench: Bench) -> None:
-    floor = float(BoxConfig().constants(bench)["gain_floor"][0])
-    before = 0.0
+    loop, before = loop_of(bench, bench).record, 0.0
     for sample, _, box in run(bench, AnalyticPlant(bench), None, 0.6, (15.0, 400.0)):
-        numbers = sample.nominal_current, sample.proportional_gain, sample.followed
-        term = integral_term(bench.constants()[0], floor, sample.state, *numbers)[0]
-        assert term == pytest.approx(before, rel=1e-6, abs=1e-5)
+        seen = samples_of(sample.state[None], nominal=sample.nominal_current, k_p=sample.proportional_gain)
+        for name, value in zip(("followed", "followed_rate", "c_1", "c_2"), sample.followed, strict=True):
+            seen[name] = value
+        assert follow(loop, seen).integral[0] == pytest.approx(before, rel=1e-6, abs=1e-5)
         before = float(box.state["integral"][0])
     assert abs(before) > 10.0
-
-
-def test_on_the_trajectory_of_the_reference_the_papers_law_asks_for_nothing_else(bench: Bench) -> None:
-    at = bench.constants()[0], np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9e6, 0.04, 0.1]), 0.07
-    assert feedforward_excess(*at, 120.0, 900.0, 90.0, (120.0, 900.0, 1.0, 1.0)) == 0.0
-    velocity_term = feedforward_excess(*at, 120.0, 900.0, 90.0, (120.0, 900.0, 0.0, 1.0))
-    assert velocity_term < -1e4, "a piston that moves out lowers f_h"
-    found = feedforward_excess(*at, 120.0, 900.0, 90.0, (121.0, 950.0, 0.3, 1.0))
-    assert found == pytest.approx(0.7 * velocity_term + 50.0 + 90.0)
-
-
-@pytest.mark.parametrize(("c_1", "c_2", "gain"), [(0.3, 1.0, 200.0), (0.6, 2.0, 100.0), (0.31, 1.0, np.inf)])
-def test_gains_are_certified_by_the_loop_that_they_make(
-    bench: Bench, model: Bench, metric: ScheduledMetric, c_1: float, c_2: float, gain: float
-) -> None:
-    """C_2 = 2 halves K_p and C_1."""
-    parts = loop_parts(metric.certificates[1], model, bench)._replace(velocity_compensation=0.3)
-    assert certified_gain(parts, 200.0, (0.0, 0.0, c_1, c_2)) == gain
 
 
 def pulsed(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> FloatArray:

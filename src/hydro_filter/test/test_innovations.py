@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.controller.innovations import RETURN
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import CASES, Run, Trial, run
@@ -20,6 +19,8 @@ from hydro_sim.model.plant import Plant
 from tests.changing_plant import ChangingPlant, modified_truth
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
+RETURN = 3000
+"""HYDRO_RETURN of firmware/hydro/monitor.h."""
 CHANGE = 1500
 """Sample of the change; the reference has faded in long before."""
 

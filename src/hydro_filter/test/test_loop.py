@@ -12,22 +12,14 @@ import pytest
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric import rest_loop
-from hydro_filter.model.coordinates import LOOP, PAPER_SCALES
-from hydro_filter.model.linearization import linearize
-from hydro_filter.model.loop import (
-    SUBSTEPS,
-    loop_of,
-    memories,
-    rest_measurement,
-    step_of,
-    without_disturbances,
-)
-from hydro_filter.model.observer import follow, hydraulic_slopes, model_state, settle
-from hydro_filter.model.parts import Loop
+from hydro_filter.model.coordinates import LOOP
+from hydro_filter.model.loop import SUBSTEPS, Loop, loop_of, rest_measurement, samples_of, without_disturbances
+from hydro_filter.model.records import Followed, follow, memories, sensitivity
 from hydro_filter.model.sample import POSITION, VELOCITY
 from hydro_filter.model.terms import hidden_state_numbers
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.box.firmware import Records
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
@@ -65,7 +57,7 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
         {"id": "pressure_sensor_bias", "chamber": "b", "parameters": {"pressure": -2e5}},
     ]
     plain, shown = loop_of(of(LAG, LEAK), bench), loop_of(of(shift, LAG, LEAK, *off), bench)
-    x = rest_measurement(shown.model)
+    x = rest_measurement(shown)
     _, _, readings = (model := BenchModel(of(shift, LAG, LEAK, *off))).begin(model.values)
     assert x[[0, 2, 4, 5, 6]] == pytest.approx(readings)
     for ours, theirs in zip(rest_loop(shown, 60.0)[:2], rest_loop(plain, 60.0)[:2], strict=True):
@@ -100,14 +92,12 @@ def test_bristles_bend_by_the_motion_that_was_measured() -> None:
         ("friction_presliding", {"stiffness": stiffness}),
     )
     model = of(*({"id": name, "parameters": each} for name, each in numbers))
-    loop, memory = loop_of(model, model), memories()[0]
-    x = rest_measurement(loop.model)
-    x[VELOCITY] = speed
-    for _ in range(count):
-        settle(loop, memory, x, 0.0, 0.0)
-        follow(loop, memory, x, 0.0, 0.0)
-        x[POSITION] += speed * SAMPLE_PERIOD
-    bent = memory["hidden"][hidden_state_numbers(model)["friction_presliding", 0, "bent"]]
+    loop, memory = loop_of(model, model), memories()
+    x = np.tile(rest_measurement(loop), (count, 1))
+    x[:, VELOCITY] = speed
+    x[:, POSITION] += speed * SAMPLE_PERIOD * np.arange(count)
+    follow(loop.record, samples_of(x), memory)
+    bent = memory["hidden"][0, hidden_state_numbers(model)["friction_presliding", 0, "bent"]]
     level = coulomb + breakaway * np.exp(-((speed / width) ** 2))
     moved = count * speed * SAMPLE_PERIOD
     assert bent == pytest.approx(level * (1.0 - np.exp(-stiffness * moved / level)), rel=1e-3)
@@ -115,7 +105,7 @@ def test_bristles_bend_by_the_motion_that_was_measured() -> None:
 
 LIMIT = 1e-6
 COUNT = 40
-Case = tuple[FloatArray, FloatArray, float]
+Case = tuple[FloatArray, Records, float]
 
 
 @pytest.fixture(scope="module")
@@ -125,50 +115,52 @@ def loop(bench: Bench) -> Loop:
 
 @pytest.fixture(scope="module")
 def cases(loop: Loop, states: FloatArray) -> list[Case]:
-    """x, simulated states with the spool well on one side, current."""
-    rng, p, made = np.random.default_rng(2), loop.model, list[Case]()
+    """x, a memory with the spool well on one side, current."""
+    rng, spool, made = np.random.default_rng(2), loop["whole.spool"], list[Case]()
     for k, side in enumerate(rng.choice([-1.0, 1.0], COUNT)):
-        memory, current = memories()[0], float(side * rng.uniform(2e-3, 0.05))
-        settle(loop, memory, states[k], current, 0.0)
-        hidden, n = memory["hidden"].copy(), len(p.rest)
-        hidden[p.spool], hidden[p.spool_rate] = current * rng.uniform(0.8, 1.2), rng.normal(0, 1)
-        hidden[n], hidden[n + 1] = hidden[p.spool] + p.after, hidden[p.spool_rate]
-        made.append((states[k], hidden, current))
+        memory, current = memories(), float(side * rng.uniform(2e-3, 0.05))
+        hidden = memory["hidden"][0]
+        hidden[: len(loop.arrays["rest"])] = loop.arrays["rest"]
+        hidden[spool], hidden[loop["whole.spool_rate"]] = current * rng.uniform(0.8, 1.2), rng.normal(0, 1)
+        memory["opening"], memory["opening_rate"] = hidden[spool] + loop["after"], hidden[loop["whole.spool_rate"]]
+        memory["running"] = True
+        made.append((states[k], memory, current))
     return made
 
 
-def state_of(loop: Loop, x: FloatArray, hidden: FloatArray) -> FloatArray:
-    """State of the loop's model."""
-    whole = np.empty(len(loop.model.rest))
-    model_state(loop.model, hidden, x, whole, True)
-    return np.asarray(whole[loop.model.from_whole])
+def seen_by(loop: Loop, case: Case, gain: float, scales: tuple[float, float] = (1.0, 1.0)) -> Followed:
+    """What the filter makes of a case as its only sample."""
+    x, memory, current = case
+    sample = samples_of(x[None], nominal=current, current=current, k_p=gain, c_1=scales[0], c_2=scales[1])
+    return follow(loop.record, sample, memory.copy())
 
 
 def displaced(loop: Loop, y: FloatArray, opening: float, q: FloatArray) -> FloatArray:
     """A state with a displacement q of the loop, in units of its scale (docstring of `coordinates`)."""
-    p, change, moved = loop.model, q * loop.scale, y.copy()
-    gain, _, _, soft_a, soft_b = hydraulic_slopes(p, y, opening)
-    total = p.gain[0] * p.area * (soft_a + p.ratio * soft_b)
+    change, moved = q * loop.scale, y.copy()
+    gain, _, _, soft_a, soft_b = sensitivity(loop.record, y, opening)
+    total = loop["gain"][0] * loop["area"] * (soft_a + loop["ratio"] * soft_b)
     moved[0] += soft_a / total * change[0]
     moved[1] -= soft_b / total * change[0]
-    moved[p.loop_spool] += change[1] / gain
-    moved[p.loop_spool_rate] += change[2] / gain
-    moved[p.loop_cell] += change[3] / p.gain[1]
-    moved[p.loop_cell_rate] += change[4] / p.gain[1]
+    moved[loop["linear.spool"]] += change[1] / gain
+    moved[loop["linear.spool_rate"]] += change[2] / gain
+    moved[loop["linear.cell"]] += change[3] / loop["gain"][1]
+    moved[loop["linear.cell_rate"]] += change[4] / loop["gain"][1]
     moved[2] += change[5]
     moved[3] += change[6]
     return moved
 
 
 def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: list[Case]) -> None:
-    step, p = step_of(loop), loop.model
-    model, kept = BenchModel(without_disturbances(load_model()), substeps=SUBSTEPS), p.memories[1]
-    for x, hidden, current in cases:
-        linearize(loop, hidden, x, current, current, 60.0, PAPER_SCALES, step)
-        before, opening = state_of(loop, x, hidden), hidden[len(p.rest)]
+    model, kept = BenchModel(without_disturbances(load_model()), substeps=SUBSTEPS), loop["velocity_memory"]
+    k = loop.arrays["linear.k"]
+    spools, cells = ([loop[f"linear.{name}"], loop[f"linear.{name}_rate"]] for name in ("spool", "cell"))
+    for case in cases:
+        seen, current = seen_by(loop, case, 60.0), case[2]
+        before, opening = seen.states[0][loop.arrays["from_whole"]], float(seen.opening[0, 0])
         after = before.copy()
-        model.sample(p.loop_k, after, current)
-        later = hydraulic_slopes(p, after, opening)[0]
+        model.sample(k, after, current)
+        later = sensitivity(loop.record, after, opening)[0]
 
         def shown(  # q a sample later
             q: FloatArray, change: float, y: FloatArray = before, later: float = later, opening: float = opening,
@@ -176,18 +168,18 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: lis
         ) -> FloatArray:  # fmt: skip
             begun = displaced(loop, y, opening, q)
             ended = begun.copy()
-            model.sample(p.loop_k, ended, current + change)
+            model.sample(k, ended, current + change)
             speed = kept * q[7] * loop.scale[7] + (1.0 - kept) * (ended[2] - begun[2]) / SAMPLE_PERIOD
-            force = p.gain[0] * p.area * (ended[0] - p.ratio * ended[1])
-            spool, cell = later * ended[[p.loop_spool, p.loop_spool_rate]], ended[[p.loop_cell, p.loop_cell_rate]]
+            force = loop["gain"][0] * loop["area"] * (ended[0] - loop["ratio"] * ended[1])
+            spool, cell = later * ended[spools], ended[cells]
             return np.array([force, *spool, *cell, ended[2], ended[3], speed]) / loop.scale
 
-        exact = np.column_stack([step.transition, step.push * 0.01])
+        exact = np.column_stack([seen.transition[0], seen.push[0] * 0.01])
         numeric, width, none = np.empty((LOOP, LOOP + 1)), 1e-4, np.zeros(LOOP)
-        for k in range(LOOP):
-            q = width * np.eye(LOOP)[k]
+        for i in range(LOOP):
+            q = width * np.eye(LOOP)[i]
             sides = [shown(sign * q, 0.0) for sign in (1, -1, 2, -2)]
-            numeric[:, k] = (8.0 * (sides[0] - sides[1]) - (sides[2] - sides[3])) / (12.0 * width)
+            numeric[:, i] = (8.0 * (sides[0] - sides[1]) - (sides[2] - sides[3])) / (12.0 * width)
         near, far = (shown(none, 0.01 * s) - shown(none, -0.01 * s) for s in (width, 2 * width))
         numeric[:, LOOP] = (8.0 * near - far) / (12.0 * width)
         assert np.abs(exact - numeric).max() <= LIMIT * np.abs(exact).max()
@@ -196,20 +188,17 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: lis
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (0.3, 1.0), (0.0, 2.5)])
 def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scales: tuple[float, float]) -> None:
     """With what f_h is made of, and on the spool's side of zero."""
-    step, bench, p = step_of(loop), loop.bench[0], loop.model
-    config = BoxConfig().constants(Bench.nominal())
-    config["gain_floor"] = loop.gain_floor
-    for name in firmware.BENCH_FIELDS:
-        config["bench"][name] = bench[name]
-    for x, hidden, current in cases:
-        opening = hidden[len(p.rest)]
+    bench, floor = loop.believed.constants()[0], loop["gain_floor"]
+    config = BoxConfig().constants(loop.believed)
+    for case in cases:
+        seen, (x, _, current) = seen_by(loop, case, -35.0, scales), case
+        opening = float(seen.opening[0, 0])
         side = np.copysign(current, opening)
-        linearize(loop, hidden, x, current, current, -35.0, scales, step)
         g = scales[1] * hydraulics.input_gain(bench, x[6], x[4], x[5], side)
-        driven = max(g, loop.gain_floor) * side
+        driven = max(g, floor) * side
         # the f_c' that gives this current
         wanted = driven + scales[0] * hydraulics.velocity_term(bench, x[6], x[7]) + 35.0 * 110.0
-        y = state_of(loop, x, hidden)
+        y = seen.states[0][loop.arrays["from_whole"]]
 
         change_of = partial(displaced, loop, y, opening)
 
@@ -229,6 +218,6 @@ def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scal
             q = width * np.eye(LOOP)[k]
             numeric[k] = (8.0 * (law(q) - law(-q)) - (law(2 * q) - law(-2 * q))) / (12.0 * width)
         assert law(np.zeros(LOOP)) == pytest.approx(side, rel=1e-9)
-        if abs(g / loop.gain_floor - 1.0) < 0.01:
+        if abs(g / floor - 1.0) < 0.01:
             continue  # a kink lies within the difference's reach
-        np.testing.assert_allclose(step.feedback, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())
+        np.testing.assert_allclose(seen.feedback[0], numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())

@@ -11,9 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hydro_core.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
-from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter
-from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Run, Trial, gammas, run
 from hydro_sim.files.learned_bench import make_plant
@@ -43,22 +41,11 @@ def states(bench: Bench, plant: Plant) -> StateArray:
     return closed(bench, plant, (250.0, 15.0), default_filter(bench), 1.0).states
 
 
-def test_the_compiled_call_decides_as_the_filter_does_and_the_certificate_holds_afterwards(
-    bench: Bench, states: StateArray
-) -> None:
-    one, parts = default_filter(bench), default_filter(bench).parts
-    memory, workspace, corrected = memories(), loop_decision.workspace(parts), 0
+def test_the_certificate_holds_afterwards(bench: Bench, states: StateArray) -> None:
+    one, corrected = default_filter(bench), 0
     for record in states:
-        sample = Sample.of(record)
-        signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate
-        result = one.correct(sample)
-        made = loop_decision.decide(
-            parts, memory[0], sample.state, *signals, sample.proportional_gain, sample.followed, sample.armed, workspace
-        )
-        delta_u, before, _, status = made
-        np.testing.assert_allclose(delta_u, result.delta_u, rtol=1e-5, atol=1e-9)  # OSQP beside its closed form
-        np.testing.assert_allclose(before, result.before, rtol=1e-9, atol=1e-12)
-        assert status == int(result.status) and result.after <= 1e-6
+        result = one.correct(Sample.of(record))
+        assert result.after <= 1e-6
         assert result.status in (CorrectionStatus.PASS, CorrectionStatus.MODIFIED)
         assert (result.before > 0.0) == (result.delta_u != 0.0)
         corrected += result.status is CorrectionStatus.MODIFIED
@@ -122,7 +109,8 @@ def test_stable_gains_are_left_alone(bench: Bench, plant: Plant, gains: tuple[fl
 def test_the_integral_cannot_wind_up_without_end(bench: Bench, plant: Plant) -> None:
     """What it asks for beyond its allowance is a displacement: at no allowance it is taken away altogether."""
     made = default_filter(bench)
-    none = LoopFilter(made.parts._replace(integral_allowance=0.0))
+    none = LoopFilter(made.parts.copy())
+    none.parts["integral_allowance"] = 0.0
     sample = Sample.of(closed(bench, plant, (-30.0, 0.0), made, 0.5).states[-1])
     more = 3000.0 / 1.2e7  # A
     wound = sample._replace(nominal_current=sample.nominal_current + more, valve_current=sample.valve_current + more)

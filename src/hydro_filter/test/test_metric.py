@@ -11,8 +11,7 @@ import pytest
 from hydro_core.settings import check
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
 from hydro_filter.metric import MOST_STEPS, MetricDesign, ScheduledMetric, decaying_range, rest_loop
-from hydro_filter.model.loop import loop_of, without_overlap
-from hydro_filter.model.parts import Loop
+from hydro_filter.model.loop import Loop, loop_of, without_overlap
 from hydro_filter.precompile import FOUND
 from hydro_filter.training.data import (
     NEITHER,

@@ -8,10 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_core.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
-from hydro_filter.controller import loop_decision
+from hydro_core.signals import STATE_FIELDS, Command, CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import default_filter
-from hydro_filter.model.loop import memories
 from hydro_filter.model.sample import Sample
 from hydro_policy.envs.environment import Environment
 from hydro_policy.envs.vector_env import VectorBench, fleet_filter, records
@@ -96,16 +94,14 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
 
 
 def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
-    """With `Box` and the compiled call of `hydro_filter`, a correction acting one sample late: to the bit."""
+    """With `Box` and the filter as the node runs it, a correction acting one sample late: to the bit."""
     cell = replace(BENCH, load_cell_bandwidth=25.0)
     fleet = VectorBench([BENCH] * 2, [AnalyticPlant(cell) for _ in range(2)], filters=fleet_filter("learned", BENCH, 2))
     for index in range(2):
         fleet.begin(index, SINE, index)
     changes = np.array([[0.0, 0.0], [120.0, 10.0]])
     got = np.concatenate([fleet.samples[1, -1:].copy()] + [fleet.step(changes)[1].copy() for _ in range(40)])
-    parts, memory = default_filter(BENCH).parts, memories()
-    workspace = loop_decision.workspace(parts)
-    box, plant = Box(BENCH), AnalyticPlant(cell)
+    beside, box, plant = default_filter(BENCH), Box(BENCH), AnalyticPlant(cell)
     box.receive(Command(), 0.0)
     measurement, delta_u = plant.reset(1), 0.0
     for k, sample in enumerate(got):
@@ -115,9 +111,9 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
         want = box.tick(measurement, 0.001 * k)
         assert sample["valve_current"] == want["valve_current"], k
         assert sample["flags"] == want["flags"], k
-        of = Sample.of(want)
-        at = of.nominal_current, of.valve_current, of.reference_force, of.reference_rate, of.proportional_gain
-        delta_u = loop_decision.decide(parts, memory[0], of.state, *at, of.followed, of.armed, workspace)[0]
+        result = beside.correct(Sample.of(want))
+        assert result.status is not CorrectionStatus.MISMATCH, "which the fleet does not watch for"
+        delta_u = result.delta_u
         measurement = plant.step(float(want["valve_current"]))
     corrected = np.abs(got["valve_current"] - got["nominal_valve_current"]).max()
     assert corrected > 1e-4, "the learned metric corrects K_p = 135"

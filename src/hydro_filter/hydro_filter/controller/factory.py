@@ -12,19 +12,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_core.files import site
 from hydro_core.settings import describe
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped
-from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, STATES, Sample
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import rest_state
 
 LEARNED = "learned"
 """Name of the shipped metric."""
@@ -122,24 +118,6 @@ class FilterChoice:
         files = self.files
         metric, model = self.stored_metric, learned_bench.load_model(files["model"])
         return loop_filter(metric, model, self.bench, settings)
-
-
-def warm_up(contraction_filter: LoopFilter, bench: Bench) -> None:
-    """Run all code paths of a filter, so that nothing is compiled later; then reset it."""
-    still, x = rest_state(bench.constants()[0]), np.zeros(STATES)
-    x[PRESSURE_A], x[PRESSURE_B], x[POSITION] = still[:3]
-    limit = bench.valve_current_max
-    for gain, error, current in (
-        (60.0, 5.0, 0.0),
-        (-40.0, 100.0, 0.0),
-        (-40.0, 500.0, limit),
-        (-40.0, 500.0, 0.9 * limit),
-    ):
-        sample = Sample(x, current, error, gain, min(current, limit), 100.0, True)
-        for armed in (False, True):
-            contraction_filter.correct(sample._replace(armed=armed))
-    contraction_filter.correct(sample._replace(nominal_current=np.nan))
-    contraction_filter.reset()
 
 
 def _digest(path: Path) -> str:

@@ -1,40 +1,68 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction filter as an object, for the node.
+"""The contraction filter as an object, for the node; its decision is that of firmware/hydro/loop_filter.h.
 
 ::
 
     contraction_filter = default_filter(bench)
     contraction_filter.correct(sample)                    Sample in, Result out, one bench, as the node runs it
-    loop_decision.decide(parts, memory[i], x, ...)        the same for a compiled loop
+    records.decide(address, parts, memory, ...)           the same for a compiled loop
 
-Samples must be consecutive. A correction acts one sample after its own. Certified gains and limits: safety.md.
+The law is known by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.followed`). v is from f_r whatever the law
+follows: a loop that decays does so whatever it follows.
 
-`LoopFilter` also monitors whether the model still fits the bench (`innovations`); if not, every result is MISMATCH
-without a correction. A compiled loop does not: its benches are simulated, by that model or deliberately by others.
+Samples must be consecutive: the memory simulates the spool from their currents. A correction acts one sample after its
+own. Certified gains and limits: safety.md.
+
+`LoopFilter` also monitors whether the model still fits the bench (firmware/hydro/monitor.h); if not, every result is
+MISMATCH without a correction. A compiled loop does not: its benches are simulated, by that model or deliberately by
+others.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-import numba
 import numpy as np
 
 from hydro_core.settings import check, quantity
-from hydro_core.signals import CorrectionStatus
-from hydro_filter.certificate import NAN
-from hydro_filter.controller import innovations, loop_decision
-from hydro_filter.controller.loop_decision import LoopParts
+from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
+from hydro_core.size import Size
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model import observer
-from hydro_filter.model.loop import coordinates_of, loop_of, memories, overlap_of
+from hydro_filter.model.loop import coordinates_of, loop_of, overlap_of
+from hydro_filter.model.records import (
+    DECISION,
+    FILTER,
+    SAMPLE,
+    library,
+    memories,
+    monitors,
+    record_of,
+)
 from hydro_filter.model.sample import Sample
+from hydro_sim.box.firmware import Records, at
 from hydro_sim.files import learned_bench
-from hydro_sim.jit import njit
-from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench import NOMINAL, Bench
+
+SAME = 1e-3
+"""HYDRO_SAME: difference of C_1 that is none."""
+
+EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
+"""Of the model monitor."""
+SUSPECTS = (
+    "the spring or its load cell",
+    "mass, friction or spring",
+    "the piston's area or the load cell of f_h",
+    "valve, supply, oil or area",
+    "valve, supply, oil or area",
+)
+"""Cause of a violation of each equation."""
+
+FORCE, RATE, PRESSURE, POSITION, SPEED, CURRENT, GAIN = 1e5, 1e9, 1e8, 1.0, 20.0, 1e4, 1e4
+"""N, N/s, Pa, m, m/s, A, 1/s: magnitudes beyond which a sample is none of the nominal bench, far beyond its sensors."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,37 +98,6 @@ class Result(NamedTuple):
     status: CorrectionStatus
 
 
-NOT_FINITE, FITS, BROKEN = range(3)
-"""Results of `judge` for a sample: a number is not finite; the model holds; it does not."""
-
-
-@njit
-def packed(parts, workspace, monitor, limit):
-    """Pack all arguments into memory for compiled code: passing seventy arrays takes as long as the decision."""
-    box = numba.typed.List()
-    box.append((parts, workspace, monitor, limit))
-    return box
-
-
-@njit
-def judge(box, memory, x, nominal, current, reference, reference_rate, gain, law):
-    """Return the validity of a sample, its `Decision` if armed, and a, b, low, high of its QP.
-
-    Advances the memory, shape (1,), and the monitor.
-    """
-    parts, workspace, monitor, limit = box[0]
-    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain, law):
-        observer.reset(memory[0])
-        innovations.reset(monitor[0])
-        return NOT_FINITE, 0.0, math.nan, math.nan, NAN, math.nan, math.nan, 0.0, 0.0
-    innovations.update(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
-    p = loop_decision.build_problem(
-        parts, memory[0], x, nominal, current, reference, reference_rate, gain, law, workspace
-    )
-    delta_u, before, after, status = loop_decision.solution(parts, p, nominal)
-    return BROKEN if monitor[0].broken != 0 else FITS, delta_u, before, after, status, p.a, p.b, p.low, p.high
-
-
 STATUSES = tuple(CorrectionStatus)
 NO_CERTIFICATE = {
     True: "its metric is not made for the compensated law; one of a bench file is (`learn_metric --model FILE.yaml`)",
@@ -122,26 +119,27 @@ class LoopFilter:
         The same for other C_1.
     """
 
-    _judge = staticmethod(judge)
-
     def __init__(
-        self, parts: LoopParts, settings: LoopFilterSettings | None = None, others: Sequence[LoopParts] = ()
+        self, parts: Records, settings: LoopFilterSettings | None = None, others: Sequence[Records] = ()
     ) -> None:
         self.parts = parts
         self.settings = settings or LoopFilterSettings()
-        self.problem = (math.nan, math.nan, 0.0, 0.0)
-        """a, b, low, high of the last sample's QP."""
-        self.memory = memories()
-        self.monitor = innovations.monitors()
-        workspace, limit = loop_decision.workspace(parts), self.settings.innovation_limit
-        every = (parts, *others)
-        self._boxes = [(each.velocity_compensation, packed(each, workspace, self.monitor, limit)) for each in every]
-        self._unknown = [not any((c_1 == 1.0) is paper for c_1, _ in self._boxes) for paper in (True, False)]
+        self.memory, self.monitor = memories(), monitors()
+        self.decision = np.zeros(1, DECISION)
+        """Of the last sample, with a, b, low, high of its QP."""
+        self._sample = np.zeros(1, SAMPLE)
+        self._bytes, self._judge = memoryview(self._sample.view(np.uint8)), library().hydro_c_filter_judge
+        self._every = [(float(each["velocity_compensation"][0]), each) for each in (parts, *others)]
+        self._unknown = [not any((c_1 == 1.0) is paper for c_1, _ in self._every) for paper in (True, False)]
+        self._at = tuple(map(at, (self.memory, self.monitor, self._sample, self.decision)))
 
     @property
     def mismatch(self) -> str:
         """Why the model does not fit this bench, as text; empty while it does."""
-        return innovations.sentence(self.monitor[0])
+        if not (broken := int(self.monitor["broken"][0])):
+            return ""
+        name, suspects, ratio = EQUATIONS[broken - 1], SUSPECTS[broken - 1], float(self.monitor["ratio"][0])
+        return f"the model's {name} ({suspects}) is off by {ratio:.1f} times what is allowed"
 
     def unknown(self, *, compensated: bool) -> str:
         """Return why it has no certificate under the compensated law, or the paper's; empty if it has."""
@@ -154,35 +152,42 @@ class LoopFilter:
 
     def skip(self) -> None:
         """Announce that samples are missing before the next one. Findings about the model are kept."""
-        observer.reset(self.memory[0])
-        innovations.reset(self.monitor[0])
+        self.memory[:] = np.zeros(1, self.memory.dtype)
+        for name in ("seen", "held", "sums", "runs"):
+            self.monitor[name] = 0
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide the correction of a sample that is `age` [s] old."""
         if self._unknown[sample.compensated]:
             self.skip()
             return Result(0.0, math.nan, math.nan, CorrectionStatus.BYPASSED)
-        x, nominal, law = np.ascontiguousarray(sample.state), sample.nominal_current, sample.followed
-        signals = nominal, sample.valve_current, sample.reference_force, sample.reference_rate
-        box = self._boxes[0][1]
-        for c_1, each in self._boxes[1:]:
-            if abs(law[2] - law[3] * c_1) <= loop_decision.SAME * law[3]:
-                box = each
-        state, delta_u, before, after, number, *problem = self._judge(
-            box, self.memory, x, *signals, sample.proportional_gain, law
-        )
-        self.problem = tuple(problem)  # also of an old sample: the memory moves on
+        law, parts = sample.followed, self.parts
+        for c_1, each in self._every[1:]:
+            if abs(law[2] - law[3] * c_1) <= SAME * law[3]:
+                parts = each
+        _PACK(
+            self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
+            sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
+        )  # fmt: skip
+        self._judge(at(parts), self.settings.innovation_limit, *self._at)
+        delta_u, before, after, _, _, _, _, status, _ = self.decision.item()  # also of an old sample: the memory moves on
+        if status == CorrectionStatus.NAN:
+            delta_u, before, after = 0.0, math.nan, math.nan
         if self.settings.bypass:
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
-        if state == NOT_FINITE:
+        if status == CorrectionStatus.NAN:
             return Result(0.0, math.nan, math.nan, CorrectionStatus.NAN)
-        if state == BROKEN:  # a certificate of another bench says nothing
+        if self.monitor["broken"][0]:  # a certificate of another bench says nothing
             return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
         if not abs(age) <= self.settings.state_age_max:
             return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
-        return Result(delta_u, before, after, STATUSES[number])
+        return Result(delta_u, before, after, STATUSES[status])
+
+
+_PACK = struct.Struct("17d?").pack_into
+"""Into a record of SAMPLE: thrice as fast as by its fields' names."""
 
 
 def loop_filter(
@@ -195,8 +200,8 @@ def loop_filter(
 
 def loop_parts(
     metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
-) -> LoopParts:
-    """Return the inputs of `decide` for a metric, its training model, and the bench that the box is configured for.
+) -> Records:
+    """Return a record of FILTER, shape (1,), the inputs of a decision for a metric, its training model, and the bench that the box is configured for.
 
     Raises ValueError: the metric's coordinates are not those of the model's loop, or as `loop_of`.
     """
@@ -206,17 +211,27 @@ def loop_parts(
             f"the metric is of the coordinates {', '.join(metric.coordinates)}, this model's loop has "
             f"{', '.join(needed)}: make one with `ros2 run hydro_filter learn_metric --model`"
         )
-    return LoopParts(
-        loop=loop,
-        metric=metric.parts,
-        rate=chosen.contraction_rate,
-        foreign_rate=chosen.foreign_rate,
-        noise_size=chosen.noise_share * levels.noise_size,
-        foreign_noise_size=chosen.noise_share * levels.foreign_noise_size,
-        integral_allowance=levels.integral_allowance,
-        overlap=overlap_of(model),
-        velocity_compensation=metric.velocity_compensation,
+    kept = {
+        name: math.exp(-2.0 * rate * SAMPLE_PERIOD)
+        for name, rate in (("kept", chosen.contraction_rate), ("foreign_kept", chosen.foreign_rate))
+    }
+    values = {f"loop.{name}": value for name, value in loop.values.items()} | metric.fields | kept | overlap_of(model) | {
+        "noise_size": chosen.noise_share * levels.noise_size,
+        "foreign_noise_size": chosen.noise_share * levels.foreign_noise_size,
+        "integral_allowance": levels.integral_allowance, "most": _most(bench.size),
+    }  # fmt: skip
+    arrays = {f"loop.{name}": array for name, array in loop.arrays.items()}
+    return record_of(FILTER, values, arrays | {"table": metric.table})
+
+
+def _most(size: Size) -> tuple[Any, ...]:
+    """Magnitudes of a record of SAMPLE that are none of a bench of this size."""
+    forces, pressures, lengths, currents = (
+        getattr(size, name) / getattr(NOMINAL, name) for name in ("force", "pressure", "length", "current")
     )
+    force, rate, current = forces * FORCE, forces * RATE, currents * CURRENT
+    x = (force, rate, force, rate, pressures * PRESSURE, pressures * PRESSURE, lengths * POSITION, lengths * SPEED)
+    return x, current, 2.0 * size.current, force, rate, GAIN, force, rate, 0.0, 0.0, True
 
 
 def default_filter(bench: Bench | None = None) -> LoopFilter:

@@ -18,17 +18,15 @@ hidden states (bristles, a drooping supply) are held fixed in derivatives by x.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_core.signals import FloatArray
-from hydro_core.size import Size
+from hydro_core.signals import FloatArray, StateArray, matrix
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, least_gain, loop_scale
-from hydro_filter.model.overlap import Overlap
-from hydro_filter.model.parts import MEMORY_DTYPE, Loop, ModelParts, Step
+from hydro_filter.model.records import LOOP, SAMPLE, record_of
 from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_filter.model.terms import (
     UNCERTAINTY,
@@ -47,12 +45,13 @@ from hydro_filter.model.terms import (
     valve_age,
 )
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.box.firmware import BENCH_FIELDS, Records
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.grammar import remembers, reverses, uses
-from hydro_sim.model.sensors import RAW_FIELDS, Sensors
+from hydro_sim.model.sensors import Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
 """Effects that the linearized loop leaves out."""
@@ -63,9 +62,10 @@ OVERLAP = "valve_deadband"
 BEND_MAX = 2000.0 / 3.0
 """1/s^2, limit of f_r'' over the bench's force: that at 4 Hz."""
 CREEP = 0.025
-"""1/s, `ModelParts.creep` over the stroke."""
+"""1/s, Velocity [m/s] over the stroke below which its sign is noise."""
 FORCES_ALLOWED, PRESSURES_ALLOWED = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
-"""`ModelParts.allowed` over the bench's force: 2.5 %; dry friction; a cell's drift; of pressures in `UNCERTAINTY`."""
+"""What the monitor's equations may be off, whatever moves, over the bench's force: 2.5 %; dry friction; a cell's drift;
+of pressures in `UNCERTAINTY`."""
 
 CARRIED = 1e6
 """Mass within a sample over the bench's: hidden states follow the measured velocity, not what bristles make of it
@@ -84,15 +84,41 @@ ONE_LAG = {
 """Labels of effects of which a bench has one at most."""
 
 
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Loop of a bench file under a box: `loop["whole.spool"]` is a field of hydro_loop (firmware/hydro/loop.h)."""
+
+    truth: Bench
+    """The bench file."""
+    believed: Bench
+    """What the box's force law believes."""
+    values: dict[str, Any]
+    """Fields of `record`, by name."""
+    arrays: dict[str, npt.NDArray[Any]]
+    """What its pointers point to, by name: `k`, `rest`, `forces`, `scale` and others."""
+    record: Records
+    """Of `records.LOOP`, shape (1,)."""
+
+    def __getitem__(self, name: str) -> Any:
+        return self.values[name]
+
+    @property
+    def scale(self) -> FloatArray:
+        """Of each coordinate, shape (n,): the eight and those added."""
+        return self.arrays["scale"]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return loop_of, (self.truth, self.believed)
+
+
 def loop_of(truth: Bench, believed: Bench) -> Loop:
     """Return the loop of the bench file `truth` under a box configured for `believed`.
 
     Raises ValueError: the certificate's coordinates cannot represent this bench; the message is one sentence.
     """
     refuse(truth)
-    floor, scale = float(BoxConfig().constants(believed)["gain_floor"][0]), loop_scale(believed)
-    model, added = parts(truth, scale, believed.size)
-    return Loop(model, believed.constants(), floor, believed.valve_current_max, np.append(scale, added))
+    values, arrays = _fields(truth, believed)
+    return Loop(truth, believed, values, arrays, record_of(LOOP, values, arrays))
 
 
 def refuse(truth: Bench) -> None:
@@ -117,63 +143,73 @@ def refuse(truth: Bench) -> None:
             raise ValueError(f"the filter's certificate has a place for one lag of {what}, the bench file has more")
 
 
-def step_of(loop: Loop) -> Step:
-    """Allocate the workspace of one caller."""
-    whole, n, width = len(loop.model.rest), len(loop.model.from_whole), len(loop.scale)
-    shapes = (
-        (width, width), width, width, STATES, whole, n, n, len(RAW_FIELDS),
-        (n, n + 1), (len(RAW_FIELDS), n + 1), (n + 1, width), (n, width),
-    )  # fmt: skip
-    return Step(*(np.zeros(shape) for shape in shapes))
-
-
-def memories(count: int = 1) -> npt.NDArray[np.void]:
-    """Return new memories of `count` benches, shape (count,)."""
-    return np.zeros(count, MEMORY_DTYPE)
-
-
 def closing_current(loop: Loop) -> float:
     """Return the current [A] that closes the valve, from the bench file's null shifts."""
-    return -(loop.model.before + loop.model.after)
+    return -float(loop["before"] + loop["after"])
 
 
 def coordinates_of(loop: Loop) -> tuple[str, ...]:
     """Return the names of the certificate's coordinates: `LOOP_FIELDS`, and those that the bench file adds."""
-    shown = [f"p_{'ab'[chamber]}_shown{ending}" for chamber in loop.model.lagging[:, 2] for ending in ("", "_rate")]
-    return (*LOOP_FIELDS, *shown, *(f"current_{i + 1}" for i in range(loop.model.on_their_way)))
+    chambers = loop["lagging"]["chamber"][: loop["lagging_count"]]
+    shown = [f"p_{'ab'[chamber]}_shown{ending}" for chamber in chambers for ending in ("", "_rate")]
+    return (*LOOP_FIELDS, *shown, *(f"current_{i + 1}" for i in range(loop["on_their_way"])))
 
 
 def driven_coordinate(loop: Loop) -> int:
     """Return the coordinate whose entry of G follows g everywhere: the spool's rate, or the newest current."""
-    return len(loop.scale) - loop.model.on_their_way if loop.model.on_their_way else Q_SPOOL_RATE
+    return len(loop.scale) - loop["on_their_way"] if loop["on_their_way"] else Q_SPOOL_RATE
 
 
-def rest_measurement(model: ModelParts) -> FloatArray:
+def rest_measurement(loop: Loop) -> FloatArray:
     """Sensor readings of the bench at rest, with gains and biases: x, shape (8,)."""
-    y, x = model.rest, np.zeros(STATES)
-    force = model.area * (y[0] - model.ratio * y[1])
-    true = np.array([force, y[model.cell], *y[:3]])
-    x[[HYDRAULIC_FORCE, LOAD_FORCE, PRESSURE_A, PRESSURE_B, POSITION]] = model.gain * true + model.bias
+    y, x = loop.arrays["rest"], np.zeros(STATES)
+    force = loop["area"] * (y[0] - loop["ratio"] * y[1])
+    true = np.array([force, y[loop["whole.cell"]], *y[:3]])
+    x[[HYDRAULIC_FORCE, LOAD_FORCE, PRESSURE_A, PRESSURE_B, POSITION]] = loop["gain"] * true + loop["bias"]
     return x
 
 
-def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, FloatArray]:
-    """Compute the `ModelParts` of a bench file, and the scales of its added coordinates; `scale`: of the eight."""
-    loop_bench = without_disturbances(truth)
+def samples_of(x: FloatArray, **signals: Any) -> Records:
+    """Return records of `SAMPLE` of measurements x, shape (n, 8), armed.
+
+    `signals`: fields of the record, 0 otherwise; f_c and f_c' are f_r and f_r', C_1 and C_2 are 1.
+    """
+    samples = np.zeros(len(x), SAMPLE)
+    samples["x"], samples["c_1"], samples["c_2"], samples["armed"] = x, 1.0, 1.0, True
+    for name, values in signals.items():
+        samples[name] = values
+    samples["followed"], samples["followed_rate"] = samples["reference"], samples["reference_rate"]
+    return samples
+
+
+def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> Records:
+    """Return records of `SAMPLE` of a run under a law with this C_1, its coefficients neutral."""
+    names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
+    fields = ("nominal", "current", "reference", "reference_rate", "k_p")
+    signals = {field: states[name] for field, name in zip(fields, names, strict=True)}
+    return samples_of(matrix(states), **signals, c_1=velocity_compensation)
+
+
+def _fields(truth: Bench, believed: Bench) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+    """Fields of the record of a bench file, and what its pointers point to."""
+    loop_bench, size, drive = without_disturbances(truth), believed.size, loop_scale(believed)
     whole, loop = BenchModel(truth, substeps=SUBSTEPS), BenchModel(loop_bench, substeps=SUBSTEPS)
     k, rest, _ = whole.begin(whole.values)
     carried = whole.values * [CARRIED if one.name == "moving_mass" else 1.0 for one in whole.parameters]
-    loop_k, loop_rest, _ = loop.begin(loop.values)
     places, loop_places = hidden_state_numbers(truth), hidden_state_numbers(loop_bench)
-    numbers = truth.constants()[0]
+    numbers, past = truth.constants()[0], whole.structure.past
     chosen = [effect for effect in truth.terms if effect["id"] not in DISTURBANCES]
-    past = whole.structure.past
     from_whole = [*range(TEXTBOOK), *(places[name] for name in loop_places), *range(len(rest) - past, len(rest))]
     before, after = null_shifts(truth)
     lag, inertia = cell_dynamics(truth)
-    added = added_coordinates(truth, places, loop_places, scale)
-    sensors = np.column_stack((added.kept[: 2 * len(added.lagging)].reshape(-1, 2), added.lagging[:, 2:]))
-    direct = np.array([float(chamber not in added.lagging[:, 2]) for chamber in range(2)])
+    added = added_coordinates(truth, places, loop_places, drive)
+    count = len(added.lagging)
+    sensors = np.column_stack((added.kept[: 2 * count].reshape(-1, 2), added.lagging[:, 2:]))
+    lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
+    for name, column in zip(("signal", "rate", "chamber"), added.lagging.T, strict=True):
+        lagging[name][:count] = column
+    lagging["age"][:count] = added.ages
+    observer[: count + 1, : 3 * count] = pressure_observer(loop, sensors, size)
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
     forces = load_curve(numbers, chosen, positions)
     if not (np.diff(forces) > 0.0).all():
@@ -184,34 +220,41 @@ def parts(truth: Bench, scale: FloatArray, size: Size) -> tuple[ModelParts, Floa
     level = sum(max(value for name, value in each.items() if "force" in name) for each in dry)
     bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
     gain, bias = sensor_scales(truth)
-    record = Sensors().constants()[0]
-    area, ratio = float(numbers["piston_area"]), float(numbers["area_ratio"])
+    area, believes = float(numbers["piston_area"]), believed.constants()[0]
     stiffness_a = hydraulics.stiffnesses(numbers, float(rest[2]))[0]
-    least = least_gain(area, stiffness_a, float(numbers["valve_gain"]), float(numbers["supply_pressure"]))
-    cell, loop_cell = cell_states(truth, places), cell_states(loop_bench, loop_places)
-    model = ModelParts(
-        sample_at=whole.address_of("bench_sample"), rates_at=whole.address_of("bench_rates"), k=k,
-        sample_k=whole.begin(carried)[0],
-        loop_rates_at=loop.address_of("bench_rates"), loop_jacobian_at=loop.address_of("bench_jacobian"),
-        loop_k=loop_k, from_whole=np.array(from_whole, np.int64), rest=rest,
-        spool=state_number(places, "valve_lag", "spool"), spool_rate=state_number(places, "valve_lag", "rate"),
-        loop_spool=state_number(loop_places, "valve_lag", "spool"),
-        loop_spool_rate=state_number(loop_places, "valve_lag", "rate"), before=before, after=after,
-        cell=cell[0], cell_rate=cell[1], loop_cell=loop_cell[0], loop_cell_rate=loop_cell[1],
-        lagging=added.lagging, observer=pressure_observer(loop, sensors, size), sensor_ages=added.ages, direct=direct,
-        kept=added.kept, on_their_way=currents_on_their_way(truth), past=past, at_valve=current_at_valve(truth),
-        delay=catalogue.delay(truth.effects), spool_age=valve_age(truth),
-        force_shown=state_number(places, "sensor_lag sensor=hydraulic_force", "signal"),
-        lag=lag, inertia=inertia, gain=gain, bias=bias,
-        area=area, ratio=ratio, mass=float(numbers["moving_mass"]), positions=positions, forces=forces,
-        holds=level > 0.0 and not bristles, level=level, least_gain=least,
-        least_opening=0.1 * float(numbers["valve_current_max"]),
-        bend_max=size.force * BEND_MAX, creep=size.length * CREEP,
-        allowed=size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
-        memories=np.array([record["force_memory"], record["velocity_memory"]]),
-        slopes=TEXTBOOK + max(len(rest), len(loop_rest)),
-    )  # fmt: skip
-    return model, added.scale
+    values: dict[str, Any] = {
+        "sample": whole.address_of("bench_sample"), "jacobian": loop.address_of("bench_jacobian"),
+        "lagging": lagging, "observer": observer, "coordinates": len(drive) + len(added.scale), "points": len(forces),
+        "lagging_count": count, "past": past, "at_valve": current_at_valve(truth),
+        "on_their_way": currents_on_their_way(truth), "holds": level > 0.0 and not bristles, "level": level,
+        "force_shown": state_number(places, "sensor_lag sensor=hydraulic_force", "signal"),
+        "first": positions[0], "step": positions[1] - positions[0], "before": before, "after": after,
+        "delay": catalogue.delay(truth.effects), "spool_age": valve_age(truth), "lag": lag, "inertia": inertia,
+        "gain": gain, "bias": bias,
+        "allowed": size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
+        "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
+        "dead_a": float(numbers["dead_volume_a"]), "dead_b": float(numbers["dead_volume_b"]),
+        "stroke": float(numbers["stroke"]), "bend_max": size.force * BEND_MAX, "creep": size.length * CREEP,
+        "least_gain": least_gain(area, stiffness_a, float(numbers["valve_gain"]), float(numbers["supply_pressure"])),
+        "least_opening": 0.1 * float(numbers["valve_current_max"]),
+        "gain_floor": float(BoxConfig().constants(believed)["gain_floor"][0]),
+        "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
+        "bench": tuple(float(believes[name]) for name in BENCH_FIELDS),
+    }  # fmt: skip
+    for name, model, numbered, of in (("whole", whole, places, truth), ("linear", loop, loop_places, loop_bench)):
+        cell, cell_rate = cell_states(of, numbered)
+        values |= {
+            f"{name}.rates": model.address_of("bench_rates"), f"{name}.states": len(model.states),
+            f"{name}.spool": state_number(numbered, "valve_lag", "spool"),
+            f"{name}.spool_rate": state_number(numbered, "valve_lag", "rate"),
+            f"{name}.cell": cell, f"{name}.cell_rate": cell_rate,
+        }  # fmt: skip
+    arrays = {
+        "whole.k": k, "linear.k": loop.begin(loop.values)[0], "sample_k": whole.begin(carried)[0],
+        "from_whole": np.array(from_whole, np.int32), "rest": rest, "forces": forces,
+        "scale": np.append(drive, added.scale), "kept": added.kept.astype(np.int32),
+    }  # fmt: skip
+    return values, arrays
 
 
 def without_disturbances(truth: Bench) -> Bench:
@@ -229,12 +272,15 @@ def without_overlap(truth: Bench) -> Bench | None:
     return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None
 
 
-def overlap_of(truth: Bench) -> Overlap:
-    """Return the overlap of a bench's valve: of several, the sum; of a soft one, its half width."""
+def overlap_of(truth: Bench) -> dict[str, float]:
+    """Return the overlap of a bench's valve [A]: of several, the sum; of a soft one, its half width.
+
+    `closing`: current that closes the valve; `back`, `out`: half widths on the side of negative openings, and of others.
+    """
     closing, back, out = -sum(null_shifts(truth)), 0.0, 0.0
     for effect in truth.effects:
         if effect["id"] == OVERLAP:
             widths = effect["parameters"]
             out += float(widths["half_width"])
             back += float(widths.get("half_width_negative", widths["half_width"]))
-    return Overlap(closing, back, out)
+    return {"closing": closing, "back": back, "out": out}

@@ -27,7 +27,7 @@ from scipy.linalg import solve_discrete_are
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_core.size import Size
 from hydro_filter.model.coordinates import Q_HYDRAULIC, Q_SPOOL
-from hydro_filter.model.parts import NONE
+from hydro_filter.model.records import NONE
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel

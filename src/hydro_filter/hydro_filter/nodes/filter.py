@@ -74,7 +74,7 @@ from hydro_core.files.site import ANEW
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
-from hydro_filter.controller.factory import FilterChoice, arguments, warm_up
+from hydro_filter.controller.factory import FilterChoice, arguments
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
 from hydro_msgs.msg import Authority
@@ -271,17 +271,12 @@ class FilterNode(Node):
         late.start()
         before = endings.answer(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
-            made = self._compiled(choice)
+            made = choice.make(self.settings)
         finally:
             endings.restore(before)
             late.cancel()
         if (taken := time.monotonic() - begin) > PATIENCE:
             say(f"compiled in {taken:.0f} s")
-        return made
-
-    def _compiled(self, choice: FilterChoice) -> LoopFilter:
-        made = choice.make(self.settings)
-        warm_up(made, choice.bench)
         return made
 
     def _look_for_new_files(self) -> None:
@@ -303,7 +298,7 @@ class FilterNode(Node):
         """Read and compile the new files, beside what answers."""
         try:
             choice = self._choice.read_again()
-            found.set_result((choice, choice.describe(), self._compiled(choice)))
+            found.set_result((choice, choice.describe(), choice.make(self.settings)))
         except Exception as error:
             found.set_exception(error)
 

@@ -31,16 +31,12 @@ import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.settings import quantity
-from hydro_core.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, Waveform, matrix
-from hydro_filter.controller.loop_decision import integral_term
+from hydro_core.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, Waveform
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.linearization import displace, linearize
-from hydro_filter.model.loop import closing_current, memories, step_of
-from hydro_filter.model.observer import follow, settle
-from hydro_filter.model.parts import Loop
+from hydro_filter.model.loop import Loop, closing_current, recorded_samples, samples_of
+from hydro_filter.model.records import follow
 from hydro_sim import excitation
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -53,7 +49,6 @@ OFF_STOPS = 0.00625
 """Distance of windows from the end stops over the stroke."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
 DECAYED = 0.6
-SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,25 +190,18 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
     if count < 100 + 2 * span:
         return None
     starts = np.sort(np.random.default_rng(seed).integers(100, count - span, settings.windows))
-    starts = starts[_between_stops(rollout.states["piston_position"], starts, span, _stroke(loop))]
+    starts = starts[_between_stops(rollout.states["piston_position"], starts, span, loop["stroke"])]
     if not len(starts):
         return None
-    shape, width = (len(starts), span), len(loop.scale)
-    made = Windows(
-        transition=np.empty((*shape, width, width)), push=np.empty((*shape, width)), feedback=np.empty((*shape, width)),
+    inside = starts[:, None] + np.arange(span)
+    linearized = np.zeros(count, np.bool_)
+    linearized[inside] = True
+    made = follow(loop.record, recorded_samples(rollout.states, settings.velocity_compensation), linearized=linearized)
+    rows = (np.cumsum(linearized) - 1)[inside]
+    return Windows(
+        transition=made.transition[rows], push=made.push[rows], feedback=made.feedback[rows],
         gain=np.full(len(starts), rollout.gains[0]), label=np.full(len(starts), rollout.label),
     )  # fmt: skip
-    scales = settings.velocity_compensation, 1.0
-    _follow(
-        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, scales, memories(), step_of(loop),
-        made.transition, made.push, made.feedback,
-    )  # fmt: skip
-    return made
-
-
-def _stroke(loop: Loop) -> float:
-    """Stroke [m]: the load curve goes from a twentieth of it before its ends to as much behind."""
-    return float(loop.model.positions[-1] - loop.model.positions[0]) / 1.1
 
 
 def _between_stops(
@@ -223,21 +211,6 @@ def _between_stops(
     off = OFF_STOPS * stroke
     inside = (positions > off) & (positions < stroke - off)
     return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
-
-
-@njit
-def _follow(loop, x, signals, starts, scales, memory, step, transitions, pushes, feedbacks):
-    """Follow a run with the filter's memory and record the samples of every window."""
-    span = transitions.shape[1]
-    for k in range(len(x)):
-        nominal, current, _, reference_rate, gain = signals[k]
-        settle(loop, memory[0], x[k], current, reference_rate)
-        for n in range(len(starts)):
-            h = k - starts[n]
-            if 0 <= h < span:
-                linearize(loop, memory[0].hidden, x[k], nominal, current, gain, scales, step)
-                transitions[n, h], pushes[n, h], feedbacks[n, h] = step.transition, step.push, step.feedback
-        follow(loop, memory[0], x[k], current, reference_rate)
 
 
 def concatenated(windows: list[Windows]) -> Windows:
@@ -270,16 +243,13 @@ QUANTILE = 0.99
 
 def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0) -> FloatArray:
     """v_1 of a still bench, its valve closed, shape (samples, coordinates)."""
-    x, memory, step, closing = plant.reset(seed), memories(), step_of(loop), closing_current(loop)
-    out, scales = np.empty((SAMPLES_AT_REST, len(loop.scale))), (velocity_compensation, 1.0)
-    for k in range(SAMPLES_AT_REST):
-        settle(loop, memory[0], x, closing, 0.0)
-        linearize(loop, memory[0]["hidden"], x, 1e-9, closing, gain, scales, step)
-        displace(loop, memory[0], x, 0.0, 0.0, out[k])
-        out[k] = (step.transition + np.outer(step.push, step.feedback)) @ out[k]
-        follow(loop, memory[0], x, closing, 0.0)
-        x = plant.step(closing)
-    return out[100:]
+    closing = closing_current(loop)
+    x = np.array([plant.reset(seed), *(plant.step(closing) for _ in range(SAMPLES_AT_REST - 1))])
+    signals = {"nominal": 1e-9, "current": closing, "k_p": gain, "c_1": velocity_compensation}
+    still = follow(loop.record, samples_of(x, **signals))
+    asked = np.einsum("ki,ki->k", still.feedback, still.displacement)
+    moved = np.einsum("kij,kj->ki", still.transition, still.displacement) + asked[:, None] * still.push
+    return np.asarray(moved[100:], np.float64)
 
 
 def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant) -> tuple[float, float]:
@@ -296,12 +266,8 @@ def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant)
 
 def integral_terms(loop: Loop, states: StateArray, velocity_compensation: float = 1.0) -> FloatArray:
     """I [N/s] of the force law, its coefficients neutral, at the samples of a run, shape (n,)."""
-    out = np.empty(len(states))
-    for k, (record, x) in enumerate(zip(states, matrix(states), strict=True)):
-        law = (record["reference_force"], record["reference_force_rate"], velocity_compensation, 1.0)
-        numbers = record["nominal_valve_current"], record["proportional_gain"]
-        out[k] = integral_term(loop.bench[0], loop.gain_floor, x, *numbers, law)[0]
-    return out
+    samples, none = recorded_samples(states, velocity_compensation), np.zeros(len(states), np.bool_)
+    return follow(loop.record, samples, linearized=none).integral
 
 
 ASKING = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))

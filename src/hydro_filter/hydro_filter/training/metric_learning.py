@@ -43,8 +43,7 @@ from hydro_filter.metric import (
     rest_loop,
 )
 from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.model.loop import driven_coordinate, loop_of, without_overlap
-from hydro_filter.model.parts import Loop
+from hydro_filter.model.loop import Loop, driven_coordinate, loop_of, without_overlap
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,

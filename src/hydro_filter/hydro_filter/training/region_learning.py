@@ -21,8 +21,8 @@ import numpy as np
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, matrix
 from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.model.loop import loop_of, memories
-from hydro_filter.model.observer import follow, settle
+from hydro_filter.model.loop import closing_current, loop_of, recorded_samples
+from hydro_filter.model.records import follow
 from hydro_filter.region.facts import STATES, bench_numbers, region_states, share_inside
 from hydro_filter.region.proof import prove_cell
 from hydro_filter.region.statement import TOLERANCES, Cell, Pair, Statement
@@ -73,7 +73,7 @@ class Wanted:
 
 def samples_of(model: Bench, bench: Bench, wanted: Wanted, force: float, gain: float, seed: int = 0) -> FloatArray:
     """States of the box in a run that follows a sine of `force` [N], 1 Hz, at K_p = `gain`: shape (n, 10)."""
-    loop, memory = loop_of(model, bench), memories()
+    loop = loop_of(model, bench)
     plant = AnalyticPlant(model, settings=Sensors.of_size(model.size))
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=force, offset=0.0, frequency=1.0)
     law = Law.PAPER if wanted.law is None else Law.COMPENSATED
@@ -82,15 +82,9 @@ def samples_of(model: Bench, bench: Bench, wanted: Wanted, force: float, gain: f
         config = replace(config, compensated=wanted.law)
     plan = Schedule(reference=signal, gains=(gain, wanted.integral_gain), seconds=SECONDS, law=law)
     states = simulate(plant, bench, plan, config=config, seed=seed)
-    x, n, valve = matrix(states), len(loop.model.rest), np.empty((len(states), 3))
-    shift = loop.model.before + loop.model.after
-    for k, state in enumerate(states):
-        current, rate = float(state["valve_current"]), float(state["reference_force_rate"])
-        settle(loop, memory[0], x[k], current, rate)
-        hidden = memory[0]["hidden"]
-        valve[k] = hidden[n], hidden[n + 1], float(state["nominal_valve_current"]) + shift
-        follow(loop, memory[0], x[k], current, rate)
-    return region_states(bench_numbers(model, bench)[0], x, valve)[SETTLED:]
+    opening = follow(loop.record, recorded_samples(states), linearized=np.zeros(len(states), np.bool_)).opening
+    valve = np.column_stack((opening, states["nominal_valve_current"] - closing_current(loop)))
+    return region_states(bench_numbers(model, bench)[0], matrix(states), valve)[SETTLED:]
 
 
 def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Pair]:

@@ -299,7 +299,7 @@ class Checked:
         """See `Corrector`."""
         result = self._filter.correct(sample, age)
         if result.status in (CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE):
-            self.osqp.compare(*self._filter.problem)
+            self.osqp.compare(*self._filter.decision[["a", "b", "low", "high"]].item())
         return result
 
 

@@ -38,17 +38,15 @@ from hydro_core.signals import (
     ReferenceSignal,
     StateArray,
 )
-from hydro_filter.controller import loop_decision
-from hydro_filter.controller.loop_decision import LoopParts, Workspace
 from hydro_filter.controller.loop_filter import default_filter
-from hydro_filter.model.loop import memories
+from hydro_filter.model import records as filter_records
 from hydro_policy.compensation.estimator import ADAPTS
 from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs import FilterName
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.box.firmware import COEFFICIENTS, VALVE_GAIN_SCALE, VELOCITY_COMPENSATION
-from hydro_sim.jit import njit
+from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import plant as plants_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
@@ -124,9 +122,13 @@ class LearnedFilter(NamedTuple):
     """The filter with the learned metric, with one memory per bench."""
 
     fresh: bool
-    parts: LoopParts
-    memory: npt.NDArray[np.void]
-    workspace: Workspace
+    decide: int
+    """Address of the decision."""
+    parts: Records
+    memory: Records
+    seen: Records
+    """Sample and decision of the bench whose turn it is, shape (1,) each."""
+    made: Records
 
 
 FleetFilter = NoFilter | LearnedFilter
@@ -136,8 +138,9 @@ def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
     """Return the filter of a kind for `count` benches, designed for the bench `believed`."""
     if kind == "none":
         return NoFilter()
-    parts = default_filter(believed).parts
-    return LearnedFilter(True, parts, memories(count), loop_decision.workspace(parts))
+    seen, made = np.zeros(1, filter_records.SAMPLE), np.zeros(1, filter_records.DECISION)
+    parts, memory = default_filter(believed).parts, filter_records.memories(count)
+    return LearnedFilter(True, filter_records.decide_address(), parts, memory, seen, made)
 
 
 def reset_memory(filters: FleetFilter, index: int) -> None:
@@ -159,12 +162,15 @@ def _correct(filters, i, x, sample, law):
     if kind is LearnedFilter:
 
         def learned(filters, i, x, sample, law):
-            signals = sample.nominal_valve_current, sample.valve_current, sample.reference_force
-            armed = (sample.flags & _ARMED) != 0
-            return loop_decision.decide(
-                filters.parts, filters.memory[i], x, signals[0], signals[1], signals[2], sample.reference_force_rate,
-                sample.proportional_gain, law, armed, filters.workspace,
-            )[0]  # fmt: skip
+            seen = filters.seen[0]
+            copy_vector(seen.x, x)
+            seen.nominal, seen.current = sample.nominal_valve_current, sample.valve_current
+            seen.reference, seen.reference_rate = sample.reference_force, sample.reference_force_rate
+            seen.k_p, seen.armed = sample.proportional_gain, (sample.flags & _ARMED) != 0
+            seen.followed, seen.followed_rate, seen.c_1, seen.c_2 = law
+            memory = filters.memory[i : i + 1]
+            filter_records.decide(filters.decide, filters.parts, memory, filters.seen, filters.made)
+            return filters.made[0].delta_u
 
         return learned
     return None

@@ -49,7 +49,7 @@ def header(config: Records) -> str:
 
     Decimals give the same doubles back.
     """
-    members = _members(config[0])
+    members = members_of(config[0])
     members |= {name: repr(float(config[name][0])) for name in ("hold_timeout", "trip_timeout")}  # of type hydro_time
     name, digest = (config[field][0].tobytes().rstrip(b"\0").decode() for field in ("name", "digest"))
     body = f'#include "hydro/config.h"\n\nstatic const hydro_config HYDRO_BOX_CONFIG = {initializer(members)};'
@@ -57,15 +57,15 @@ def header(config: Records) -> str:
     return header_file("HYDRO_BOX_CONFIG_H", origin, body)
 
 
-def _members(record: np.void) -> dict[str, Any]:
+def members_of(record: np.void) -> dict[str, Any]:
     """Fields of a record for `initializer`; those that are records, or arrays of some, as mappings, too."""
     members: dict[str, Any] = {}
     for name in record.dtype.names or ():
         value = record[name]
         if isinstance(value, np.void):
-            members[name] = _members(value)
+            members[name] = members_of(value)
         elif value.dtype.names:
-            members[name] = [_members(one) for one in value]
+            members[name] = [members_of(one) for one in value]
         else:
             members[name] = value
     return members

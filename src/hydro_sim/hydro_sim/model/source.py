@@ -67,7 +67,7 @@ def exported_source(model: Functions, substeps: int) -> str:
 
 
 def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: bool) -> str:
-    """Return `rates`, and a sample or its Jacobian, for a box in C (firmware/hydro/loop.h), each behind `prefix_`.
+    """Return `all_rates`, and `all_sample` or `all_jacobian`, for a box in C (firmware/hydro/loop.h), behind `prefix_`.
 
     Raises ValueError: the model needs a mathematical function that a box does not have.
     """
@@ -81,14 +81,16 @@ def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: b
     else:
         functions += [("step", at, [("out", model.step)]), ("read", [k, y], [("z", model.read)])]
     loops = (resources.files("hydro_sim.model") / "bench_model.c").read_text(encoding="utf-8")
-    loop = "jacobian" if jacobian else "sample"
-    wanted = re.search(rf"^void bench_{loop}.*?^}}\n", loops, re.MULTILINE | re.DOTALL)
-    assert wanted is not None
-    text = "\n".join([*(_function(*entry) for entry in functions), wanted[0].replace("void bench_", "static void ")])
-    numbers = {"N": model.y.numel(), "SUBSTEPS": substeps, "Z": len(READINGS)}
+    wanted = ["rates", "jacobian" if jacobian else "sample"]
+    cut = [re.search(rf"^void bench_{one}.*?^}}\n", loops, re.MULTILINE | re.DOTALL) for one in wanted]
+    text = "\n".join(_function(*entry) for entry in functions)
+    text += "\n".join(found[0].replace("void bench_", "static void all_") for found in cut if found is not None)
+    numbers = {
+        "N": model.y.numel(), "SUBSTEPS": substeps, "Z": len(READINGS), "RATES": model.rates.numel()
+    }  # fmt: skip
     for name, number in numbers.items():
         text = re.sub(rf"\b{name}\b", str(number), text)
-    names = [name for name, _, _ in functions] + [loop]
+    names = [*(name for name, _, _ in functions), *(f"all_{one}" for one in wanted)]
     for pattern, becomes in (
         (rf"\b({'|'.join(names)})\(", rf"{prefix}_\1("), (r"\bdouble\b", "hydro_real"),
         (r"(?<![\w.])(\d+\.\d*(e[+-]?\d+)?|\d+e[+-]?\d+)", r"HYDRO_R(\1)"),

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter in C (`firmware/hydro/loop_filter.h`) as a library: its structures as numpy records, and its calls.
+
+::
+
+    parts = loop_parts(metric, model, bench)            a record of FILTER, shape (1,)
+    follow(loop, samples)                               F, G, K, v of samples that follow one another
+    decide(calls().decide, parts, memory, sample, made) one decision, in a loop that numba compiles
+
+A record and what it points to are one piece of memory (`record_of`): pointers live as long as the record, and a copy of
+the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import types
+from numba.extending import intrinsic
+
+from hydro_core.settings import SettingsError
+from hydro_core.signals import FloatArray
+from hydro_sim.box.firmware import DOUBLE, Records, at, library_path
+from hydro_sim.model.machine_code import call
+from hydro_sim.model.plant import STATES_MAX
+
+NONE = -1
+"""Index of a state that a bench does not have."""
+
+READINGS, EQUATIONS = 5, 5
+
+
+def _structure(*groups: tuple[Any, str]) -> np.dtype[np.void]:
+    """Kinds, each with the names of its fields."""
+    return np.dtype([(name, kind) for kind, names in groups for name in names.split()], align=True)
+
+
+_REAL, _INT, _FLAG, _POINTER = np.float64, np.int32, np.bool_, np.uintp
+_EACH, _HIDDEN = (_REAL, (READINGS,)), (_REAL, (STATES_MAX,))
+
+MODEL = _structure((_POINTER, "rates k"), (_INT, "states spool spool_rate cell cell_rate"))
+LAGGING = _structure((_INT, "signal rate chamber"), (_REAL, "age"))
+LOOP = _structure(
+    (MODEL, "whole linear"), (_POINTER, "sample sample_k jacobian from_whole rest forces scale kept"),
+    ((LAGGING, (2,)), "lagging"), ((_REAL, (3, 6)), "observer"),
+    (_INT, "coordinates points lagging_count past at_valve on_their_way force_shown"), (_FLAG, "holds"),
+    (_REAL, "level first step before after delay spool_age lag inertia"), (_EACH, "gain bias allowed"),
+    (_REAL, "area ratio mass dead_a dead_b stroke least_gain least_opening bend_max creep gain_floor velocity_memory"),
+    (DOUBLE.config["bench"], "bench"),
+)  # fmt: skip
+"""hydro_loop of firmware/hydro/loop.h, as are those around it."""
+SAMPLE = _structure(
+    ((_REAL, (8,)), "x"),
+    (_REAL, "nominal current reference reference_rate k_p followed followed_rate c_1 c_2"), (_FLAG, "armed"),
+)  # fmt: skip
+MEMORY = _structure((_HIDDEN, "hidden"), (_REAL, "opening opening_rate reference_rate"), (_FLAG, "running"))
+FILTER = _structure(
+    (LOOP, "loop"), (_POINTER, "table"), (_INT, "rows"),
+    (_REAL, "gain_low gain_high gain_step floor kept foreign_kept noise_size foreign_noise_size integral_allowance"),
+    (_REAL, "velocity_compensation closing back out"), (SAMPLE, "most"),
+)  # fmt: skip
+"""hydro_loop_filter of loop_filter.h."""
+DECISION = _structure((_REAL, "delta_u before after a b low high"), (np.uint32, "status"), (_FLAG, "restorable"))
+MONITOR = _structure(
+    (_EACH, "last middle"), (_HIDDEN, "hidden"), (_REAL, "opening cell"), ((_REAL, (EQUATIONS, 2)), "sums"),
+    ((_INT, (EQUATIONS, 2)), "runs"), (_INT, "seen broken held"), (_REAL, "ratio effort"),
+)  # fmt: skip
+"""hydro_monitor of monitor.h."""
+
+
+def record_of(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Records:
+    """Return a record, shape (1,), with the arrays that its pointers have.
+
+    `values`, `arrays`: by the names of fields, those of a structure within behind a dot.
+    """
+    sizes = [kind.itemsize, *(array.nbytes for array in arrays.values())]
+    begins = np.cumsum([-(-size // 8) for size in sizes])  # in words
+    memory = np.zeros(int(begins[-1]))
+    record: Records = memory.view(np.uint8)[: kind.itemsize].view(kind)
+    for name, value in values.items():
+        *path, last = name.split(".")
+        _within(record, path)[last] = value
+    for (name, array), begin in zip(arrays.items(), begins, strict=False):
+        memory.view(np.uint8)[8 * begin : 8 * begin + array.nbytes] = np.ascontiguousarray(array).view(np.uint8).ravel()
+        *path, last = name.split(".")
+        _within(record, path)[last] = at(memory) + 8 * int(begin)
+    return record
+
+
+def _within(record: Records, path: list[str]) -> Records:
+    for name in path:
+        record = record[name]
+    return record
+
+
+def memories(count: int = 1) -> Records:
+    """Return new memories of `count` benches, shape (count,)."""
+    return np.zeros(count, MEMORY)
+
+
+def monitors(count: int = 1) -> Records:
+    """Return new monitors of `count` benches, shape (count,)."""
+    return np.zeros(count, MONITOR)
+
+
+@cache
+def library() -> ctypes.PyDLL:
+    """Return the library, its functions declared. A call holds the interpreter, as it takes some microseconds.
+
+    Raises SettingsError: it is not built, or of another version.
+    """
+    code = ctypes.PyDLL(str(library_path("double")))
+    pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_size_t
+    declared: dict[str, tuple[Any, list[Any]]] = {
+        "hydro_c_filter_sizes": (None, [pointer]),
+        "hydro_c_filter_decide": (None, [pointer] * 4),
+        "hydro_c_filter_judge": (None, [pointer, number, *[pointer] * 4]),
+        "hydro_c_filter_metric": (ctypes.c_int, [pointer, number, number, pointer]),
+        "hydro_c_filter_follow": (None, [pointer, pointer, count, *[pointer] * 9]),
+        "hydro_c_filter_watch": (None, [pointer, number, pointer, pointer, count, pointer, pointer]),
+        "hydro_c_filter_sensitivity": (None, [pointer, pointer, number, pointer]),
+        "hydro_c_filter_gradient": (None, [pointer, pointer, pointer]),
+        "hydro_c_closed_form": (number, [number] * 4 + [pointer]),
+    }
+    sizes = (count * 5)()
+    try:
+        for name, (result, arguments) in declared.items():
+            function = getattr(code, name)
+            function.restype, function.argtypes = result, arguments
+        code.hydro_c_filter_sizes(sizes)
+    except AttributeError:
+        pass
+    if list(sizes) != [kind.itemsize for kind in (FILTER, MEMORY, MONITOR, SAMPLE, DECISION)]:
+        raise SettingsError("the built firmware is of another version: run `make setup`")
+    return code
+
+
+@cache
+def decide_address() -> int:
+    """Return the address of the decision in this process, for `decide`. Raises SettingsError, as `library`."""
+    return ctypes.cast(library().hydro_c_filter_decide, ctypes.c_void_p).value or 0
+
+
+@intrinsic
+def decide(typingctx: Any, address: Any, parts: Any, memory: Any, sample: Any, made: Any) -> Any:
+    """Decide about a sample, without the monitor; records of shape (1,). For numba."""
+    return call(types.void(types.int64, parts, memory, sample, made), "pppp")
+
+
+class Followed(NamedTuple):
+    """What is known of n samples of a loop with c coordinates and m states; absent what was not asked for."""
+
+    transition: FloatArray
+    """F, shape (n, c, c); of the linearized samples, as G and K are."""
+    push: FloatArray
+    """G [1/A], shape (n, c)."""
+    feedback: FloatArray
+    """K [A], shape (n, c)."""
+    displacement: FloatArray
+    """v, shape (n, c)."""
+    states: FloatArray
+    """Of the whole model, measured and simulated, shape (n, m)."""
+    opening: FloatArray
+    """Of the valve [A], and its rate [A/s], shape (n, 2)."""
+    integral: FloatArray
+    """I [N/s] of the force law, shape (n,)."""
+
+
+def follow(
+    loop: Records, samples: Records, memory: Records | None = None, linearized: npt.NDArray[np.bool_] | None = None
+) -> Followed:
+    """Follow samples, each the one after that before, by the filter's own functions.
+
+    Parameters
+    ----------
+    loop
+        A record of LOOP, shape (1,).
+    samples
+        Records of SAMPLE, shape (n,).
+    memory
+        A record of MEMORY, shape (1,), which moves on; None: a new one.
+    linearized
+        Which samples are linearized, shape (n,); None: all of them.
+    """
+    n, width, states = len(samples), int(loop["coordinates"][0]), int(loop["whole"]["states"][0])
+    rows = n if linearized is None else int(linearized.sum())
+    shapes = (rows, width, width), (rows, width), (rows, width), (n, width), (n, states), (n, 2), (n,)
+    made = Followed(*(np.empty(shape) for shape in shapes))
+    memory = memories() if memory is None else memory
+    chosen = None if linearized is None else at(linearized)
+    library().hydro_c_filter_follow(at(loop), at(memory), n, at(samples), chosen, *map(at, made))
+    return made
+
+
+def watch(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
+    """Watch samples, each the one after that before; returns the monitor's sums after each, shape (n, 5, 2)."""
+    sums = np.empty((len(samples), EQUATIONS, 2))
+    library().hydro_c_filter_watch(at(loop), limit, at(memory), at(monitor), len(samples), at(samples), at(sums))
+    return sums
+
+
+def law_gradient(loop: Records, sample: Records) -> FloatArray:
+    """Return du/dx of the force law, A per unit of each state, at a sample, shape (1,): shape (8,)."""
+    made = np.empty(8)
+    library().hydro_c_filter_gradient(at(loop), at(sample), at(made))
+    return made
+
+
+def sensitivity(loop: Records, state: FloatArray, opening: float) -> FloatArray:
+    """Return how f_h' of the loop's model hangs on what moves it, at a state of that model and an opening [A].
+
+    g [N/s/A] on the opening's side, what f_h' loses per velocity [N/m], f_h' of the closed valve at rest [N/s], and how
+    fast a velocity lowers p_a and raises p_b [Pa/m]; shape (5,).
+    """
+    made = np.empty(5)
+    library().hydro_c_filter_sensitivity(at(loop), at(state), opening, at(made))
+    return made
