@@ -26,8 +26,7 @@ STANDARD = {
 """Standard term of each word that was in use here once."""
 EXCEPTIONS = {
     ("benchmarks/_sac_learners.py", "memory_size"): "an argument of skrl",
-    ("tests/test_firmware_parts.py", "filter_header"): "the module, beside the policy's",
-    ("tests/test_firmware_parts.py", "policy_header"): "the module, beside the filter's",
+    ("tests/test_firmware_parts.py", "policy_header"): "the module",
 }
 """File and word, and why it stays."""
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The default filter's decision in C, generated here and compiled, against the compiled Python one."""
+"""The filter that `export_c` writes for a box, compiled, against the filter of the graph: the same decision in C."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.controller import header, loop_decision
-from hydro_filter.controller.loop_decision import LoopParts
-from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import memories
+from hydro_filter.controller import header
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.metric import MetricDesign, ScheduledMetric, Thresholds
+from hydro_filter.model.loop import loop_of
+from hydro_filter.model.records import DECISION, SAMPLE, library, memories, monitors
+from hydro_filter.model.sample import Sample
 from hydro_sim.box.box import Box
+from hydro_sim.box.firmware import at
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -41,11 +43,6 @@ BELIEVED = Bench.nominal()
 """What the force law believes."""
 
 
-def parts_of(truth: Bench) -> LoopParts:
-    """Parts of the shipped metric on a bench file."""
-    return loop_parts(ScheduledMetric.load(), truth, BELIEVED)
-
-
 def uneven() -> Bench:
     """A bench none of whose numbers is 0, 1 or another's equal: what the shipped one leaves out shows."""
     shipped = load_model()
@@ -60,13 +57,29 @@ def uneven() -> Bench:
         {"id": "load_cell_gain", "cell": "hydraulic_force", "parameters": {"ratio": 1.1}},
         {"id": "load_cell_bias", "cell": "hydraulic_force", "parameters": {"force": 7.0}},
     ]
-    effects = (offset, *shipped.effects, {**offset, "parameters": {"current": 5e-4}}, *cells)
+    slow = [
+        {"id": "sensor_lag", "sensor": sensor, "parameters": {"bandwidth": bandwidth, "damping": 0.7}}
+        for sensor, bandwidth in (("pressure_a", 80.0), ("pressure_b", 200.0), ("hydraulic_force", 60.0))
+    ]
+    more = [
+        {"id": "transport_delay", "parameters": {"time": 1e-3}},
+        {"id": "valve_deadband", "form": "lopsided", "parameters": {"half_width": 4e-4, "half_width_negative": 2e-4}},
+    ]
+    effects = (more[0], offset, *shipped.effects, more[1], {**offset, "parameters": {"current": 5e-4}}, *cells, *slow)
     return replace(shipped, **changed, effects=effects, learned=None)
 
 
-def written(folder: Path, truth: Bench) -> Path:
+def made_for(truth: Bench, c_1: float = 1.0) -> tuple[ScheduledMetric, Bench]:
+    """A metric of this bench at rest, with noise that does not count for nothing."""
+    design = MetricDesign(gain_low=20.0, gain_high=60.0, velocity_compensation=c_1)
+    metric = ScheduledMetric.designed(loop_of(truth, BELIEVED), design)
+    return replace(metric, thresholds=Thresholds(noise_size=1e-3, foreign_noise_size=1e-3)), truth
+
+
+def written(folder: Path, metric: ScheduledMetric, truth: Bench) -> Path:
     """`folder` with the generated header."""
-    (folder / "filter_config.h").write_text(header.header(parts_of(truth), truth, "A test."))
+    text = header.header(loop_parts(metric, truth, BELIEVED), loop_of(truth, BELIEVED), metric.table, "A test.")
+    (folder / "filter_config.h").write_text(text)
     return folder
 
 
@@ -76,30 +89,37 @@ def compiled(folder: Path, precision: str, *words: str) -> Path:
     return checks.compiled(source, program, f"-I{FIRMWARE}", f"-I{folder}", *WORDS[precision], *words)
 
 
-def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
-    """delta_u, before, after, status of samples in a row: `STATE_FIELDS`, then whether it is armed.
+def replay(program: Path, precision: str, rows: FloatArray, law: FloatArray | None = None) -> FloatArray:
+    """delta_u, before, after, status, broken equation of samples in a row: `STATE_FIELDS`, then whether it is armed.
 
-    Raises subprocess.CalledProcessError: a floating-point exception, or a word of a sanitizer.
+    `law`: f_c, f_c', C_1, C_2 of each; the paper's if absent. Raises subprocess.CalledProcessError: a floating-point
+    exception, or a word of a sanitizer.
     """
-    given = np.ascontiguousarray(rows, KINDS[precision]).tobytes()
+    given = np.ascontiguousarray(seen(rows, law), KINDS[precision]).tobytes()
     done = subprocess.run([str(program)], input=given, capture_output=True, check=True, timeout=300)
-    return np.frombuffer(done.stdout, KINDS[precision]).reshape(len(rows), 4).astype(np.float64)
+    return np.frombuffer(done.stdout, KINDS[precision]).reshape(len(rows), 5).astype(np.float64)
 
 
-def law(row: FloatArray) -> tuple[float, float, float, float]:
-    """The paper's law of a row, as `decide` has it."""
-    _, _, reference, reference_rate, _ = row[PLACES].tolist()
-    return reference, reference_rate, 1.0, 1.0
+def seen(rows: FloatArray, law: FloatArray | None) -> FloatArray:
+    """Columns of hydro_loop_sample."""
+    ones = np.ones((len(rows), 2), rows.dtype)
+    law = np.column_stack([rows[:, PLACES[2:4]], ones]) if law is None else law
+    return np.column_stack([rows[:, :8], rows[:, PLACES], law, rows[:, WIDTH]])
 
 
-def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:
-    """The same by the compiled Python; what is not finite as 0, as C tells it."""
-    memory, space = memories(), loop_decision.workspace(parts)
-    made = [
-        loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], law(row), bool(row[WIDTH]), space)
-        for row in rows
-    ]
-    return np.nan_to_num(np.array(made), posinf=0.0, neginf=0.0)
+def decided(metric: ScheduledMetric, truth: Bench, rows: FloatArray, law: FloatArray | None = None) -> FloatArray:
+    """The same by the library that the graph runs."""
+    parts, memory, monitor = loop_parts(metric, truth, BELIEVED), memories(), monitors()
+    samples, made, out = np.zeros(len(rows), SAMPLE), np.zeros(1, DECISION), np.empty((len(rows), 5))
+    columns = seen(rows, law)
+    samples["x"], samples["armed"] = columns[:, :8], columns[:, 17] > 0.0
+    for name, column in zip(SAMPLE.names[1:10], columns[:, 8:17].T, strict=True):
+        samples[name] = column
+    for k in range(len(rows)):
+        records = map(at, (memory, monitor, samples[k : k + 1], made))
+        library().hydro_c_filter_judge(at(parts), 1.0, *records)
+        out[k] = *(float(made[name][0]) for name in ("delta_u", "before", "after", "status")), monitor["broken"][0]
+    return out
 
 
 def commands(seed: int, samples: int) -> Iterator[tuple[int, Command]]:
@@ -114,20 +134,19 @@ def commands(seed: int, samples: int) -> Iterator[tuple[int, Command]]:
                          reference=signal, filter_fresh=True)  # fmt: skip
 
 
-def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
+def recorded(metric: ScheduledMetric, truth: Bench, seed: int, samples: int) -> FloatArray:
     """Samples of the emulated box on a bench that the filter corrects, a sample late, as the graph does."""
     bench = Bench.nominal()
-    box, plant = Box(bench), AnalyticPlant(bench)
-    memory, space = memories(), loop_decision.workspace(parts)
+    patient = LoopFilterSettings(innovation_limit=10.0)  # the bench is not quite the model
+    box, plant, made = Box(bench), AnalyticPlant(bench), LoopFilter(loop_parts(metric, truth, BELIEVED), patient)
     x, rows, wanted, delta_u = plant.reset(seed), [], dict(commands(seed, samples)), 0.0
     for k in range(samples):
         command = wanted.get(k - k % 400, Command())
-        box.receive(replace(command, delta_u=float(delta_u)), k * 1e-3)
+        box.receive(replace(command, delta_u=delta_u), k * 1e-3)
         sample = box.tick(x, k * 1e-3)
         armed = bool(int(sample["flags"]) & Flag.ARMED)
-        row = np.array([float(sample[name]) for name in STATE_FIELDS] + [float(armed)])
-        rows.append(row)
-        delta_u = loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], law(row), armed, space)[0]
+        rows.append(np.array([float(sample[name]) for name in STATE_FIELDS] + [float(armed)]))
+        delta_u = made.correct(Sample.of(sample)).delta_u
         x = plant.step(float(sample["valve_current"]))
     return np.array(rows)
 
@@ -166,14 +185,12 @@ def hostile(count: int, seed: int, precision: str) -> FloatArray:
 SANITIZE = ("-O0", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 
 
-@pytest.fixture(scope="module")
-def parts() -> LoopParts:
-    return parts_of(load_model())
+SHIPPED = ScheduledMetric.load(), load_model()
 
 
 @pytest.fixture(scope="module")
 def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("loop_filter"), load_model())
+    return written(tmp_path_factory.mktemp("loop_filter"), *SHIPPED)
 
 
 @pytest.fixture(scope="module")
@@ -182,14 +199,14 @@ def programs(generated: Path) -> dict[str, Path]:
 
 
 @pytest.fixture(scope="module")
-def row(parts: LoopParts) -> FloatArray:
+def row() -> FloatArray:
     """A sample that both decide about."""
-    return recorded(parts, 1, 600)[-1]
+    return recorded(*SHIPPED, 1, 600)[-1]
 
 
 def compare(found: FloatArray, expected: FloatArray, label: str) -> tuple[float, float, float]:
     """Share of other statuses; where it is the same, largest differences of delta_u [A] and of M_c as a share of it."""
-    same = found[:, 3] == expected[:, 3]
+    same = (found[:, 3:] == expected[:, 3:]).all(axis=1)
     worst = float(np.abs(found - expected)[same, 0].max())
     scale = np.maximum(np.abs(expected[:, 1:2]), 1.0)
     measure = float((np.abs(found - expected)[:, 1:3] / scale)[same].max())
@@ -198,31 +215,33 @@ def compare(found: FloatArray, expected: FloatArray, label: str) -> tuple[float,
     return float((~same).mean()), worst, measure
 
 
-def test_samples_are_decided_as_in_python_but_for_rounding(
-    parts: LoopParts, programs: dict[str, Path], tmp_path: Path
+def test_what_is_exported_decides_as_the_graphs_filter_but_for_rounding(
+    programs: dict[str, Path], tmp_path: Path
 ) -> None:
-    """On the shipped bench file and on an uneven one."""
-    truth, shipped = uneven(), (parts, programs["double"])
-    other = parts_of(truth)
-    changed = (other, compiled(written(tmp_path, truth), "double", "-O2"))
+    """The shipped metric, and under the compensated law a bench file with all that the loop has a place for."""
+    rows = drawn(5000)
+    assert np.bincount(decided(*SHIPPED, rows)[:, 3].astype(int), minlength=5).min() > 100, "every status is tried"
+    other = made_for(uneven(), 0.3)
+    program = compiled(written(tmp_path, *other), "double", "-O2")
+    k, run = np.arange(5000), recorded(*other, 4, 5000)
+    scale = 1.0 + 0.2 * np.sin(k / 300.0)
+    law = np.column_stack([1.02 * run[:, PLACES[2]], 1.1 * run[:, PLACES[3]], (0.3 + 0.2 * (k > 4000)) * scale, scale])
     trials = {
-        "recorded": (*shipped, recorded(parts, 1, 10_000), 1e-14, 0),
-        "drawn": (*shipped, drawn(20_000), 1e-12, 500),
-        "uneven, recorded": (*changed, recorded(other, 4, 10_000), 1e-12, 0),
-        # drawn samples jump through the whole stroke in 1 ms: there 1e-10 of the valve's range is rounding
-        "uneven, drawn": (*changed, drawn(20_000, 9), 1e-11, 500),
+        "recorded": (*SHIPPED, programs["double"], recorded(*SHIPPED, 1, 5000), None, 1e-13),
+        "drawn": (*SHIPPED, programs["double"], rows, None, 1e-12),
+        "uneven, recorded": (*other, program, run, law, 1e-12),
     }
-    for label, (by, program, rows, most, least) in trials.items():
-        expected = decided(by, rows)
-        differing, worst, measure = compare(replay(program, "double", rows), expected, label)
+    for label, (metric, truth, by, samples, shaped, most) in trials.items():
+        expected = decided(metric, truth, samples, shaped)
+        differing, worst, measure = compare(replay(by, "double", samples, shaped), expected, label)
         assert differing == 0.0 and worst < most and measure < 1e-9, label
         assert {0.0, 1.0} <= set(expected[:, 3]), "there was something to correct"
-        assert not least or np.bincount(expected[:, 3].astype(int)).min() > least, "every status is tried"
 
 
-def test_single_precision_stays_near(parts: LoopParts, programs: dict[str, Path]) -> None:
-    rows = recorded(parts, 1, 10_000).astype(np.float32).astype(np.float64)
-    other, worst, _ = compare(replay(programs["single"], "single", rows), decided(parts, rows), "single, recorded")
+def test_single_precision_stays_near(programs: dict[str, Path]) -> None:
+    rows = recorded(*SHIPPED, 1, 5000).astype(np.float32).astype(np.float64)
+    found, expected = replay(programs["single"], "single", rows), decided(*SHIPPED, rows)
+    other, worst, _ = compare(found, expected, "single, recorded")
     assert other < 1e-3 and worst < 1e-6
 
 
@@ -238,13 +257,19 @@ def test_a_number_that_is_none_or_that_no_bench_shows_gets_no_decision(
             spoilt[column] = value
             found = replay(programs[precision], precision, np.array([row, spoilt, row]))
             read = column < READ
-            assert found[1].tolist() == [0.0, 0.0, 0.0, 4.0] if read else found[1, 3] != 4.0, column
+            assert found[1].tolist() == [0.0, 0.0, 0.0, 4.0, 0.0] if read else found[1, 3] != 4.0, column
             assert not read or found[2].tolist() == fresh[0].tolist(), "the memory began again"
+    for scales in ((1.0, 0.0), (1.0, -1.0), (math.nan, 1.0), (1.0, math.inf), (2e3, 1.0)):
+        law = np.array([[*row[PLACES[2:4]], *scales]])
+        assert replay(programs[precision], precision, np.array([row]), law)[0, 3] == 4.0
 
 
 @pytest.mark.parametrize("precision", WORDS)
 def test_hostile_samples_raise_no_exception_and_no_word_of_a_sanitizer(generated: Path, precision: str) -> None:
-    found = replay(compiled(generated, precision, *SANITIZE), precision, hostile(20_000, 1, precision))
+    rows = hostile(20_000, 1, precision)
+    other = hostile(20_000, 3, precision)[:, 8:12]
+    law = np.where(np.random.default_rng(5).random(other.shape) < 0.9, seen(rows, None)[:, 13:17], other)
+    found = replay(compiled(generated, precision, *SANITIZE), precision, rows, law)
     assert np.isfinite(found).all() and set(found[:, 3]) == {0.0, 1.0, 2.0, 3.0, 4.0}
     assert np.all(found[np.isin(found[:, 3], (0.0, 3.0, 4.0)), 0] == 0.0), "no correction where there is none"
 

@@ -1,24 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy in C, generated here and compiled; what `export_c` refuses."""
+"""A policy in C, generated here and compiled."""
 
 from __future__ import annotations
 
 import ctypes
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from hydro_core.signals import STATE_FIELDS, FloatArray
-from hydro_filter.controller import header as filter_header
 from hydro_policy.sac import header as policy_header
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, observe
-from hydro_sim.model.bench import Bench
 from tests.checks import compiled, status_of
 from tests.test_firmware_loop_filter import hostile
 
@@ -95,13 +91,3 @@ def test_the_command_writes_what_compiles(tmp_path: Path) -> None:
     shipped = POLICIES / "pretrained_paper" / "policy.safetensors"
     assert status_of(policy_header.main, "--policy", shipped, "--out", tmp_path / "policy_weights.h") == 0
     assert np.isfinite(many(tmp_path, "single", POLICY, np.ones((1, 14)), 4)).all()
-
-
-@pytest.mark.parametrize("change", [{"stroke": 2.0}, {"piston_area": 0.02}])
-def test_a_bench_beyond_what_the_filter_in_c_takes_is_refused(
-    change: dict[str, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "bench.yaml").write_text(yaml.safe_dump(replace(Bench.nominal(), **change).to_mapping()))
-    assert status_of(filter_header.main, "--bench", tmp_path / "bench.yaml", "--out", tmp_path / "filter_config.h")
-    assert "it would correct nothing" in capsys.readouterr().err
-    assert not (tmp_path / "filter_config.h").exists()

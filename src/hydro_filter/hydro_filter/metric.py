@@ -87,7 +87,12 @@ def rest_loop(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return F, G, K of the bench at rest as its sensors show it, about a closed valve."""
     closing = closing_current(loop)
-    signals = {"nominal": 1e-9, "current": closing, "k_p": float(proportional_gain), "c_1": float(velocity_compensation)}
+    signals = {
+        "nominal": 1e-9,
+        "current": closing,
+        "k_p": float(proportional_gain),
+        "c_1": float(velocity_compensation),
+    }
     rest = follow(loop.record, samples_of(rest_measurement(loop)[None], **signals))
     return rest.transition[0], rest.push[0], rest.feedback[0]
 

@@ -128,7 +128,7 @@ class LoopFilter:
         self.decision = np.zeros(1, DECISION)
         """Of the last sample, with a, b, low, high of its QP."""
         self._sample = np.zeros(1, SAMPLE)
-        self._bytes, self._judge = memoryview(self._sample.view(np.uint8)), library().hydro_c_filter_judge
+        self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
         self._every = [(float(each["velocity_compensation"][0]), each) for each in (parts, *others)]
         self._unknown = [not any((c_1 == 1.0) is paper for c_1, _ in self._every) for paper in (True, False)]
         self._at = tuple(map(at, (self.memory, self.monitor, self._sample, self.decision)))
@@ -170,7 +170,9 @@ class LoopFilter:
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
         )  # fmt: skip
         self._judge(at(parts), self.settings.innovation_limit, *self._at)
-        delta_u, before, after, _, _, _, _, status, _ = self.decision.item()  # also of an old sample: the memory moves on
+        delta_u, before, after, _, _, _, _, status, _ = (
+            self.decision.item()
+        )  # also of an old sample: the memory moves on
         if status == CorrectionStatus.NAN:
             delta_u, before, after = 0.0, math.nan, math.nan
         if self.settings.bypass:
@@ -201,7 +203,7 @@ def loop_filter(
 def loop_parts(
     metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> Records:
-    """Return a record of FILTER, shape (1,), the inputs of a decision for a metric, its training model, and the bench that the box is configured for.
+    """Return a record of FILTER, shape (1,): of a metric, its training model, and the bench that the box believes.
 
     Raises ValueError: the metric's coordinates are not those of the model's loop, or as `loop_of`.
     """
@@ -215,7 +217,8 @@ def loop_parts(
         name: math.exp(-2.0 * rate * SAMPLE_PERIOD)
         for name, rate in (("kept", chosen.contraction_rate), ("foreign_kept", chosen.foreign_rate))
     }
-    values = {f"loop.{name}": value for name, value in loop.values.items()} | metric.fields | kept | overlap_of(model) | {
+    values = {f"loop.{name}": value for name, value in loop.values.items()} | metric.fields | overlap_of(model) | kept
+    values |= {
         "noise_size": chosen.noise_share * levels.noise_size,
         "foreign_noise_size": chosen.noise_share * levels.foreign_noise_size,
         "integral_allowance": levels.integral_allowance, "most": _most(bench.size),

@@ -249,7 +249,7 @@ def _fields(truth: Bench, believed: Bench) -> tuple[dict[str, Any], dict[str, np
             f"{name}.spool_rate": state_number(numbered, "valve_lag", "rate"),
             f"{name}.cell": cell, f"{name}.cell_rate": cell_rate,
         }  # fmt: skip
-    arrays = {
+    arrays: dict[str, npt.NDArray[Any]] = {
         "whole.k": k, "linear.k": loop.begin(loop.values)[0], "sample_k": whole.begin(carried)[0],
         "from_whole": np.array(from_whole, np.int32), "rest": rest, "forces": forces,
         "scale": np.append(drive, added.scale), "kept": added.kept.astype(np.int32),
@@ -275,7 +275,7 @@ def without_overlap(truth: Bench) -> Bench | None:
 def overlap_of(truth: Bench) -> dict[str, float]:
     """Return the overlap of a bench's valve [A]: of several, the sum; of a soft one, its half width.
 
-    `closing`: current that closes the valve; `back`, `out`: half widths on the side of negative openings, and of others.
+    `closing`: current that closes the valve; `back`, `out`: half widths of negative openings and of others.
     """
     closing, back, out = -sum(null_shifts(truth)), 0.0, 0.0
     for effect in truth.effects:
