@@ -189,4 +189,4 @@ def test_the_compensated_law_and_its_residual_track_alike() -> None:
 
 def test_the_metric_of_a_similar_bench_is_the_same_table() -> None:
     here, there = (design_table(loop_of(bench, bench), MetricDesign()) for bench in similar(effects=True))
-    np.testing.assert_allclose(there.table, here.table, rtol=1e-6, atol=1e-6 * float(np.abs(here.table).max()))
+    np.testing.assert_allclose(there["table"], here["table"], rtol=1e-6, atol=1e-6 * float(np.abs(here["table"]).max()))
