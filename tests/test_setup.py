@@ -140,7 +140,8 @@ def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
     sources = [path for path in ROOT.glob("src/hydro_*/hydro_*/**/*.py") if "@njit" in path.read_text()]
     assert sources
     compiled = {package.partition(".")[0] for package in compile_kernels.PACKAGES}
-    assert compiled == {path.relative_to(ROOT / "src").parts[0] for path in sources}
+    kernels = {path.relative_to(ROOT / "src").parts[0] for path in sources}
+    assert compiled == kernels | {"hydro_filter"}, "whose models are compiled, too"
 
 
 def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture[str]) -> None:
