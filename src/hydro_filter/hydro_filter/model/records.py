@@ -153,7 +153,7 @@ def decide(typingctx: Any, address: Any, parts: Any, memory: Any, sample: Any, m
 
 
 class Followed(NamedTuple):
-    """What is known of n samples of a loop with c coordinates and m states; absent what was not asked for."""
+    """What is known of n samples of a loop with c coordinates and m states."""
 
     transition: FloatArray
     """F, shape (n, c, c); of the linearized samples, as G and K are."""
