@@ -58,8 +58,8 @@ STEPPING = (
     effect("backlash", {"width": 1e-3}, form="play"),
 )  # fmt: skip
 DRAG = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 400.0}}
-WARM = {"equation": "pressure_a", "form": "flow of the supply's edge, as throttling warms",
-        "parameters": {"coefficient": -50.0, "time": 2.0}}  # fmt: skip
+WARM = {"equation": "pressure", "form": "leak by past opening of the valve",
+        "parameters": {"coefficient": 5e-11, "time": 2.0}}  # fmt: skip
 NOMINAL = Bench.nominal()
 BENCHES = {
     "textbook": NOMINAL,

@@ -19,7 +19,7 @@ import numpy as np
 
 from hydro_core.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.closure.evidence import has_identified_shapes
-from hydro_diagnosis.closure.screen import Screen, laws
+from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
@@ -184,7 +184,7 @@ def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Sc
     `without`: the fit of all other claims. `screen`: of the laws of these recordings, computed here if there is none.
     """
     own = found.claims[place].effect.label
-    screen = screen or Screen(problem, without, laws(problem))
+    screen = screen or Screen(problem, without)
     prospects, _there_is = screen.prospects(without, TRIED, {own})
     enough = NEARLY * (without.deviance - found.deviance)
     for prospect in prospects:

@@ -177,7 +177,7 @@ def _laws(report: str, content: Mapping[str, Any]) -> _Laws:
     return {(one.law.equation, one.law.form): one for one in found}
 
 
-_LAWS = (*grammar.LAWS, *grammar.COMPOSITIONS, *grammar.ROUNDED)
+_LAWS = (*grammar.LAWS, *grammar.ROUNDED)
 
 
 def _sighting(report: str, closure: Mapping[str, Any]) -> Sighting:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import PRESSURE, Claim
 from hydro_diagnosis.effects.fluid import LeakageInternal
-from hydro_diagnosis.effects.kernels import limited, opened, splined
+from hydro_diagnosis.effects.kernels import opened, splined
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.effects.valve import ValveGain
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -23,9 +23,6 @@ def _memory() -> None:
     path, record = np.zeros(10), Memory(1e-3)
     record.bristle("z", path, 2e5, np.ones(10))
     record.play("p", path, 0.1)
-    record.lag("w", path, 0.1)
-    record.lag("w", path, 0.1, falling=0.2)
-    limited(path, 1e-3, 1.0, 0.1, 0.1)
     opened(np.zeros((10, 4)), 1e-3, 1e-4)
     splined(path, 0.0, 1.0, np.zeros(KNOTS))
 

@@ -15,9 +15,7 @@ from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure import admission
 from hydro_diagnosis.closure.admission import admitted, share_closed, without_harmful_names
-from hydro_diagnosis.closure.forward_selection import ClosureFit
-from hydro_diagnosis.closure.model_selection import closures, merged, renamed, together
-from hydro_diagnosis.closure.screen import Screen, laws
+from hydro_diagnosis.closure.selection import ClosureFit, closures
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -84,8 +82,8 @@ HARDER = {"id": "spring_hardening", "parameters": {"coefficient": 5e6}}
 DRY = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
 OFFSET = {"id": "valve_offset", "parameters": {"current": 2.5e-4}}
 QUADRATIC = entry("motion", "quadratic drag", coefficient=900.0)
-RING = entry("pressure", "leak, since a reversal", coefficient=3e-13, path=5e-4)
-RELIEF = entry("pressure_a", "relief", coefficient=3.5e-13, threshold=6.3e6)
+SCORED = entry("pressure", "leak along the stroke", coefficient=1e-11)
+RELIEF = entry("pressure_a", "rising leak of A", coefficient=3.5e-13, threshold=6.3e6)
 FORM = "closure:motion:quadratic drag"
 
 
@@ -97,46 +95,13 @@ def claims(problem: Problem, names: Mapping[str, Mapping[str, float]], *forms: t
     return [*named, *(Claim(one, one.nothing()[0]) for one in terms)]
 
 
-def closed_by(
-    problem: Problem, names: Mapping[str, Mapping[str, float]], *forms: tuple[str, str], screened: bool = False
-) -> ClosureFit:
-    """Names and laws fitted to a recording; where `screened`, beside all laws, as a search does it."""
-    screen = Screen(problem, fit(problem, claims(problem, names)), laws(problem)) if screened else None
-    return ClosureFit(fit(problem, claims(problem, names, *forms), iterations=40), "law", 1.0, problem, screen)
+def closed_by(problem: Problem, names: Mapping[str, Mapping[str, float]], *forms: tuple[str, str]) -> ClosureFit:
+    """Names and laws fitted to a recording."""
+    return ClosureFit(fit(problem, claims(problem, names, *forms), iterations=40), "law", 1.0, problem)
 
 
 def values_of(found: Fit) -> dict[str, Mapping[str, float]]:
     return {claim.effect.label: claim.values for claim in found.claims}
-
-
-def test_edges_that_pass_less_are_a_weaker_valve() -> None:
-    """A law that does what a cause of the table does gives way to it where several laws stand."""
-    problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC,))
-    closed = closed_by(problem, {}, ("motion", "quadratic drag"), ("actuation", "narrowed flow"))
-    values = values_of(renamed(closed, list(NAMES.values())).fit)
-    assert set(values) == {FORM, "valve_gain"}
-    assert values["valve_gain"]["ratio"] == pytest.approx(0.94, abs=2e-3)
-    assert renamed(closed, [name for name in NAMES.values() if name.id != "valve_gain"]) is closed
-
-
-@pytest.mark.study
-def test_friction_and_a_stiffness_that_creeps_are_drag_that_fades() -> None:
-    """c (v - w), w' = (v - w) / T is c v - c / T (x - w), w' = (x - w) / T; another cause stays."""
-    problem = problem_of(effects=(HARDER,), closures=(entry("motion", "fading drag", coefficient=300.0, time=0.03),))
-    names: dict[str, Mapping[str, float]] = {"friction_viscous": {}, "spring_hardening": {}}
-    closed = closed_by(problem, names, ("motion", "creeping stiffness"), screened=True)
-    values = values_of(closed.fit)
-    assert values["friction_viscous"]["coefficient"] == pytest.approx(300.0, rel=0.03)
-    assert values["closure:motion:creeping stiffness"]["coefficient"] == pytest.approx(-300.0 / 0.03, rel=0.03)
-    found = values_of(merged(closed).fit)
-    assert set(found) == {"spring_hardening", "closure:motion:fading drag"}
-    assert found["closure:motion:fading drag"]["coefficient"] == pytest.approx(300.0, rel=0.03)
-
-
-def test_a_cause_and_a_law_that_are_both_there_stay() -> None:
-    problem = problem_of(effects=(DRY,), closures=(QUADRATIC,))
-    closed = closed_by(problem, {"friction_coulomb": {}}, ("motion", "quadratic drag"), screened=True)
-    assert merged(closed) is closed
 
 
 LIKELY = [NAMES[label] for label in ("valve_offset", "valve_gain", "leakage_internal", "leakage_external:a",
@@ -149,10 +114,10 @@ def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name() -> N
     nothing = fit(problem, ())
     found = next(closures(problem, nothing, LIKELY))
     values = values_of(found.fit)
-    assert set(values) == {"valve_offset", "closure:pressure_a:relief"}
+    assert set(values) == {"valve_offset", "closure:pressure_a:rising leak of A"}
     assert values["valve_offset"]["current"] == pytest.approx(2.5e-4, rel=0.01)
-    assert values["closure:pressure_a:relief"]["coefficient"] == pytest.approx(3.5e-13, rel=0.02)
-    assert values["closure:pressure_a:relief"]["threshold"] == pytest.approx(6.3e6, rel=0.005)
+    assert values["closure:pressure_a:rising leak of A"]["coefficient"] == pytest.approx(3.5e-13, rel=0.02)
+    assert values["closure:pressure_a:rising leak of A"]["threshold"] == pytest.approx(6.3e6, rel=0.005)
     assert not found.problem.noticeable(found.fit.residual)
 
 
@@ -160,34 +125,15 @@ def test_a_law_that_leaves_nothing_alone_gets_no_name() -> None:
     problem = problem_of(closures=(RELIEF,))
     nothing = fit(problem, ())
     found = next(closures(problem, nothing, LIKELY))
-    assert set(values_of(found.fit)) == {"closure:pressure_a:relief"}
+    assert set(values_of(found.fit)) == {"closure:pressure_a:rising leak of A"}
 
 
 def test_a_name_that_the_held_out_recordings_do_not_have_goes() -> None:
-    problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC, RING))
+    problem = problem_of(effects=(WEAKER,), closures=(QUADRATIC, SCORED))
     closed = closed_by(problem, {"valve_gain": {"ratio": 0.95}}, ("motion", "quadratic drag"))
     assert closed.problem.noticeable(closed.fit.residual)
-    assert without_harmful_names(closed, problem_of(effects=(WEAKER,), closures=(QUADRATIC, RING))) is closed
-    assert set(values_of(without_harmful_names(closed, problem_of(closures=(QUADRATIC, RING))).fit)) == {FORM}
-
-
-LEAK = "closure:pressure:leak along the stroke"
-
-
-def test_a_large_law_of_the_forces_hides_none_of_the_flows() -> None:
-    """The leak gains less than the drag's form may be off by, and the cell's gain remains once both are found."""
-    drag = entry("motion", "quadratic drag", coefficient=5000.0)
-    leak = entry("pressure", "leak along the stroke", coefficient=1.5e-14)
-    gain = {"id": "load_cell_gain", "cell": "load_force", "parameters": {"ratio": 1.003}}
-    problem = problem_in(record(replace(BENCH, closures=(drag, leak), effects=(gain,)), 3))
-    names = [NAMES[label] for label in ("friction_viscous", "load_cell_gain:load_force")]
-    _, found = together(problem, names, [closure(law, BENCH) for law in grammar.LAWS])
-    values = values_of(found)
-    assert set(values) == {FORM, LEAK, "load_cell_gain:load_force"}
-    assert values[FORM]["coefficient"] == pytest.approx(5000.0, rel=0.002)
-    assert values[LEAK]["coefficient"] == pytest.approx(1.5e-14, rel=0.05)
-    assert values["load_cell_gain:load_force"]["ratio"] == pytest.approx(1.003, abs=2e-4)
-    assert not problem.noticeable(found.residual)
+    assert without_harmful_names(closed, problem_of(effects=(WEAKER,), closures=(QUADRATIC, SCORED))) is closed
+    assert set(values_of(without_harmful_names(closed, problem_of(closures=(QUADRATIC, SCORED))).fit)) == {FORM}
 
 
 def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law() -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import ReferenceSignal, Waveform
-from hydro_diagnosis.closure.screen import laws
 from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -68,17 +67,17 @@ def test_a_recording_is_proposed_that_tells_the_two_best_laws_apart() -> None:
 
 
 PULLS = {
-    "force, at a place": {"coefficient": 26.7, "centre": 0.0364, "width": 0.00303},
-    "stiffness, at a place": {"coefficient": 6560.0, "centre": 0.0359, "width": 0.00299},
+    "stiffness": {"coefficient": -3200.0},
+    "saturating stiffness": {"coefficient": 4000.0, "level": 0.012},
 }
-"""Two pulls to a place that all but cancel."""
+"""Two pulls that all but cancel."""
 
 
 def test_an_interval_holds_no_value_that_the_recordings_rule_out() -> None:
     closures = tuple({"equation": "motion", "form": form, "parameters": values} for form, values in PULLS.items())
     pulled = problem_of(closures=closures)
-    effects = {one.effect.label: one.effect for one in laws(pulled)}
-    found = fit(pulled, [Claim(effects[f"closure:motion:{form}"], dict(values)) for form, values in PULLS.items()])
+    laws = [closure(grammar.ALL["motion", form], BENCH) for form in PULLS]
+    found = fit(pulled, [Claim(one, dict(values)) for one, values in zip(laws, PULLS.values(), strict=True)])
     bounds = intervals(pulled, found)
     assert all_exclude_neutral(found.claims, bounds)
     k = 0

@@ -40,7 +40,7 @@ def test_bounded_disturbances_are_no_part_of_the_linearized_loop(bench: Bench) -
     friction: Entry = {"id": "friction_coulomb", "parameters": {"force": 12.0}}
     overlap: Entry = {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}
     law = {"coefficient": 670.0, "threshold": 0.027}
-    closure = {"equation": "motion", "form": "friction, below a speed", "parameters": law}
+    closure = {"equation": "motion", "form": "falling friction along the stroke", "parameters": law}
     plain = rest_loop(loop_of(of(LAG), bench), 60.0)
     for truth in (of(LAG, friction), of(LAG, overlap), replace(of(LAG), closures=(closure,))):
         for with_it, without in zip(rest_loop(loop_of(truth, bench), 60.0), plain, strict=True):

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.closure.forward_selection import ClosureFit
+from hydro_diagnosis.closure.selection import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import by_claim, fit, holdout_gain

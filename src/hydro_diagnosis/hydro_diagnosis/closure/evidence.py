@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence that a closure term must show: on held-out blocks, beside the names, and against ruled-out causes.
+"""Evidence that a term without a name must show: on held-out blocks, beside the names, against ruled-out causes.
 
 Residuals are linear in a term's parameters to first order. So four-fold cross-validation of any set of columns needs no
 further residual: each fold's products of all columns are summed once, by channel, and every set is solved from them.
 
 A term that does to the residual what a cause ruled out by `--without` would do is that cause under another form: it is
 refused. Where such a cause would take a good part of what remains, no law is looked for in its equations.
-
-Joint search: where names alone leave a remainder, the first of them may only stand in for a missing law, and a true
-cause may have been dropped with them. So the search of the names is repeated with laws among its candidates; every
-claim that is kept must pay beside all others.
 """
 
 from __future__ import annotations
@@ -33,29 +29,41 @@ VAGUE = 0.5
 """Half-width of a shape parameter's 95 % interval, over its size or range, from which it is not identified."""
 
 
-def held_out_deviance(problem: Problem, found: Fit, more: FloatArray | None = None) -> float:
-    """-2 log likelihood, up to a constant, of blocks that the parameters were not fitted to.
+def cross_validated(products: FloatArray, weight: FloatArray, count: FloatArray, size: float = 1.0) -> FloatArray:
+    """-2 log likelihood, up to a constant, of blocks that columns were not fitted to, shape (sets,).
 
-    Those of `found` are estimated again, beside those of a candidate: `more`, its columns of the Jacobian.
+    Parameters
+    ----------
+    products
+        Of a residual (the first) and columns with each other, by fold and channel, for sets of columns: shape
+        (folds, channels, columns, columns, sets).
+    weight, count
+        Of each channel: over its variance, and its residuals.
+    size
+        Factor of all products.
     """
+    length = np.sqrt(np.maximum(np.einsum("fciim->im", products), SHORTEST))
+    length[0] = 1.0
+    scaled = np.moveaxis(products / (length[:, None] * length), -1, 0)  # sets, folds, channels, columns, columns
+    weighted = np.einsum("mfcij,c->mfij", scaled, weight)
+    fitted = weighted.sum(axis=1, keepdims=True) - weighted
+    theta = -np.linalg.pinv(fitted[..., 1:, 1:], rcond=1e-10, hermitian=True) @ fitted[..., 1:, :1]
+    full = np.concatenate([np.ones((*theta.shape[:2], 1)), theta[..., 0]], axis=-1)
+    squares = size * np.einsum("mfi,mfcij,mfj->mc", full, scaled, full, optimize=True)
+    variance = np.maximum(squares / np.maximum(count, 1.0), 1.0)
+    return np.asarray(np.sum(count * np.log(variance) + squares / variance, axis=-1))
+
+
+def held_out_deviance(problem: Problem, found: Fit) -> float:
+    """-2 log likelihood, up to a constant, of blocks that the parameters of a fit were not fitted to."""
     layout = problem.layout
-    everything = np.column_stack([found.residual, found.jacobian, *(() if more is None else (more,))])
+    everything = np.column_stack([found.residual, found.jacobian])
     group = layout.channel * FOLDS + layout.folds()
     sorted_rows = everything[np.argsort(group, kind="stable")]
     parts = np.split(sorted_rows, np.cumsum(np.bincount(group, minlength=len(CHANNELS) * FOLDS))[:-1])
     products = np.stack([one.T @ one for one in parts]).reshape(len(CHANNELS), FOLDS, *[everything.shape[1]] * 2)
-    products = products.swapaxes(0, 1)  # by fold and channel
-    scale = np.maximum(np.sqrt(np.maximum(np.einsum("fcii->i", products), 0.0)), SHORTEST)
-    products = products / (scale[:, None] * scale)
-    weighted = np.einsum("fcij,c->fij", products, 1.0 / problem.variances(found.residual))
-    squares, together = np.zeros(len(CHANNELS)), weighted.sum(axis=0)
-    for own, fitted in zip(products, together - weighted, strict=True):
-        theta = -np.linalg.lstsq(fitted[1:, 1:], fitted[1:, 0], rcond=1e-10)[0] if len(fitted) > 1 else np.zeros(0)
-        full = np.concatenate([[1.0], theta])
-        squares += np.einsum("i,cij,j->c", full, own, full)
-    squares *= scale[0] ** 2
-    variance = np.maximum(squares / np.maximum(layout.count, 1.0), 1.0)
-    return float(np.sum(layout.count * np.log(variance) + squares / variance))
+    weight = 1.0 / problem.variances(found.residual)
+    return float(cross_validated(products.swapaxes(0, 1)[..., None], weight, layout.count)[0])
 
 
 def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
@@ -91,7 +99,7 @@ def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
         own = effect.blocks & set(problem.blocks)
         channels = [CHANNELS.index(name) for block in own for name in BLOCKS[block]]
         excess = float(sum(remaining[channels]))
-        for _, columns in _columns(problem, found.claims, found.residual, effect):
+        for columns in _columns(problem, found.claims, found.residual, effect):
             rest = orthogonal(np.column_stack([found.jacobian, columns]), found.residual)
             if excess > 0.0 and float(left @ left - rest @ rest) > GOOD_PART * excess:
                 blocks |= own
@@ -100,42 +108,31 @@ def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
 
 
 def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
-    """Return whether a ruled-out cause (`Problem.ruled_out`) is equivalent to this claim of a fit."""
-    return any(True for _ in equivalent_causes(problem, found, claim, problem.ruled_out))
-
-
-def equivalent_causes(
-    problem: Problem, found: Fit, claim: Claim, causes: Sequence[Effect], alike: float = ALIKE
-) -> Iterator[Claim]:
-    """Yield the causes, at start values, whose signatures explain this claim's but for a share of 1 - `alike`."""
-    if not causes:
-        return
+    """Whether the signature of a cause that is ruled out (`Problem.ruled_out`) explains `ALIKE` of this claim's."""
+    if not problem.ruled_out:
+        return False
     others = found.but(claim)
     before = problem.residual(others)
     shown = found.residual - before
     standing = np.delete(found.jacobian, found.columns(claim), axis=1)
     beside = orthogonal(standing, shown)
     size = float(beside @ beside)
-    for effect in causes:
-        for start, columns in _columns(problem, others, before, effect):
-            left = orthogonal(np.column_stack([standing, columns]), shown)
-            if size > 0.0 and float(left @ left) < (1.0 - alike) * size:
-                yield start
-                break
+    lefts = (
+        orthogonal(np.column_stack([standing, columns]), shown)
+        for effect in problem.ruled_out for columns in _columns(problem, others, before, effect)
+    )  # fmt: skip
+    return size > 0.0 and any(float(left @ left) < (1.0 - ALIKE) * size for left in lefts)
 
 
-def _columns(
-    problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect
-) -> Iterator[tuple[Claim, FloatArray]]:
-    """Yield a start and the signatures of a cause's amplitudes there, for each choice of its shape parameters."""
+def _columns(problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect) -> Iterator[FloatArray]:
+    """Yield the signatures of a cause's amplitudes, for each choice of its shape parameters."""
     if not effect.blocks & set(problem.blocks):
         return
     for chosen in product(*(one.probes for one in effect.shapes)):
         values = {one.name: one.neutral for one in effect.parameters}
         values |= dict(zip((one.name for one in effect.shapes), chosen, strict=True))
         moved = [{**values, one.name: one.probes[0]} for one in effect.amplitudes] or [values]
-        columns = np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
-        yield Claim(effect, values), columns
+        yield np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
 
 
 THRESHOLD = 30.0

@@ -153,14 +153,10 @@ class Effect:
     other_forms: ClassVar[tuple[Effect, ...]] = ()
     """The same cause and parameters in forms that are not claimed: intervals hold for them too where they fit as well.
     """
-    additive: ClassVar[bool] = False
-    """Whether it adds to one equation in proportion to its amplitudes, independently of other effects."""
     bristles: ClassVar[bool] = False
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
     lagged: ClassVar[str] = ""
     """Channel whose readings it low-passes; empty if none."""
-    breaks_superposition: ClassVar[bool] = False
-    """Whether the responses to other effects do not superpose behind it."""
     memoryless: ClassVar[bool] = False
     """Whether a reading depends on the present signal, on a path or on slow states alone."""
     uses_acceleration: ClassVar[bool] = False
@@ -311,19 +307,10 @@ class Claim:
     values: Values
 
     @property
-    def amplitudes(self) -> list[float]:
-        """Values of the amplitudes."""
-        return [self.values[one.name] for one in self.effect.amplitudes]
-
-    @property
-    def shapes(self) -> list[float]:
-        """Values of the shape parameters."""
-        return [self.values[one.name] for one in self.effect.shapes]
-
-    @property
     def acts(self) -> bool:
         """Whether it acts: a term without a name and without amplitude does not."""
-        return self.effect.named or any(self.amplitudes) or not self.effect.amplitudes
+        sizes = [self.values[one.name] for one in self.effect.amplitudes]
+        return self.effect.named or any(sizes) or not sizes
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the entry of corrected.yaml."""
@@ -331,38 +318,19 @@ class Claim:
 
 
 class BoundedCache:
-    """Results by key, up to a total size; the least recently used go first."""
+    """So many results at most, each for some claims; the least recently used go first."""
 
-    def __init__(self, room: float) -> None:
-        self._room, self._size = room, 0.0
-        self._found: dict[tuple[object, ...], tuple[Any, float]] = {}
-
-    def __contains__(self, key: tuple[object, ...]) -> bool:
-        return key in self._found
-
-    def kept(
-        self, key: tuple[object, ...], compute: Callable[[], Kept], size: Callable[[Kept], float] = lambda _: 1.0
-    ) -> Kept:
-        """Return the entry of a key, computed and stored with its size if there is none."""
-        if key in self._found:
-            self._found[key] = self._found.pop(key)
-        else:
-            found = compute()
-            self._found[key] = found, size(found)
-            self._size += size(found)
-        while self._size > self._room and len(self._found) > 1:
-            self._size -= self._found.pop(next(iter(self._found)))[1]
-        what: Kept = self._found[key][0]
-        return what
+    def __init__(self, room: int) -> None:
+        self._room, self._found = room, dict[tuple[object, ...], Any]()
 
     def under(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
         """Return a result for these claims, computed once as long as only others change."""
-        return self.kept((what, *values_key(claims)), lambda: compute(claims))
-
-    def clear(self) -> None:
-        """Drop all entries."""
-        self._found.clear()
-        self._size = 0.0
+        key = (what, *values_key(claims))
+        found: Kept = self._found.pop(key) if key in self._found else compute(claims)
+        self._found[key] = found
+        if len(self._found) > self._room:
+            self._found.pop(next(iter(self._found)))
+        return found
 
 
 def values_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:

@@ -28,13 +28,13 @@ from hydro_diagnosis.effects.base import (
     Pair,
     Values,
 )
-from hydro_diagnosis.effects.kernels import limited, splined
+from hydro_diagnosis.effects.kernels import splined
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import TURN, WIDEST, Element, Law, Number, Signals, edge_losses, sensed, shifted
-from hydro_sim.model.tables import SETTLING, Table
+from hydro_sim.model.laws import TURN, Element, Law, Number, Signals, edge_losses, sensed, shifted
+from hydro_sim.model.tables import Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
@@ -139,17 +139,10 @@ class Closure(Effect):
         if element is None:
             return at
         if element.kind == "slow":
-            at = at.but(number=values.get("threshold", 0.0))
-            return at.but(memory=memory.lag(self.label, self._driver(at), values.get("time", SETTLING), 0.0))
+            return at.but(memory=memory.lag(self.label, self._driver(at), values["time"], 0.0))
         signal = getattr(at, element.signal)
         if element.kind == "lag":
             return at.but(memory=memory.lag(self.label, signal, values["time"]))
-        if element.kind == "turn":
-            late = memory.lag(self.label, signal, values["rising"], falling=values["falling"])
-            return at.but(memory=late)
-        if element.kind == "heat":
-            work = np.abs(at.velocity) * (values["time"] / values["path"])
-            return at.but(memory=memory.lag(self.label, work, values["time"], 0.0))
         return at.but(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
 
     def _driver(self, at: Signals) -> FloatArray:
@@ -170,8 +163,6 @@ class Closure(Effect):
 class MotionClosure(Closure):
     """A force against the motion."""
 
-    additive = True
-
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
         nothing = np.zeros_like(motion.position)
@@ -181,8 +172,6 @@ class MotionClosure(Closure):
 
 class FlowClosure(Closure):
     """A flow out of the chambers beside the valve."""
-
-    additive = True
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
         """Flows are computed in the middle of each sample."""
@@ -198,8 +187,6 @@ class FlowClosure(Closure):
 
 class EdgeClosure(Closure):
     """A share of the flow through the valve's edges that does not pass."""
-
-    additive = True
 
     def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
         bench = self.numbers
@@ -223,8 +210,6 @@ class AcrossClosure(Closure):
 
 class LoadClosure(Closure):
     """A force of the load."""
-
-    additive = True
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         at = Signals(motion.position, motion.velocity)
@@ -251,11 +236,7 @@ class ValveClosure(Closure):
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
         path = np.ascontiguousarray(spool).ravel()
         at = Signals(current=path)
-        if self.element is not None and self.element.kind in ("path", "slow"):
-            at = self._remembering(at, Memory(substep), values)
-        elif self.element is not None:
-            rising, falling = (values.get(name, values.get("time", 0.0)) for name in ("rising", "falling"))
-            at = at.but(memory=limited(path, substep, values.get("rate", WIDEST), rising, falling))
+        at = self._remembering(at, Memory(substep), values)
         return spool + self.given(at, values).reshape(spool.shape)
 
 
@@ -272,10 +253,6 @@ _BEYOND = 0.5
 class SensorClosure(Closure):
     """Error of a sensor's reading."""
 
-    @property
-    def breaks_superposition(self) -> bool:  # type: ignore[override]
-        return self.law.where in (self.law.uses or self.law.where)
-
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:
             return signal
@@ -285,8 +262,6 @@ class SensorClosure(Closure):
 
 class GaugeClosure(SensorClosure):
     """Error of a pressure sensor, whose pressure the flows follow."""
-
-    breaks_superposition = False  # a curve is taken by its slope where the reading says that it is
 
     @property
     def nonlinear_channel(self) -> str:  # type: ignore[override]
@@ -323,7 +298,6 @@ class GaugeClosure(SensorClosure):
 class PlaceClosure(SensorClosure):
     """Error of the position sensor, on whose position all equations depend."""
 
-    breaks_superposition = True
     places = True
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:

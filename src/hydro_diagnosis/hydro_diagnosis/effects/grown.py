@@ -21,8 +21,7 @@ SMALLEST = 0.01
 SYSTEMATIC = 0.01
 """Relative error of a law's further number that the residuals' own discretisation may cause."""
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
-_DELEGATED = ("equations", "blocks", "nonlinear_channel", "places", "memoryless", "uses_acceleration",
-              "breaks_superposition")  # fmt: skip
+_DELEGATED = ("equations", "blocks", "nonlinear_channel", "places", "memoryless", "uses_acceleration")
 """Properties of the closure of a law that are the effect's."""
 _HOOKS = ("command", "inflows", "resistance", "load", "inertia", "trace", "measure", "unmeasure")
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hydro_core.signals import FloatArray
 from hydro_sim.jit import njit
@@ -27,57 +28,11 @@ def along(position, stiffness, limit):
     return force
 
 
-@njit
-def limited(signal, step, rate, rising, falling):
-    """Means over each step [s], shape (n,), of w' = (s - w) / T within +-rate, for a held signal; at rest first.
-
-    T is `rising` [s] while s is above w, `falling` while it is below.
-
-    Exact: w goes straight while it is further than rate times time from the signal, then exponentially.
-    """
-    mean = np.empty(len(signal))
-    now = signal[0]
-    for k in range(len(signal)):
-        off = signal[k] - now
-        distance = abs(off)
-        time = rising if off > 0.0 else falling
-        fast = min(max(distance / rate - time, 0.0), step)
-        near = distance - rate * fast
-        left = np.exp((fast - step) / time)
-        area = 0.5 * (distance + near) * fast + near * time * (1.0 - left)
-        mean[k] = signal[k] - np.sign(off) * area / step
-        now = signal[k] - np.sign(off) * near * left
-    return mean
-
-
-def held_lag(
-    signal: FloatArray, step: float, time: float, start: float, falling: float | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there.
-
-    `falling`: the time [s] while the signal is below what lags, if it is another than `time`.
-    """
-    fall = time if falling is None else falling
-    begins, means = _lag(np.ascontiguousarray(signal), *_held(step, time), *_held(step, fall), start)
-    return begins, means
-
-
-def _held(step: float, time: float) -> tuple[float, float]:
-    """Return the share of a distance that remains after a step, and the mean share that is gone within it."""
+def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
+    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there."""
     decay = float(np.exp(-step / time))
-    return decay, 1.0 - (1.0 - decay) * time / step
-
-
-@njit
-def _lag(signal, up, share_up, down, share_down, now):
-    begins, means = np.empty(len(signal)), np.empty(len(signal))
-    for k in range(len(signal)):
-        rises = signal[k] > now
-        decay = up if rises else down
-        begins[k] = now
-        means[k] = now + (share_up if rises else share_down) * (signal[k] - now)
-        now = decay * now + (1.0 - decay) * signal[k]
-    return begins, means
+    begins, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[start])
+    return begins, begins + (1.0 - (1.0 - decay) * time / step) * (signal - begins)
 
 
 _LAST = KNOTS - 3

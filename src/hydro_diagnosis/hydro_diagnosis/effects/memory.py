@@ -32,17 +32,13 @@ class Memory:
         self.traces: dict[str, FloatArray] = {}
         """The states that were passed, for simulations that start along the record."""
 
-    def lag(
-        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
-        falling: float | None = None,
-    ) -> FloatArray:  # fmt: skip
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where.
 
-        The signal is held between samples, the outcome is the mean over each sample. `falling`: the time constant [s]
-        while the signal is below what lags, if it is another.
+        The signal is held between samples, the outcome is the mean over each sample.
         """
         begin = float(signal[0]) if start is None else start
-        self.traces[key], mean = held_lag(signal, self.step, time_constant, begin, falling)
+        self.traces[key], mean = held_lag(signal, self.step, time_constant, begin)
         return mean
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
@@ -90,13 +86,9 @@ class StepMemory(Memory):
         """Accept the states that the last evaluation proposed."""
         self._states.update(self._next)
 
-    def lag(
-        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
-        falling: float | None = None,
-    ) -> FloatArray:  # fmt: skip
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         state = self._states.setdefault(key, signal if start is None else np.full_like(signal, start))
-        time = time_constant if falling is None else np.where(signal > state, time_constant, falling)
-        self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time))
+        self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time_constant))
         return state
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
@@ -160,12 +152,9 @@ Indices = npt.NDArray[np.int64]
 class ColumnMemory(Memory):
     """A record's memory whose time runs down the first axis, one column per window."""
 
-    def lag(
-        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
-        falling: float | None = None,
-    ) -> FloatArray:  # fmt: skip
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         single = super().lag
-        return np.apply_along_axis(lambda column: single(key, column, time_constant, start, falling), 0, signal)
+        return np.apply_along_axis(lambda column: single(key, column, time_constant, start), 0, signal)
 
 
 class WindowMemory(ColumnMemory):
@@ -176,10 +165,7 @@ class WindowMemory(ColumnMemory):
         super().__init__(step, beside)
         self._along, self._at = traces, at
 
-    def lag(
-        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
-        falling: float | None = None,
-    ) -> FloatArray:  # fmt: skip
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         """A slow state is the record's."""
         return self._along[key][self._at]
 

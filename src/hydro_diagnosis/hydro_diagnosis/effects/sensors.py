@@ -112,10 +112,6 @@ class SensorLag(_Sensor):
     def lagged(self) -> str:  # type: ignore[override]
         return self.channel
 
-    @property
-    def breaks_superposition(self) -> bool:  # type: ignore[override]
-        return self.channel.startswith("pressure")
-
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, load_cell_bandwidth=None) if self.channel == "load_force" else bench
 

@@ -3,16 +3,12 @@
 
 A channel's deviation is never taken below the measured noise, and above it where the claims leave a remainder: so a
 channel that nobody can explain does not drown the evidence of the others (diagnosis.md, "Evidence").
-
-Columns of the Jacobian are cached where terms without a name are fitted: such fits differ by a term or two, and an
-additive term has the same response whatever stands beside it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 from typing import TypeVar
 
@@ -20,9 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray, Values
-from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_sim.model.tables import Table
 
 Part = TypeVar("Part")
 
@@ -63,26 +57,17 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, fi
     """
     parameters, values = pack(claims)
     effects = [claim.effect for claim in claims]
-    owners = [claim for claim in claims for _ in claim.effect.parameters]
-    keeping = any(isinstance(effect, Closure) for effect in effects)
     columns = np.empty((len(residual), len(values) - first))
-
-    def slope(moved: FloatArray, scale: float) -> FloatArray:
-        return (problem.residual(unpack(effects, moved)) - residual) * scale
-
     for k, parameter in enumerate(parameters[first:], first):
         step = STEP * parameter.span
         if values[k] + step > parameter.high:
             step = -step
         moved = values.copy()
         moved[k] += step
-        compute = partial(slope, moved, parameter.span / step)
-        columns[:, k - first] = problem.column(claims, owners[k], parameter, compute) if keeping else compute()
+        columns[:, k - first] = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
     return columns
 
 
-STRAIGHT = 0.05
-"""Share of a step's effect that slopes may have missed and still hold at its end."""
 QUANTILE = 1.96
 FORM_ERROR = 0.035
 """Share of a claim's signature that its form may be off by: another of its family must explain more."""
@@ -145,8 +130,7 @@ def fit(
 
     Numbers that the problem estimates are fitted too, before the claims. `fixed`: index of a parameter that stays where
     it is. `slopes`: the Jacobian nearby; it is then followed by secants (Broyden 1965), one residual a step, instead of
-    being computed at each. Beside tables that do not just add, a Jacobian that predicted a step serves for the next
-    one too; what is reached by it is confirmed by a fresh one.
+    being computed at each.
     """
     among = {claim.effect.label for claim in claims if claim.effect.estimated}
     claims = (*(one for one in problem.estimated if one.effect.label not in among), *claims)
@@ -158,33 +142,22 @@ def fit(
     slopes = None if problem.estimated else slopes  # numbers begin far from where they end: too far for secants
     damping, secant = 1e-4, slopes is not None
     slopes = jacobian(problem, claims, residual) if slopes is None else slopes
-    lasting = not secant and any(_many(effect) for effect in effects)
-    old = False
     for _ in range(iterations if len(values) else 0):
         weight = 1.0 / problem.variances(residual)[problem.layout.channel]
         found = _stepped(problem, effects, values, residual, best, slopes, weight, damping, fixed)
-        if found is None and not old:
+        if found is None:
             break
-        gained = 0.0
-        if found is not None:
-            trial, outcome, reached, damping = found
-            gained, best = best - reached, reached
-            step, damping = (trial - values) / span, damping * 0.1
-            predicted = slopes @ step
-            missed = outcome - residual - predicted
-            if secant:
-                slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
-            values, residual = trial, outcome
-        ends = gained < tolerance and not old
-        if not secant and not (ends and lasting):
-            # a step that gained next to nothing tells nothing about the slopes
-            old = lasting and gained >= tolerance and _share(missed, predicted, weight) < STRAIGHT
-            slopes = slopes if old else jacobian(problem, unpack(effects, values), residual)
-            problem.count(len(values) if old else 0)
-        if ends:
+        trial, outcome, reached, damping = found
+        gained, best = best - reached, reached
+        step, damping = (trial - values) / span, damping * 0.1
+        if secant:
+            missed = outcome - residual - slopes @ step
+            slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
+        values, residual = trial, outcome
+        if not secant:
+            slopes = jacobian(problem, unpack(effects, values), residual)
+        if gained < tolerance:
             break
-    if old:
-        slopes = jacobian(problem, unpack(effects, values), residual)
     return Fit(unpack(effects, values), residual, slopes, best)
 
 
@@ -208,15 +181,6 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
             return trial, outcome, reached, damping
         damping *= 20.0
     return None
-
-
-def _many(effect: Effect) -> bool:
-    return isinstance(effect, Closure) and isinstance(effect.law, Table) and not effect.additive
-
-
-def _share(missed: FloatArray, predicted: FloatArray, weight: FloatArray) -> float:
-    """Weighted size of what slopes missed of a step's effect, over what they predicted."""
-    return float(np.sqrt(missed**2 @ weight / max(float(predicted**2 @ weight), 1e-300)))
 
 
 def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:

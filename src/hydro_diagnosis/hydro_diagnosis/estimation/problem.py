@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recordings as one least-squares problem: claims in, residuals in units of the measured noise out.
 
-Each block of equations is computed once for the claims that act in it. A residual with additive terms is that without
-them, and a sum of their responses times their amplitudes; responses are computed once for each set of a term's further
-parameters. They depend on other claims only by what stands between the equation and the sensors: the oil's stiffness,
-the readings that flows are computed from, and the sensors.
+Each block of equations is computed once for the claims that act in it.
 
 The deviation of each residual is what it may be off if nothing is missing: the sensors' noise, measured by the white
 part of the recordings; the uncertainty of velocity reversals and of flows; rows that were not recorded.
@@ -12,7 +9,7 @@ part of the recordings; the uncertainty of velocity reversals and of flows; rows
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,13 +28,9 @@ from hydro_diagnosis.effects.base import (
     BoundedCache,
     Claim,
     Effect,
-    FitParameter,
     FloatArray,
-    acting,
-    values_key,
 )
 from hydro_diagnosis.estimation.noise import SegmentNoise, mass_attenuation, sensor_noise
-from hydro_diagnosis.model.responses import Responses, intervening
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
@@ -129,29 +122,8 @@ class Budget:
         return self.seconds is not None and self.spent > self.seconds
 
 
-ROOM = 96e6
-"""Memory limit of a cache [byte]."""
 ResidualParts = dict[tuple[str, int], FloatArray]
-"""Residuals by channel and segment, physical unit; of responses each of shape (amplitudes, n)."""
-
-
-def _split_additive(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
-    """Split claims into additive ones and others; terms without amplitude are left out."""
-    acting = [claim for claim in claims if claim.acts]
-    bent: set[str] = set().union(*(one.effect.blocks for one in acting if one.effect.breaks_superposition))
-    adding = [one for one in acting if one.effect.additive and not one.effect.blocks & bent]
-    return adding, tuple(one for one in acting if not any(one is other for other in adding))
-
-
-def _split_cached(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
-    """Split active claims into those whose responses are cached, and the others.
-
-    Behind a claim that is being fitted, whatever is not `known`, responses would change with each of its values.
-    """
-    adding, others = _split_additive(claims)
-    fitted = [one for one in others if not any(one is other for other in known)]
-    kept = [one for one in adding if not intervening(one, fitted)]
-    return kept, tuple(one for one in claims if one.acts and not any(one is other for other in kept))
+"""Residuals by channel and segment, physical unit."""
 
 
 LEVEL = 1.0
@@ -220,8 +192,6 @@ class Problem:
             hidden = mass_attenuation(self.models, self.sensor_noise, bench.moving_mass)
             self.attenuation["moving_mass"] = hidden
         self._cache = BoundedCache(_CACHE)
-        self.columns = BoundedCache(ROOM)
-        """Cached responses to additive terms, and columns of Jacobians."""
         thinner = [segment.thinner or segment for segment in segments]
         lacking = like is None and any(segment.thinner for segment in segments)
         self.thinner = Problem(thinner, bench, baseline, self.sensor_noise, self) if lacking else None
@@ -314,29 +284,6 @@ class Problem:
         self.budget.evaluations += evaluations
         self.budget.spend(self.samples * len(self.blocks), evaluations)
 
-    def column(
-        self, claims: Sequence[Claim], claim: Claim, parameter: FitParameter, compute: Callable[[], FloatArray]
-    ) -> FloatArray:
-        """A column of the Jacobian under claims, of a parameter of one of them; computed, unless it is known.
-
-        It depends, beside the deviations, on the values of the claims that reach its equations. Of terms that add,
-        their own amplitudes and other such terms do not count; nor do terms without amplitude.
-        """
-        sizes = {one.name: one.span for one in claim.effect.amplitudes}
-        acting = Claim(claim.effect, {**claim.values, **sizes})
-        adding, others = _split_additive((*self.baseline, *claims, acting))
-        adds = any(one.effect is claim.effect for one in adding)
-        beside = intervening(claim, others) if adds else [
-            one for one in claims if one is not claim and one.acts and one.effect.blocks & claim.effect.blocks
-        ]  # fmt: skip
-        own = claim.shapes if adds and parameter.smallest > 0.0 else [*claim.values.values()]
-        rounded = tuple(one.effect.label for one in claims if one.effect.lagged)
-        limits = getattr(claim.effect, "limits", ())
-        key = (self.uncertainty, claim.effect.label, parameter.name, limits, *own, rounded, values_key(beside))
-        if key in self.columns:
-            self.count(1)
-        return self.columns.kept(key, compute, lambda found: found.nbytes)
-
     def joined(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
         """By channel: responses of its residuals, over their deviation, to so many terms; shape (terms, residuals).
 
@@ -353,47 +300,14 @@ class Problem:
 
     def parts(self, claims: Sequence[Claim]) -> ResidualParts:
         """Residuals of the baseline and these claims, by channel and segment in the order of `layout`."""
-        adding, rest = _split_cached((*self.baseline, *claims), self.baseline)
-        parts = self._evaluated(rest)
-        for claim in adding:
-            for key, response in self._responses(claim).items():
-                parts[key] = parts[key] + np.array(claim.amplitudes) @ response
-        return parts
-
-    def _responses(self, claim: Claim) -> ResidualParts:
-        """Response of the residual to each amplitude of an additive term, shape (amplitudes, n)."""
-        beside = intervening(claim, self.baseline)
-        limits = getattr(claim.effect, "limits", ())
-        key = ("response", claim.effect.label, limits, *claim.shapes, values_key(beside))
-
-        def found() -> ResidualParts:
-            sizes = {one.name: one.span for one in claim.effect.amplitudes}
-            neutral = {**claim.values, **dict.fromkeys(sizes, 0.0)}
-            terms = [Claim(claim.effect, {**neutral, name: size}) for name, size in sizes.items()]
-            shown, spans = self._shown(terms, beside), np.array([*sizes.values()])[:, None]
-            return {key: part / spans for key, part in shown.items() if part.any()}
-
-        return self.columns.kept(key, found, lambda parts: sum(one.nbytes for one in parts.values()))
-
-    def _shown(self, terms: Sequence[Claim], beside: tuple[Claim, ...]) -> ResidualParts:
-        """Return the responses to terms of one law beside the claims between it and the sensors, shape (terms, n)."""
-        touched = terms[0].effect.blocks & set(self.blocks)
-        if acting(beside, "measure"):
-            without = self._evaluated(beside, touched)
-            moved = [self._evaluated((*beside, one), touched) for one in terms]
-            return {key: np.stack([one[key] - part for one in moved]) for key, part in without.items()}
-        ways = [Responses(model, touched, beside).of(terms) for model in self.models]
-        return {(name, k): part for k, way in enumerate(ways) for name, part in way.items()}
-
-    def _evaluated(self, everything: Sequence[Claim], only: Collection[str] = ()) -> ResidualParts:
-        """Return residuals of claims without superposition; `only`: in these blocks, the arcs left out."""
+        everything = tuple(one for one in (*self.baseline, *claims) if one.acts)
         parts: ResidualParts = {}
         arcs: list[FloatArray] = []
-        for block in (one for one in self.blocks if not only or one in only):
+        for block in self.blocks:
             shown = self._of_block(block, everything)
             parts |= {(name, k): one[name] for name in BLOCKS[block] for k, one in enumerate(shown)}
             arcs = arcs or [one["arc"] for one in shown if "arc" in one]
-        if arcs and MOTION in self.blocks and not only:
+        if arcs and MOTION in self.blocks:
             rounded = any(claim.effect.lagged == "hydraulic_force" for claim in everything)
             for k, arc in enumerate(arcs if not rounded else ()):
                 parts["motion", k] = parts["motion", k] + arc

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
 
-Many terms are carried at a time: the way is linear. What a term of one equation does by way of another is left out. Of
-terms that just add (`Effect.additive`) these responses are exact, as long as no claim stands between the equation and
-the sensors; of others they rank, and fit none. The error of a pressure gauge also goes through flows, stiffness and
+Many terms are carried at a time: the way is linear. What a term of one equation does by way of another is left out:
+responses rank terms, and fit none. The error of a pressure gauge also goes through flows, stiffness and
 hydraulic balance, which are computed from its readings.
 """
 
@@ -17,15 +16,11 @@ import numpy as np
 
 from hydro_diagnosis.effects import kernels
 from hydro_diagnosis.effects.base import (
-    LOAD,
-    MOTION,
-    PRESSURE,
     Claim,
     FloatArray,
     Kinematics,
     Oil,
     Pair,
-    changes,
 )
 from hydro_diagnosis.effects.closure import (
     AcrossClosure,
@@ -47,22 +42,6 @@ from hydro_sim.model import equations as eq
 _PRESSURES = ("pressure_a", "pressure_b")
 Shown = dict[str, FloatArray]
 """By channel of the residuals: physical unit, shape (terms, judged rows)."""
-
-_BETWEEN = {
-    MOTION: ("measure",),
-    LOAD: ("measure", "bench"),
-    PRESSURE: ("measure", "unmeasure", "bench", "stiffness", "command"),
-}
-"""By block: hooks of effects that change the response of the residual to an additive term."""
-
-
-def intervening(claim: Claim, others: Sequence[Claim]) -> tuple[Claim, ...]:
-    """Return the other claims that change the response of the residual to a term."""
-    hooks = {block: _BETWEEN[block] for block in claim.effect.blocks}
-    return tuple(
-        one for one in others
-        if any(block in one.effect.blocks and changes(one, *own) for block, own in hooks.items())
-    )  # fmt: skip
 
 
 class Responses:

@@ -16,7 +16,7 @@ import numpy as np
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import can_simulate
 from hydro_diagnosis.closure.admission import admitted, reports, without_harmful_names
-from hydro_diagnosis.closure.model_selection import closures
+from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.curve_claims import CurveClaims, read_off
 from hydro_diagnosis.curves import ForceCurve, Motion, motions
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim, Effect

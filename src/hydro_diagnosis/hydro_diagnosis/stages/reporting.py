@@ -190,7 +190,6 @@ def location_of(place: Place, problem: Problem) -> Location:
 def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
     """The report and the data behind it; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
-    problem.columns.clear()
     searched = found.by_curve is None
     hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
     effects = describe(found)

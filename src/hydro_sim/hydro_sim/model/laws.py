@@ -18,10 +18,7 @@ moves no path::
 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
-    heat  w' = |s'| / D - w / T        0 at first: what work has warmed and time cools
     slow  w' = (s - w) / T             0 at first: a size that is followed, or time alone (s = 1)
-    rate  w' = (s - w) / T, within [-R, R]
-    turn  w' = (s - w) / T, with one T while s is above w and another while it is below
 """
 
 from __future__ import annotations
@@ -88,39 +85,14 @@ class Signals:
         return self.pressure_a - self.pressure_b
 
     @property
-    def size_of_difference(self) -> Symbol:
-        """|p_a - p_b|."""
-        return np.abs(self.pressure_difference)
-
-    @property
     def speed(self) -> Symbol:
         """|v|."""
         return np.abs(self.velocity)
 
     @property
-    def jet(self) -> Symbol:
-        """v |v|."""
-        return self.velocity * np.abs(self.velocity)
-
-    @property
     def opening(self) -> Symbol:
         """|u|."""
         return np.abs(self.current)
-
-    @property
-    def over_a(self) -> Symbol:
-        """By how much p_a is above the law's first further number."""
-        return np.fmax(self.pressure_a - self.number, 0.0)
-
-    @property
-    def over_b(self) -> Symbol:
-        """By how much p_b is above it."""
-        return np.fmax(self.pressure_b - self.number, 0.0)
-
-    @property
-    def heating(self) -> Symbol:
-        """u^2."""
-        return self.current * self.current
 
 
 def sensed(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | None = None) -> Signals:
@@ -154,7 +126,7 @@ class Number:
 class Element:
     """Memory of a law: a state that follows one of `Signals`, over the law's further numbers."""
 
-    kind: Literal["lag", "path", "heat", "rate", "slow", "turn"]
+    kind: Literal["lag", "path", "slow"]
     signal: str
     """An attribute of `Signals`; of slow states also `time`, for what time alone drives."""
 
@@ -164,8 +136,8 @@ class Element:
         return _UNITS.get(self.signal, "Pa")
 
 
-_UNITS = {"position": "m", "current": "A", "force": "N", "speed": "m/s", "velocity": "m/s", "acceleration": "m/s2",
-          "opening": "A", "heating": "A2", "time": "-"}  # fmt: skip
+_UNITS = {"position": "m", "current": "A", "force": "N", "speed": "m/s", "velocity": "m/s",
+          "opening": "A", "time": "-"}  # fmt: skip
 
 
 _SIGNALS = {
@@ -179,11 +151,10 @@ _SIGNALS = {
 }  # fmt: skip
 """Signals of a formula (`Signals`) and the bench's numbers; `one`: 1 of their shape."""
 _FUNCTIONS = {
-    "abs": np.abs, "exp": np.exp, "sqrt": np.sqrt, "sin": np.sin, "tanh": np.tanh, "max": np.fmax, "pi": np.pi,
+    "abs": np.abs, "exp": np.exp, "sqrt": np.sqrt, "tanh": np.tanh, "max": np.fmax,
     "root": lambda pressure: pressure / np.sqrt(np.abs(pressure) + 100.0),
-    "within": lambda signal, most: np.fmax(np.fmin(signal, most), -most),
 }  # fmt: skip
-"""`root`: of a pressure drop [Pa], odd; `within`: a signal, held where it is further from 0 than a threshold."""
+"""`root`: of a pressure drop [Pa], odd."""
 
 
 @dataclass(frozen=True)
@@ -208,11 +179,9 @@ class Law:
     where: str = ""
     """Channel of a sensor; of the valve, `edges`, if it is not its spool that the law moves."""
     uses: frozenset[str] = frozenset()
-    """Signals that a composition is made of, and `time`."""
+    """Signals that it is made of, and `time`."""
     degree: float = 0.0
-    """Total power of the signals in a composition; those of gates, places and states count nothing."""
-    gate: tuple[str, float] | None = None
-    """A signal and the sign that it must have, if the law acts only then."""
+    """Total power of the signals in it; those of signs, bumps and states count nothing."""
 
     @property
     def picks_up(self) -> bool:
@@ -223,6 +192,11 @@ class Law:
     def remembers(self) -> bool:
         """Whether it has hidden states."""
         return self.element is not None or self.picks_up
+
+    @property
+    def steep(self) -> bool:
+        """Whether it is a step, which no smooth function is."""
+        return "where" in self.text
 
     @property
     def reverses(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,15 +16,10 @@ KNOTS = 12
 """Numbers of a table: of so many cubic B-splines."""
 VARIABLES = {
     "position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A", "force": "N",
-    "pressure_a": "Pa", "pressure_b": "Pa", "past_motion": "m/s", "past_opening": "A", "elapsed": "-",
+    "pressure_a": "Pa", "pressure_b": "Pa", "speed": "m/s",
 }  # fmt: skip
 """Variables of tables, with units."""
-PASTS = {"past_motion": "speed", "past_opening": "opening", "elapsed": "time"}
-"""Variables that are slow states `w' = (s - w) / SETTLING`, 0 at first, with what drives them (`laws.Element`)."""
-SETTLING = 4.0
-"""s."""
-SIGNALS = {"pressure_difference": "pressure_a pressure_b", "past_motion": "velocity", "past_opening": "current",
-           "elapsed": ""}  # fmt: skip
+SIGNALS = {"pressure_difference": "pressure_a pressure_b", "speed": "velocity"}
 """Signals that a variable is made of, if it is none itself."""
 
 
@@ -34,9 +29,25 @@ class Factor:
 
     name: str
     text: str
-    shape: Callable[[Signals], Symbol]
-    uses: str = "velocity"
+    formula: str
+    unit: str
+    scale: float
+    """A usual value."""
+    degree: float
+    uses: str
     """Signals that it is made of."""
+    shape: Callable[[Signals], Symbol]
+
+
+FACTORS = {
+    "direction": Factor("direction", "sign(v)", "sign_v", "-", 1.0, 0.0, "velocity", lambda at: at.direction),
+    "velocity": Factor("velocity", "v", "v", "m/s", 0.05, 1.0, "velocity", lambda at: at.velocity),
+    "pressure_difference": Factor("pressure difference", "(p_a - p_b)", "across", "Pa", 3e6, 1.0,
+                                  "pressure_a pressure_b", lambda at: at.pressure_difference),
+    "pressure_a": Factor("pressure", "p_a", "p_a", "Pa", 5e6, 1.0, "pressure_a", lambda at: at.pressure_a),
+    "pressure_b": Factor("pressure", "p_b", "p_b", "Pa", 5e6, 1.0, "pressure_b", lambda at: at.pressure_b),
+    "current": Factor("current", "u", "u", "A", 2e-3, 1.0, "current", lambda at: at.current),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -66,10 +77,8 @@ class Table:
         """Names of its parameters."""
         return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
 
-    @property
-    def element(self) -> Element | None:
-        """Memory of its variable."""
-        return Element("slow", PASTS[self.variable]) if self.variable in PASTS else None
+    element: ClassVar[Element | None] = None
+    """It has no memory."""
 
     @property
     def uses(self) -> frozenset[str]:
@@ -85,11 +94,11 @@ class Table:
     @property
     def remembers(self) -> bool:
         """Whether it has hidden states."""
-        return self.element is not None or self.picks_up
+        return self.picks_up
 
     def over(self, at: Signals) -> Symbol:
         """Its variable."""
-        return at.memory if self.variable in PASTS else getattr(at, self.variable)
+        return getattr(at, self.variable)
 
     def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
         """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""

@@ -127,8 +127,6 @@ class Measured(Closure):
         """Its signal on a still bench."""
         if self.element.signal == "force":
             return signals[self.law.where]
-        if self.element.signal == "velocity":
-            return 0.0
         return signals[
             {"position": "piston_position", "current": "spool"}.get(self.element.signal, self.element.signal)
         ]
@@ -136,46 +134,27 @@ class Measured(Closure):
     def _now(self) -> Symbol:
         """Its signal at this instant; time alone is 1."""
         p_a, p_b = self.at.pressures
-        loaded, first = self.law.where == "load_force", getattr(self, self.law.names[1])
+        loaded = self.law.where == "load_force"
         force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
-        now = Signals(self.at.position, self.at.velocity, p_a, p_b, self.at.spool, force, number=first)
+        now = Signals(self.at.position, self.at.velocity, p_a, p_b, self.at.spool, force)
         return 1.0 if self.element.signal == "time" else getattr(now, self.element.signal)
 
 
 class Lagging(Measured):
-    """A law that lags behind a signal."""
+    """A law that lags behind a signal, or follows a size or time alone from nothing."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"past": self._began(signals)}
+        return {"past": self._began(signals)} if self.element.kind == "lag" else {}
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
         return {"past": (self._now() - self.past) / self.time}
 
 
-class Turning(Lagging):
-    """A law that lags behind a signal, its rises by another time than its falls."""
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        off = self._now() - self.past
-        return {"past": eq.choose(off > 0.0, off / self.rising, off / self.falling)}
-
-
-class Warming(Closure):
-    """A law that motion warms and time cools; a still bench is cold."""
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        return {"past": np.abs(self.at.velocity) / self.path - self.past / self.time}
-
-
-class Following(Lagging):
-    """A law that follows a size over a time, or time alone; it begins at nothing."""
+class LaggingSpool(Closure):
+    """The same of the spool's position, which is held over a step."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {}
-
-
-class Settling(Closure):
-    """The same of the spool's position, which is held over a step."""
+        return {"past": signals["spool"]} if self.element.kind == "lag" else {}
 
     def command(self, spool: Symbol) -> Symbol:
         commanded = super().command(spool)
@@ -217,59 +196,11 @@ class Bending(Measured):
         return goal + (self.bent - goal) * np.exp(-np.abs(moved) / self.path)
 
 
-class LateSpool(Closure):
-    """A law of a spool that is behind its signal."""
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": signals["spool"]}
-
-    def command(self, spool: Symbol) -> Symbol:
-        self.next["where"] = spool - self._behind(spool - self.where)[0]
-        return super().command(spool)
-
-    def _remembered(self, signal: Symbol) -> Symbol:
-        """Mean over the step, exact for a signal that is held."""
-        return signal - self._behind(signal - self.where)[1]
-
-    def _behind(self, off: Symbol) -> tuple[Symbol, Symbol]:
-        """How far it is behind after a step that it began so far off, and in the mean over that step."""
-        raise NotImplementedError
-
-
-class Limited(LateSpool):
-    """A law of a spool that lags, and moves no faster than a rate."""
-
-    def _behind(self, off: Symbol) -> tuple[Symbol, Symbol]:
-        fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)  # s, at full rate
-        near, left = np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
-        area = 0.5 * (np.abs(off) + near) * ((np.abs(off) - near) / self.rate) + near * self.time * (1.0 - left)
-        return np.sign(off) * near * left, np.sign(off) * area / self.at.step
-
-
-class TurningSpool(LateSpool):
-    """A law of a spool that follows rises by another time than falls."""
-
-    def _behind(self, off: Symbol) -> tuple[Symbol, Symbol]:
-        time = self._time(off)
-        left = np.exp(-self.at.step / time)
-        return off * left, off * time * (1.0 - left) / self.at.step
-
-    def _time(self, off: Symbol) -> Symbol:
-        return eq.choose(off > 0.0, self.rising, self.falling)
-
-
-class LaggingSpool(TurningSpool):
-    """A law of a spool that follows late."""
-
-    def _time(self, off: Symbol) -> Symbol:
-        return self.time
-
-
 # --- one class for each law ------------------------------------------------------------------------------------------
 
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
-_SCALES = {"m": 1e-2, "m/s2": 5.0, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "A2": 1e-6, "-": 1.0}
+_SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "-": 1.0}
 
 
 def made(law: Law | Table) -> type[Closure]:
@@ -278,7 +209,6 @@ def made(law: Law | Table) -> type[Closure]:
     members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
     element = law.element
     if isinstance(law, Table):
-        members |= {} if element is None else {"time": tables.SETTLING}
         over = tables.VARIABLES[law.variable]
         members |= {name: parameter(over, -WIDEST, WIDEST, scale=1.0) for name in ("low", "high")}
     else:
@@ -301,22 +231,13 @@ def _number(number: Number) -> dict[str, Any]:
 def _states(element: Element, law: Law | Table) -> dict[str, Any]:
     """An element's hidden states."""
     unit, scale = element.signal_unit, _SCALES[element.signal_unit]
-    where, past = {"where": hidden(unit, scale=scale)}, {"past": hidden(unit, scale=scale, integrated=True)}
+    if element.kind == "path":
+        return {"bent": hidden("-", scale=1.0), "where": hidden(unit, scale=scale)}
     spool = law.equation == "actuation" and not law.where
-    return {
-        "lag": where if spool else past,
-        "turn": where if spool else past,
-        "heat": {"past": hidden("-", scale=1.0, integrated=True)},
-        "path": {"bent": hidden("-", scale=1.0), **where},
-        "rate": where,
-        "slow": {"past": hidden(unit, scale=scale, integrated=not spool)},
-    }[element.kind]
+    return {"past": hidden(unit, scale=scale, integrated=not spool)}
 
 
 _PLACES = {"edges": EdgeClosure, "across": AcrossClosure}
-_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "slow": Following, "turn": Turning}
-_AT_SPOOL = {"rate": Limited, "slow": Settling, "turn": TurningSpool, "lag": LaggingSpool}
-"""What a spool, which is held over a step, remembers otherwise."""
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
@@ -324,8 +245,9 @@ def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ..
     acts = _PLACES.get(law.where) or acting.get(law.equation, FlowClosure)
     if element is None:
         return (DraggedClosure if "acceleration" in law.uses and law.equation == "load" else acts,)
-    remembers = _AT_SPOOL.get(element.kind) if acts is ValveClosure else None
-    return remembers or _MEMORIES[element.kind], acts
+    if element.kind == "path":
+        return Bending, acts
+    return LaggingSpool if acts is ValveClosure else Lagging, acts
 
 
 EFFECTS = tuple(made(law) for law in grammar.ALL.values())

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Selection of terms without a name: laws that leave nothing, with names that do as well; else a smooth function.
+
+Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
+each, all numbers, those of the names too, are estimated again. Of laws that gain nearly as much as the best, one of few
+parameters and signals is taken; the velocity over which a law reverses becomes a parameter where that pays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from hydro_diagnosis.closure.evidence import (
+    THRESHOLD,
+    barred_equations,
+    equals_ruled_out,
+    has_identified_shapes,
+    held_out_gain,
+    within_form_error,
+    without_idle_terms,
+)
+from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import screen as screen_names
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_sim.model.effects.catalogue import CLOSURES
+from hydro_sim.model.laws import REVERSING, SIGN_VELOCITY, TURN, Law, rounded
+
+CHANCE = 20.0
+"""Deviance that a single column must gain, as the search asks of a cause; chance alone reaches 2 ln(columns) more."""
+LEAST = 0.02
+"""Least share of the possible gain that a term must bring: less may be a form error of another."""
+CONDENSED = 0.05
+"""Share of a smooth function's gain that laws may lack and still be preferred."""
+FITTED = 5
+"""Number of laws that are fitted in each step, the best of the screen, and of names beside them."""
+ALIKE = 0.8
+"""Share of the best gain from which a law is still fitted once another leaves no remainder."""
+PATIENCE = 24
+"""Maximum number of iterations of a fit: further numbers start on a coarse grid."""
+TERMS = 3
+"""Largest number of terms."""
+
+
+@dataclass(frozen=True)
+class ClosureFit:
+    """Names and terms without a name, estimated jointly."""
+
+    fit: Fit
+    form: str
+    """law or smooth."""
+    gain: float
+    """Gain in held-out deviance over the names alone."""
+    problem: Problem
+    """The problem with the weights of the fit."""
+    screen: Screen | None = None
+    """Screen of the terms that were tried."""
+
+
+def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
+    """Yield models of what a fit leaves, the preferred first; none where no term holds on held-out blocks.
+
+    `names`: causes that may stand beside a law though the judgement does not claim them.
+    """
+    screen = Screen(problem, base, barred_equations(problem, base))
+    by_law = _by_law(problem, base, screen, names)
+    more = {one.effect.label for one in by_law.fit.judged if one.effect.named} - {
+        one.effect.label for one in base.claims
+    }
+    if more and by_law.problem.noticeable(by_law.fit.residual) and not problem.budget.exhausted:
+        by_law = _by_law(problem, base, screen, ())  # where something remains, no further name is sure
+    if by_law.gain > 0.0 and (problem.budget.exhausted or not by_law.problem.noticeable(by_law.fit.residual)):
+        yield by_law
+    if problem.budget.exhausted:
+        return
+    left = by_law.problem.noticeable(by_law.fit.residual)
+    smooth = _by_curve(by_law if left else ClosureFit(base, "smooth", 0.0, problem, screen))
+    both = (by_law, smooth) if by_law.gain >= (1.0 - CONDENSED) * smooth.gain else (smooth, by_law)
+    yield from (one for one in (both if left else (smooth,)) if one.gain > 0.0)
+
+
+def _terms(found: Fit) -> int:
+    return sum(isinstance(claim.effect, Closure) for claim in found.claims)
+
+
+def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]) -> ClosureFit:
+    """Names that stand, laws, and names that pay beside these; what no longer pays is dropped."""
+    weighed, current, tried = problem, base, set[str]()
+    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
+    for _ in range(room + (TERMS if names else 0)):
+        if not weighed.noticeable(current.residual) or problem.budget.exhausted:
+            break
+        fits = _with_law(weighed, current, screen, tried) if _terms(current) - _terms(base) < room else []
+        if _terms(current) > _terms(base):
+            fits += _with_name(weighed, current, names)
+        if not fits:
+            break
+        taken = _simplest(fits)
+        tried -= {one.claims[-1].effect.label for one in fits if one is not taken}
+        current = taken
+        if taken.claims[-1].effect.named:
+            weighed = weighed.weighed(taken.claims)
+            current = fit(weighed, taken.claims)
+    if _terms(current) == _terms(base):
+        return ClosureFit(base, "law", 0.0, problem, screen)
+    current = without_idle_terms(weighed, _merged(weighed, _exchanged(weighed, current, screen, names), screen))
+    return ClosureFit(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed, screen)
+
+
+def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
+    """Fits with one more law that pays, of the best that are not `tried`, to which they are added."""
+    prospects, there_is = screen.prospects(current, FITTED, tried)
+    toll = CHANCE + 2.0 * float(np.log(max(len(screen), 1)))
+    fits: list[Fit] = []
+    disguised, clean = 0.0, False
+    for one in prospects:
+        enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - CONDENSED) * disguised
+        if one.gain < max(toll, LEAST * there_is, enough) or problem.budget.exhausted:
+            break
+        better = _from_starts(problem, current, one.starts)
+        if problem.noticeable(better.residual):
+            better = _with_reversal_velocity(problem, better)
+        tried.add(one.effect.label)
+        if current.score - better.score < toll or within_form_error(problem, current, better):
+            continue
+        if not has_identified_shapes(problem, better, better.claims[-1]):
+            disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
+        elif equals_ruled_out(problem, better, better.claims[-1]):
+            continue
+        elif held_out_gain(problem, current, better) >= toll:
+            fits.append(better)
+            clean = clean or not problem.noticeable(better.residual)
+    return fits
+
+
+def _from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
+    """The fit from the first start at which the law's further numbers are identified, else from the best."""
+    fits = []
+    for start in starts:
+        fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
+        if has_identified_shapes(problem, fits[-1], fits[-1].claims[-1]):
+            return fits[-1]
+    return fits[0]
+
+
+def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit:
+    """The fit with a reversal velocity as a parameter of one law, the newest by default, where that pays."""
+    claim = found.claims[place]
+    effect = claim.effect
+    if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.reverses):
+        return found
+    if TURN in effect.law.numbers:
+        return found
+    wider = closure(rounded(effect.law), problem.bench, effect.limits, effect.probes)
+    claims = list(found.claims)
+    claims[place] = Claim(wider, {**claim.values, TURN.name: 2.0 * SIGN_VELOCITY})
+    better = fit(problem, claims, iterations=PATIENCE)
+    pays = found.score - better.score >= CHANCE
+    return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
+
+
+def _with_name(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
+    """Fits with one more name that pays."""
+    fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:TERMS]]
+    enough = current.score - CHANCE
+    return [one for one in fits if one.score < enough and not within_form_error(problem, current, one)]
+
+
+def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
+    """Of the fits with nearly the best evidence: a name, else the law of fewest parameters and signals.
+
+    The claim in question is the newest, of the first fit `last`, if that is given.
+    """
+    best = min(one.score for one in fits)
+
+    def parts(one: Fit) -> tuple[int, int, float]:
+        effect = (last if last and one is fits[0] else one.claims[-1]).effect
+        if not isinstance(effect, Closure):
+            return 0, 0, one.score
+        return len(effect.parameters), len(effect.law.uses), one.score
+
+    return min((one for one in fits if one.score <= best + CHANCE), key=parts)
+
+
+def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Effect]) -> Fit:
+    """The fit with claims exchanged for others that do better beside the later terms, or as well and are simpler."""
+    for claim in found.removable if len(found.claims) > 1 else ():
+        if problem.budget.exhausted:
+            break
+        law = isinstance(claim.effect, Closure)
+        if not law and not names:
+            continue
+        rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)
+        others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their numbers
+        tried = {one.effect.label.replace(f", {REVERSING}", "") for one in found.claims}  # however they reverse
+        if law:
+            found = _simplest([found, *_with_law(problem, others, screen, tried)], claim)
+        else:
+            fits = [found, *_with_name(problem, others, names)]
+            best = min(one.score for one in fits)
+            found = min((one for one in fits if one.score <= best + CHANCE), key=lambda one: (one.free, one.score))
+    for place in range(len(found.claims)):  # also if nothing remains: it moves a simulated piston at each reversal
+        found = _with_reversal_velocity(problem, found, place)
+    return found
+
+
+def _merged(problem: Problem, found: Fit, screen: Screen) -> Fit:
+    """The fit with a law and another claim replaced by one law that does as well, if nothing remains."""
+    for first, second in combinations(found.judged if not problem.noticeable(found.residual) else (), 2):
+        if (first.effect.named and second.effect.named) or problem.budget.exhausted:
+            continue
+        rest = fit(problem, tuple(one for one in found.claims if one is not first and one is not second))
+        for one in screen.prospects(rest, 2)[0]:
+            better = _with_reversal_velocity(problem, _from_starts(problem, rest, one.starts))
+            definite = has_identified_shapes(problem, better, better.claims[-1])
+            if definite and better.score <= found.score and not problem.noticeable(better.residual):
+                return _merged(problem, better, screen)
+    return found
+
+
+def _by_curve(below: ClosureFit) -> ClosureFit:
+    """Smooth functions beside names, and beside laws that leave a remainder; laws that no longer pay are dropped.
+
+    Names stay: a smooth function takes the form of any of them.
+    """
+    problem, current, screen, tried = below.problem, below.fit, below.screen, set[str]()
+    assert screen is not None
+    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(current))
+    while room and problem.noticeable(current.residual) and not problem.budget.exhausted:
+        start, gain, there_is = screen.smooth(current, tried)
+        if start is None or gain < max(THRESHOLD, LEAST * there_is):
+            break
+        tried.add(start.effect.label)
+        better = fit(problem, (*current.claims, start))
+        pays = current.score - better.score >= THRESHOLD and not within_form_error(problem, current, better)
+        if pays and not equals_ruled_out(problem, better, better.claims[-1]):
+            current, room = better, room - 1
+    current = without_idle_terms(problem, current, names_stay=True)
+    if {one.effect.label for one in current.claims} <= {one.effect.label for one in below.fit.claims}:
+        return ClosureFit(below.fit, "smooth", 0.0, problem, screen)  # none, or none that pays
+    gain = below.gain + held_out_gain(problem, below.fit, current)
+    return ClosureFit(current, "smooth", gain, problem, screen)
