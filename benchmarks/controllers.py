@@ -245,15 +245,16 @@ def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
 
 
 def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -> None:
-    """Draw the interquartile means [N] of the controllers of `SHOWN` as bars, by reference."""
+    """Draw the interquartile means [N] of the controllers of `SHOWN` that were run as bars, by reference."""
     sizes = {row["reference"]: row["reference_rms"] for row in rows}
-    places, width = np.arange(len(cases)), 0.8 / len(SHOWN)
+    shown = {name: label for name, label in SHOWN.items() if any(row["controller"] == name for row in rows)}
+    places, width = np.arange(len(cases)), 0.8 / len(shown)
     with figure(path, 1, size=(max(8.0, 1.2 * len(cases)), 3.2)) as (_, (axes,)):
-        for number, (name, label) in enumerate(SHOWN.items()):
+        for number, (name, label) in enumerate(shown.items()):
             own = [row for row in rows if row["controller"] == name]
             found = [[row["rmse"] for row in own if row["reference"] == case.name] for case in cases]
             means = [interquartile_mean(np.array(values)) for values in found]
-            bars = axes.bar(places + (number - 1.5) * width, means, width, label=label)
+            bars = axes.bar(places + (number - 0.5 * len(shown) + 0.5) * width, means, width, label=label)
             axes.bar_label(bars, fmt="%.1f", fontsize=6)
         axes.set(yscale="log", ylim=(1.0, None), ylabel="force RMSE [N]")
         axes.set_xticks(places, [f"{case.name}\n{sizes[case.name]:.0f} N RMS" for case in cases])
