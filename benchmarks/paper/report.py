@@ -60,8 +60,9 @@ OWN_NOTES = """
 | 80 | 20 Hz | 0.927 | 1.00, 1.05, 1.07, 1.14 | K_p = 150 is stable |
 | 100 | 15 Hz | 0.91 | 1.05, 1.12, 1.16, 1.25 | 150 trips |
 
-**Not reached**: a bench with the printed row on which K_p between 100 and 120 is unstable by itself. What makes high gains
-unstable is the load cell's lag, and a lag slow enough for that bends the row: its error grows with the frequency's square.
+**Not reached**: a bench with the printed row on which K_p between 100 and 120 is unstable by itself. What makes high
+gains unstable is the load cell's lag, and a lag slow enough for that bends the row: its error grows with the square of
+the frequency.
 """
 Row = list[str]
 Comparisons = Callable[[Store], Iterator[float]]
