@@ -256,8 +256,8 @@ def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -
             means = [interquartile_mean(np.array(values)) for values in found]
             bars = axes.bar(places + (number - 0.5 * len(shown) + 0.5) * width, means, width, label=label)
             axes.bar_label(bars, fmt="%.1f", fontsize=6)
-        axes.set(yscale="log", ylim=(1.0, None), ylabel="force RMSE [N]")
-        axes.set_xticks(places, [f"{case.name}\n{sizes[case.name]:.0f} N RMS" for case in cases])
+        axes.set(yscale="log", ylim=(0.5, None), ylabel="force RMSE [N]")
+        axes.set_xticks(places, [f"{case.name}\n{sizes[case.name]:.0f} N RMS" for case in cases], fontsize=6)
         legend(axes)
 
 
