@@ -13,6 +13,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from benchmarks._model_based import (
 from benchmarks._report import parser
 from benchmarks._truths import drawn_truths, truth_fleet
 from hydro_bridge.bags.writer import code_version
+from hydro_bridge.conformance.reference import FADE
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, command
@@ -47,6 +49,7 @@ from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.task import recorded
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth
@@ -108,27 +111,46 @@ def measure(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Run every case on this truth; one row of figures for each (see `outcome`)."""
     fleet = truth_fleet([config] * len(cases))
-    sums, tripped = np.zeros((4, len(cases))), np.zeros(len(cases), bool)
+    sums, tripped = np.zeros((5, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
     for step in vector_runs.run(fleet, cases, choose, SETTINGS, 0, compensator, residual):
         wanted, current = step.samples["reference_force"], step.samples["valve_current"]
         rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
         before = current[:, -1].copy()
-        for row, signal in enumerate((wanted - step.samples["load_force"], wanted - fleet.rows.felt, rate)):
+        errors = wanted - step.samples["load_force"], wanted - fleet.rows.felt
+        for row, signal in enumerate((*errors, rate, wanted)):
             sums[row] += np.sum(np.where(step.counted, signal, 0.0) ** 2, axis=1)
-        sums[3] += step.counted.sum(axis=1)
+        sums[4] += step.counted.sum(axis=1)
         tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
-    figures = np.sqrt(sums[:3] / sums[3])
+    figures = np.sqrt(sums[:4] / sums[4])
     return [outcome(case, figures[:, k], bool(tripped[k])) for k, case in enumerate(cases)]
 
 
 def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
-    """RMSE of the measured force and of the load's own [N], RMS of u' [A/s]; where it tripped, the reference's RMS."""
-    rmse, felt, rate = map(float, figures)
+    """RMSE of the measured force and of the load's own [N], RMS of u' [A/s] and of the reference [N].
+
+    Where it tripped, both errors are the reference's RMS.
+    """
+    rmse, felt, rate, whole = map(float, figures)
     if tripped:
-        times = np.arange(SETTINGS.settle, SETTINGS.length(case), SAMPLE_PERIOD)
-        rmse = felt = float(np.sqrt(np.mean(reference_force(case.signal, times)[0] ** 2)))
-    return {"reference": case.name, "rmse": rmse, "true_rmse": felt, "current_rate_rms": rate, "tripped": tripped}
+        rmse = felt = whole = float(np.sqrt(np.mean(played(case) ** 2)))
+    return {
+        "reference": case.name, "rmse": rmse, "true_rmse": felt, "current_rate_rms": rate, "reference_rms": whole,
+        "tripped": tripped,
+    }  # fmt: skip
+
+
+def played(case: Case) -> FloatArray:
+    """The reference [N] as a box plays it behind settling."""
+    if not case.pieces:
+        return reference_force(case.signal, np.arange(SETTINGS.settle, SETTINGS.length(case), SAMPLE_PERIOD))[0]
+    fade = SAMPLE_PERIOD * np.arange(recorded.SAMPLES)
+    rising = 3.0 * (fade / FADE) ** 2 - 2.0 * (fade / FADE) ** 3
+    parts, leaving = [], np.zeros(len(fade))
+    for signal in (case.signal, *case.pieces):
+        parts.append(leaving + rising * (reference_force(signal, fade)[0] - leaving))
+        leaving = reference_force(signal, FADE + fade)[0]
+    return np.concatenate(parts)[round(SETTINGS.settle / SAMPLE_PERIOD) :]
 
 
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
@@ -202,32 +224,40 @@ def interquartile_mean(values: FloatArray) -> float:
 
 def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
     """Interquartile mean (worst) RMSE [N] over the truths by reference, a row for each controller."""
-    units = {"controller": "", **dict.fromkeys((case.name for case in cases), "N"), "mean": "N", "u' RMS": "A/s"}
-    made = Table({**units, "trips": ""}, title="Force RMSE: interquartile mean (worst)")
+    sizes = {case.name: next(row["reference_rms"] for row in rows if row["reference"] == case.name) for case in cases}
+    units = {"controller": "", **{name: f"N, of {size:.0f} N RMS" for name, size in sizes.items()}}
+    units |= {"mean": "N, % of each RMS", "u' RMS": "A/s", "trips": ""}
+    made = Table(units, title="Force RMSE: interquartile mean, in % of the reference's RMS (worst)")
     for name in dict.fromkeys(row["controller"] for row in rows):
         own = [row for row in rows if row["controller"] == name]
         values = [np.array([row["rmse"] for row in own if row["reference"] == case.name]) for case in cases]
         means = [interquartile_mean(value) for value in values]
-        cells = {c.name: f"{m:.2f} ({np.nanmax(v):.1f})" for c, m, v in zip(cases, means, values, strict=True)}
+        shares = [100.0 * mean / sizes[case.name] for case, mean in zip(cases, means, strict=True)]
+        cells = {
+            case.name: f"{mean:.2f}, {share:.2f} % ({np.nanmax(value):.1f})"
+            for case, mean, share, value in zip(cases, means, shares, values, strict=True)
+        }
         rate = interquartile_mean(np.array([row["current_rate_rms"] for row in own]))
-        told = {"mean": f"{np.mean(means):.2f}", "u' RMS": f"{rate:.3f}"}
+        told = {"mean": f"{np.mean(means):.2f}, {np.mean(shares):.2f} %", "u' RMS": f"{rate:.3f}"}
         told["trips"] = f"{sum(row['tripped'] for row in own)} of {len(own)}"
         made.add(controller=name, **cells, **told)
     return made
 
 
 def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -> None:
-    """Draw the interquartile means [N] of the controllers of `SHOWN` as bars, by reference."""
-    places, width = np.arange(len(cases)), 0.8 / len(SHOWN)
-    with figure(path, 1, size=(8.0, 3.2)) as (_, (axes,)):
-        for number, (name, label) in enumerate(SHOWN.items()):
+    """Draw the interquartile means [N] of the controllers of `SHOWN` that were run as bars, by reference."""
+    sizes = {row["reference"]: row["reference_rms"] for row in rows}
+    shown = {name: label for name, label in SHOWN.items() if any(row["controller"] == name for row in rows)}
+    places, width = np.arange(len(cases)), 0.8 / len(shown)
+    with figure(path, 1, size=(max(8.0, 1.2 * len(cases)), 3.2)) as (_, (axes,)):
+        for number, (name, label) in enumerate(shown.items()):
             own = [row for row in rows if row["controller"] == name]
             found = [[row["rmse"] for row in own if row["reference"] == case.name] for case in cases]
             means = [interquartile_mean(np.array(values)) for values in found]
-            bars = axes.bar(places + (number - 1.5) * width, means, width, label=label)
+            bars = axes.bar(places + (number - 0.5 * len(shown) + 0.5) * width, means, width, label=label)
             axes.bar_label(bars, fmt="%.1f", fontsize=6)
-        axes.set(yscale="log", ylim=(1.0, None), ylabel="force RMSE [N]")
-        axes.set_xticks(places, [case.name for case in cases])
+        axes.set(yscale="log", ylim=(0.5, None), ylabel="force RMSE [N]")
+        axes.set_xticks(places, [f"{case.name}\n{sizes[case.name]:.0f} N RMS" for case in cases], fontsize=6)
         legend(axes)
 
 
@@ -264,10 +294,15 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=1, help="of the draw; default: %(default)s")
     options.add_argument("--controllers", nargs="+", default=list(CONTROLLERS), choices=CONTROLLERS, metavar="NAME")
     options.add_argument("--references", type=Path, metavar="FILE", help="YAML list; default: the six of evaluate")
+    options.add_argument("--fast", action="store_true", help="sines of 5 Hz, 100 N, and 10 Hz, 50 N, too")
+    options.add_argument(
+        "--recorded", type=Path, nargs="+", default=[], metavar="FILE", help="recorded references, too: as `evaluate`"
+    )
     options.add_argument("--picture", type=Path, metavar="FILE", help="bars of the controllers of README")
     jobs.add_arguments(options)
     asked = options.parse_args()
-    cases = load_cases(asked.references)
+    extra = replace(SETTINGS, fast=asked.fast, recorded=tuple(map(str, asked.recorded))).cases[len(SETTINGS.cases) :]
+    cases = load_cases(asked.references) + extra
     rows = run(asked, cases)
     table(rows, cases).show()
     if asked.picture:

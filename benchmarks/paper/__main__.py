@@ -24,6 +24,7 @@ TABLES = {
     "val_cont": "validation.run",
     "rmse": "agents.run",
     "chatter": "agents.run_chatter",
+    "own-row": "agents.run_own",
 }
 """What runs each; imported when it does: torch and compiled code take seconds, and --show needs neither."""
 
@@ -49,7 +50,8 @@ def main() -> None:
         _run(store, asked.only or list(TABLES), asked.seeds or list(seeds))
     report.write(store, asked.report, asked.json)
     if asked.ship:
-        print(f"wrote {store.ship(RESULTS)}", file=sys.stderr)
+        for one in (store, store.own):
+            print(f"wrote {one.ship(RESULTS)}", file=sys.stderr)
 
 
 def _run(store: Store, names: list[str], seeds: list[int]) -> None:

@@ -16,13 +16,12 @@ import subprocess
 import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.controllers import policy_of
-from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
+from benchmarks.controllers import PAPER_GAINS, policy_of
+from benchmarks.paper.store import AUTHORITIES, OWN_BENCH, OWN_GAINS, PRINTED, Result, Store, truth
 from benchmarks.paper.validation import corrector
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_core.signals import SAMPLE_PERIOD, Flag
@@ -37,7 +36,6 @@ from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
@@ -77,15 +75,30 @@ class Listening(OfflineGraph):
 
 def run(store: Store, seed: int) -> None:
     """I, II, III."""
-    store.piece(f"rmse-default-III-{seed}", lambda: _rmse(FixedGains(90.0, 15.0), seed))
+    store.piece(f"rmse-default-III-{seed}", lambda: _rmse(store, FixedGains(*PAPER_GAINS), seed))
     for authority in AUTHORITIES:
         for who, make in (("II", _second), ("I", _first)):
             store.piece(f"rmse-default-{authority}-{who}-{seed}", partial(make, store, authority, seed))
 
 
-def bench() -> TruthPlant:
-    """The emulator's default truth."""
-    return TruthPlant(profile("default"))
+def run_own(store: Store, seed: int) -> None:
+    """On the bench with the paper's row III: III, fixed gains behind the paper's filter, II and I."""
+    own = store.own
+    for kp in OWN_GAINS:
+        own.piece(f"unfiltered-{kp:g}-{seed}", partial(_rmse, own, FixedGains(kp, PAPER_GAINS[1]), seed))
+    for kp in OWN_GAINS:
+        own.piece(f"filtered-{kp:g}-{seed}", partial(_filtered, own, kp, seed))
+    for who, make in (("II", _second), ("I", _first)):
+        own.piece(f"rmse-default-paper-{who}-{seed}", partial(make, own, "paper", seed))
+
+
+def _filtered(store: Store, kp: float, seed: int) -> Result:
+    return _rmse(store, FixedGains(kp, PAPER_GAINS[1]), seed, corrector(store, "paper-short", seed))
+
+
+def bench(store: Store) -> TruthPlant:
+    """The plant of this store."""
+    return TruthPlant(truth(store.bench))
 
 
 def run_chatter(store: Store, seed: int) -> None:
@@ -96,21 +109,22 @@ def run_chatter(store: Store, seed: int) -> None:
 
 def simulated(store: Store, authority: str, seed: int) -> InitialAgent:
     """II: the agent that `pretrain` makes; made again if its run is gone, gone on with if it is not finished."""
-    name, episodes = f"II-{authority}-{seed}", store.size.simulated_episodes
+    name = f"II-{authority}-{seed}"
     folder = store.folder / name
-    store.piece(name, lambda: _pretrained(folder, authority, seed, episodes), folder.with_suffix(".curve"))
+    store.piece(name, lambda: _pretrained(store, authority, seed), folder.with_suffix(".curve"))
     return load_initial_agent(folder)
 
 
-def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Result:
+def _pretrained(store: Store, authority: str, seed: int) -> Result:
     """A run of `pretrain`; what is there of a run of another length, or of one without a checkpoint, is begun again."""
+    folder, episodes = store.folder / f"II-{authority}-{seed}", store.size.simulated_episodes
     table, run = folder.with_suffix(".curve"), RunDirectory(folder)
     words = ["--resume", str(folder)]
     if not (run.latest.is_dir() and run.load_settings().episodes == episodes):
         shutil.rmtree(folder, ignore_errors=True)
         steps = str(PRINTED["training_agent"]["steps"])
         words = ["--out", str(folder), "--configuration", authority, "--seed", str(seed), "--steps", steps]
-        words += ["--episodes", str(episodes)]
+        words += ["--episodes", str(episodes), *(["--model", str(OWN_BENCH)] if store.bench == "own" else [])]
     command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words, "--json", str(table)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return {"curve": json.loads(table.read_text(encoding="utf-8"))["rows"]}
@@ -118,18 +132,18 @@ def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Resul
 
 def _second(store: Store, authority: str, seed: int) -> Result:
     start = simulated(store, authority, seed)
-    return _rmse(_controller(start, actor_parameters(start.agent)), seed)
+    return _rmse(store, _controller(start, actor_parameters(start.agent)), seed)
 
 
 def _first(store: Store, authority: str, seed: int) -> Result:
     start, episodes = simulated(store, authority, seed), store.size.bench_episodes
-    session, graph = train(bench(), start, episodes, max(episodes // EXAMS, 1), seed)
+    session, graph = train(bench(store), start, episodes, max(episodes // EXAMS, 1), seed)
     came = actor_parameters(start.agent)
     best, last = (came if found is None else found for found in (session.run.best, session.run.good))
     told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.run.gave_up or "")}
     told |= {key: [float(exam[key]) for exam in session.progress.exams] for key in ("score", "error")}
-    told |= {"last": _rmse(_controller(start, last), seed)["rmse"]}
-    return {**_rmse(_controller(start, best), seed), **told}
+    told |= {"last": _rmse(store, _controller(start, last), seed)["rmse"]}
+    return {**_rmse(store, _controller(start, best), seed), **told}
 
 
 def train(
@@ -154,12 +168,12 @@ def _controller(start: InitialAgent, parameters: Any) -> PolicyController:
     return PolicyController(policy_of(parameters, start), start.gains, "policy")
 
 
-def _rmse(controller: Controller, seed: int) -> Result:
+def _rmse(store: Store, controller: Controller, seed: int, corrector: Corrector | None = None) -> Result:
     """Force RMSE [N] at the paper's sines, each from rest; NaN: stopped."""
     guard = GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0)
-    plant, found = bench(), []
+    plant, found = bench(store), []
     for frequency in PRINTED["rmse"]["frequencies"]:
-        graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed)
+        graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed, corrector=corrector)
         plan = Comparison(replace(EVALUATION, frequencies=(float(frequency),)), [controller])
         session = TrialRunner(plan, PlantSupervisor(graph, True))
         graph.run(session, 10.0 * plan.seconds)
@@ -170,5 +184,5 @@ def _rmse(controller: Controller, seed: int) -> Result:
 def _chatter(store: Store, chosen: str, seed: int) -> Result:
     start = simulated(store, "paper", seed)
     made = None if chosen == "none" else corrector(store, chosen, seed)
-    session, graph = train(bench(), start, CHATTER_EPISODES, 0, seed, made)
+    session, graph = train(bench(store), start, CHATTER_EPISODES, 0, seed, made)
     return {"chatter": graph.chatter, "trips": graph.trips, "episodes": session.progress.episode}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table rmse_model: the paper's network, trained as printed, as meant and on single steps, and the analytic model.
 
-Recordings are of the emulator's default truth: 2 x 150 s to train on, 60 s to stop by, 60 s to be judged by, the
+Recordings are of the store's truth: 2 x 150 s to train on, 60 s to stop by, 60 s to be judged by, the
 seeds those of schedule and noise. Errors are of 70-sample predictions from the measurement, over each state's range;
 the learned bench file, which is ours, starts from its observer's states, which see the same measurements.
 
@@ -30,10 +30,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store
+from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store, truth
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, matrix
 from hydro_sim.emulator.offline import Recording, record_offline
-from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation import draw
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import load_model
@@ -55,22 +54,22 @@ FARTHEST = 20.0
 Tensor = torch.Tensor
 
 
-def record(seconds: float, seed: int) -> Recording:
-    """A run of the emulator's default truth under the schedule of a seed."""
-    return record_offline(profile("default"), draw(seconds, seed), seed=seed)
+def record(bench: str, seconds: float, seed: int) -> Recording:
+    """A run of a truth of `store.truth` under the schedule of a seed."""
+    return record_offline(truth(bench), draw(seconds, seed), seed=seed)
 
 
 @cache
-def data() -> Data:
+def data(bench: str) -> Data:
     """What every network is trained on; the last recording validates."""
     seconds = {11: 150.0, 12: 150.0, 13: 60.0}
-    return recordings.split({f"train{seed}": record(length, seed).states for seed, length in seconds.items()})
+    return recordings.split({f"train{seed}": record(bench, length, seed).states for seed, length in seconds.items()})
 
 
 @cache
-def held_out() -> list[Scored]:
+def held_out(bench: str) -> list[Scored]:
     """What every model is judged by."""
-    recording = record(60.0, 21)
+    recording = record(bench, 60.0, 21)
     truth = matrix(recording.noise_free)
     runs = recordings.runs("held out", recording.states)
     return [Scored(run=run, truth=truth[run.first : run.first + len(run)]) for run in runs]
@@ -83,10 +82,14 @@ def weights(store: Store, loss: str, seed: int) -> Path:
 
 def run(store: Store, seed: int) -> None:
     """The networks of a seed, and both other models."""
-    store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
-    store.piece("model-ours", lambda: judged(BenchPrediction(load_model(), [one.run for one in held_out()])))
+    store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal()), store.bench))
+    store.piece("model-ours", lambda: judged(_ours(store.bench), store.bench))
     for loss in LOSSES:
         store.piece(f"model-{loss}-{seed}", partial(_trained, store, loss, seed))
+
+
+def _ours(bench: str) -> BenchPrediction:
+    return BenchPrediction(load_model(), [one.run for one in held_out(bench)])
 
 
 def network(store: Store, loss: str, seed: int) -> NetworkModel:
@@ -99,18 +102,18 @@ def network(store: Store, loss: str, seed: int) -> NetworkModel:
 def _trained(store: Store, loss: str, seed: int) -> Result:
     """Train a network of Table training and judge it."""
     table = PRINTED["training"]
-    model = NetworkModel.untrained(data().training, (table["hidden"][0], table["hidden"][1]), seed)
+    model = NetworkModel.untrained(data(store.bench).training, (table["hidden"][0], table["hidden"][1]), seed)
     told = train(
-        model, data(), batch=table["batch"], seed=seed, epochs=store.size.model_epochs,
+        model, data(store.bench), batch=table["batch"], seed=seed, epochs=store.size.model_epochs,
         learning_rate=table["learning_rate"], **{"horizon": table["horizon"], **SETTINGS[loss]},
     )  # fmt: skip
     model.save(weights(store, loss, seed))
-    return {**judged(model), **told}
+    return {**judged(model, store.bench), **told}
 
 
-def judged(model: Predictor) -> Result:
+def judged(model: Predictor, bench: str) -> Result:
     """Errors on the recording that is held out."""
-    scored = held_out()
+    scored = held_out(bench)
     reference = np.concatenate([item.reference for item in scored])
     states = [model.estimate(item.run) for item in scored]
     found = validate.prediction_errors(model, states, scored, recorded=False, horizon=HORIZON, stride=APART)

@@ -13,7 +13,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from typing import Any
 import yaml
 
 from hydro_core.files.atomic import write_whole
+from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
 
 RESULTS = Path(__file__).parent / "results"
 """What came with the program."""
@@ -36,6 +37,10 @@ CASES = ("stable", "unstable", "negative", "positive", "high")
 FILTERS = ("none", "ours", "paper-short", "paper-long")
 """Bypassed; the shipped one; the paper's after 3 epochs and after many."""
 AUTHORITIES = ("paper", "wide")
+OWN_TRUTH, OWN_BENCH = (Path(__file__).parent / f"own_row_{kind}.yaml" for kind in ("truth", "bench"))
+"""The bench with the paper's printed row III, as the emulator has it and as a bench file."""
+OWN_GAINS = (90.0, 105.0, 120.0, 150.0, 200.0, 300.0)
+"""K_p that run behind the paper's filter there, K_i 15."""
 
 Result = dict[str, Any]
 
@@ -79,7 +84,19 @@ class Store:
         self.folder, self.size = folder / size.name, size
         self.folder.mkdir(parents=True, exist_ok=True)
         self._shipped = {} if shipped is None else _lines(shipped / f"{size.name}.jsonl")
+        self._places = folder, shipped
         self._inside = 0.0  # s of CPU of pieces that the present one had made; theirs, not its own
+
+    @property
+    def bench(self) -> str:
+        """`own`: the one with the paper's row III; `default`: the emulator's default truth."""
+        return "own" if self.size.name.endswith("-own") else "default"
+
+    @property
+    def own(self) -> Store:
+        """The results on the bench with the paper's row III, of this size."""
+        folder, shipped = self._places
+        return Store(folder, replace(self.size, name=f"{self.size.name}-own"), shipped)
 
     def piece(self, name: str, make: Callable[[], Result], beside: Path | None = None) -> Result:
         """The result of this name, made and kept if it is not there yet, or if what it left `beside` it is gone."""
@@ -114,6 +131,11 @@ class Store:
 
     def _file(self, name: str) -> Path:
         return self.folder / f"{name}.json"
+
+
+def truth(bench: str) -> TruthConfig:
+    """The truth of `Store.bench`."""
+    return load_truth(OWN_TRUTH) if bench == "own" else profile("default")
 
 
 def _lines(file: Path) -> dict[str, Result]:

@@ -12,12 +12,11 @@ from functools import partial
 import numpy as np
 
 from benchmarks.paper import metric, models
-from benchmarks.paper.store import CASES, FILTERS, Result, Store
+from benchmarks.paper.store import CASES, FILTERS, Result, Store, truth
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_filter.validation import runs
 from hydro_filter.validation.runs import Corrector, Trial, gammas
 from hydro_filter.validation.runs import run as run_trial
-from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 
@@ -42,7 +41,7 @@ def _run(store: Store, name: str, chosen: str, seed: int) -> Result:
     case, bench = runs.CASES[name], Bench.nominal()
     gains = case.draw(seed, store.size.validation_seconds)
     trial = Trial(bench=bench, reference=case.reference, gains=gains, seed=seed)
-    done = run_trial(trial, TruthPlant(profile("default")), corrector(store, chosen, seed))
+    done = run_trial(trial, TruthPlant(truth(store.bench)), corrector(store, chosen, seed))
     settled = done.states[min(runs.SETTLING, len(done.states) // 2) :]
     units = np.array([100.0, 100.0, 1.0, 100.0, 1.0])
     return {

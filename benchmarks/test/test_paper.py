@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.paper import metric, report
+from benchmarks.paper import agents, metric, report
 from benchmarks.paper.metric import NetworkMetric, PaperFilter
 from benchmarks.paper.models import NetworkModel
-from benchmarks.paper.store import FULL, RESULTS, Store
+from benchmarks.paper.store import FULL, OWN_BENCH, PRINTED, RESULTS, Store, truth
 from hydro_filter.model.sample import Sample
 from hydro_filter.training.data import DataSettings, roll_out
+from hydro_policy.evaluation.controllers import FixedGains
 from hydro_sim.files.recordings import Run
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -53,6 +54,14 @@ def metric_of(made: torch.nn.Module, model: NetworkModel) -> NetworkMetric:
 def test_the_page_is_made_from_the_results_that_came_with_it(tmp_path: Path) -> None:
     page = (RESULTS.parents[2] / "docs/reports/paper.md").read_text(encoding="utf-8")
     assert page == report.text(Store(tmp_path, FULL, RESULTS))
+
+
+def test_fixed_gains_have_the_papers_row_on_a_bench_of_its_own(tmp_path: Path) -> None:
+    found = agents._rmse(Store(tmp_path, FULL).own, FixedGains(90.0, 15.0), 7)
+    np.testing.assert_allclose(found["rmse"], PRINTED["rmse"]["III"], rtol=0.1)
+    believed, own = Bench.load(OWN_BENCH), truth("own").bench
+    assert all(getattr(own, name) == value for name, value in believed.to_mapping().items())
+    assert own.load_cell_bandwidth is None and truth("default").bench != own
 
 
 def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:

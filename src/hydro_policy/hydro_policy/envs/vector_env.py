@@ -44,7 +44,7 @@ from hydro_policy.compensation.estimator import ADAPTS
 from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs import FilterName
 from hydro_sim.box import firmware
-from hydro_sim.box.box import BoxConfig, fill_command
+from hydro_sim.box.box import BoxConfig, fill_command, signal_record
 from hydro_sim.box.firmware import COEFFICIENTS, VALVE_GAIN_SCALE, VELOCITY_COMPENSATION
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import plant as plants_of
@@ -259,6 +259,10 @@ class VectorBench:
         first = self.samples[index, -1:]
         _exchange(firmware.calls(), self.settings[one], box, command, self.filters, index, read, first)
         self.compensated[index, -1] = box["acting"]["reference"][0]
+
+    def follow(self, index: int, reference: ReferenceSignal) -> None:
+        """Command another reference from the next sample on; the box fades into it."""
+        self.commands[index]["reference"] = signal_record(reference)
 
     def step(self, changes: FloatArray, coefficients: FloatArray | None = None) -> StateArray:
         """Advance ten samples; returns `samples`.

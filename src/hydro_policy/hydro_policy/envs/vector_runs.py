@@ -89,7 +89,11 @@ def run(
         fleet.begin(index, case.signal, seed, law=law)
     ends = np.array([round(settings.length(case) / SAMPLE_PERIOD) for case in cases])
     first = round(settings.settle / SAMPLE_PERIOD)
+    recorded = [(index, case) for index, case in enumerate(cases) if case.pieces]
     for start in range(1, int(ends.max()), SAMPLES_PER_STEP):
+        for index, case in recorded:
+            if (signal := case.due(start - 1 - SAMPLES_PER_STEP, start - 1)) is not None:
+                fleet.follow(index, signal)
         changes = choose(records(fleet.samples[:, -1], STATE_FIELDS))
         samples = fleet.step_adapted(changes, adapted)
         number = start + np.arange(SAMPLES_PER_STEP)

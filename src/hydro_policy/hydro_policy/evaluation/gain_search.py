@@ -149,7 +149,7 @@ class GridPlan:
         if self._pair is None:
             return None
         case = self.evaluation.cases[len(self._rmse)]
-        measure = self.evaluation.measured(case.signal.frequency)
+        measure = self.evaluation.measured(case)
         controller = FixedGains(*self._pair, self._base)
         return Trial(controller=controller, case=case, settle=self.evaluation.settle, measure=measure)
 

@@ -36,7 +36,9 @@ def table(session: TrialRunner[Comparison]) -> Table:
     felt = (
         "; in brackets of the force on the specimen" if any(math.isfinite(s.true_rmse) for s in session.scores) else ""
     )
-    result = Table(columns, title=f"Force RMSE [N], sines of {session.plan.settings.amplitude:g} N{spread}{felt}")
+    force = f"{session.plan.settings.amplitude:g} N"
+    title = f"Force RMSE [N], and in % of the reference's RMS, sines of {force}{spread}{felt}"
+    result = Table(columns, title=title)
     reaches = {controller.name: controller.reach for controller in session.plan.controllers}
     for name in dict.fromkeys(score.controller for score in session.scores):
         cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
@@ -92,11 +94,14 @@ def _cell(scores: list[Score]) -> float | str:
         return "-"
     values, felt = [score.rmse for score in scores], float(np.mean([score.true_rmse for score in scores]))
     shown = f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if len(values) > 1 else f"{values[0]:.2f}"
+    share = float(np.mean([100.0 * score.rmse / score.reference_rms for score in scores]))
+    if math.isfinite(share):
+        shown = f"{shown}, {share:.2f} %"
     if math.isfinite(felt):
         shown = f"{shown} ({felt:.2f})"
     if any(score.spoilt for score in scores):
         return f"{shown} *"
-    return shown if len(values) > 1 or math.isfinite(felt) else float(shown)
+    return shown if len(values) > 1 or math.isfinite(felt) or math.isfinite(share) else float(shown)
 
 
 def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
@@ -118,6 +123,7 @@ def write_json(session: TrialRunner[Comparison], path: Path, notes: Mapping[str,
         "settings": session.plan.settings,
         "units": {
             "rmse": "N",
+            "reference_rms": "N",
             "true_rmse": "N",
             "peak": "N",
             "chatter": "A/s",

@@ -196,6 +196,7 @@ class TrialRunner(Generic[P]):
 
     def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> bool:
         trial = run.trial
+        before = (run.last - run.first) % 2**32
         run.missed, run.last = run.missed + (sequence - run.last - 1) % 2**32, sequence
         time = (sequence - run.first) * SAMPLE_PERIOD - trial.settle
         if time >= 0.0 and trial.judged:
@@ -207,6 +208,8 @@ class TrialRunner(Generic[P]):
             self._stop(trial, reason)
         elif sequence % SAMPLES_PER_STEP == 0:
             self._publish(trial.controller.gains(sample))
+        if (signal := trial.case.due(before, (sequence - run.first) % 2**32)) is not None:
+            self._outputs.reference(signal)
         if self._run is run and time >= 0.0 and time + SAMPLE_PERIOD >= trial.measure - 1e-9:
             self._end(run)
         return sequence % SAMPLES_PER_STEP == 0

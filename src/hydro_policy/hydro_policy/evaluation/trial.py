@@ -76,7 +76,7 @@ class Comparison:
             first = not self.trials or self.trials[-1].controller is not controller
             self.trials.append(
                 Trial(controller=controller, case=case, repeat=repeat, settle=settings.settle + lead * first,
-                      measure=settings.measured(case.signal.frequency))
+                      measure=settings.measured(case))
             )  # fmt: skip
 
     def __len__(self) -> int:

@@ -4,6 +4,7 @@
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --fixed 15 5
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --grid --multisine --steps --repeats 5
 ros2 run hydro_policy evaluate --plant emulator --law compensated --load-cell corrected.yaml
+ros2 run hydro_policy evaluate --plant emulator --law compensated --fast --recorded ElCentroAccelNoScaling.mat
 """
 
 from __future__ import annotations
@@ -60,6 +61,15 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--kp-max", type=float, default=300.0, metavar="KP", help="of the grid (default 300)")
     what.add_argument("--multisine", action="store_true", help="a multisine, too")
     what.add_argument("--steps", action="store_true", help="smooth steps, too")
+    what.add_argument("--fast", action="store_true", help="sines of 5 Hz, 100 N, and 10 Hz, 50 N, too")
+    what.add_argument(
+        "--recorded",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="recorded references, scaled to 300 N, too, up to 20 s of each: CSV of time [s] and value, .mat, or a bag",
+    )
     what.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="default: 0.5 1 1.5 2")
     what.add_argument("--repeats", type=int, metavar="N", help="runs of each at each frequency (default 1)")
     what.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise of simulation or emulator")

@@ -141,8 +141,9 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
 
 def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
     """Evaluation settings from defaults and command line."""
-    names = ("repeats", "multisine", "steps")
+    names = ("repeats", "multisine", "steps", "fast")
     given = {name: getattr(options, name) for name in names}
+    given["recorded"] = tuple(map(str, options.recorded))
     given["frequencies"] = options.frequencies and tuple(options.frequencies)
     return EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
 

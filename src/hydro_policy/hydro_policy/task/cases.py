@@ -6,13 +6,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hydro_bridge.conformance.reference import FADE
 from hydro_core.settings import SettingsError, check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_policy.task import recorded
 from hydro_sim.model.bench import NOMINAL
 
 K = TypeVar("K")
@@ -25,6 +28,23 @@ class Case:
     name: str
     """Name for tables: `2 Hz`, `multisine`, `steps`."""
     signal: ReferenceSignal
+    pieces: tuple[ReferenceSignal, ...] = ()
+    """Signals that follow `signal`, one every 0.3 s: a recorded reference (`task.recorded`), played to its end."""
+
+    def due(self, before: int, now: int) -> ReferenceSignal | None:
+        """Return the signal to send at sample `now` of a run, the last one taken being `before`; None: none is due."""
+        number = now // recorded.SAMPLES
+        due = before // recorded.SAMPLES < number and 0 < number <= len(self.pieces)
+        return self.pieces[number - 1] if due else None
+
+
+FAST = {5.0: 1.0 / 3.0, 10.0: 1.0 / 6.0}
+"""Sines beyond the paper's [Hz] and their share of the amplitude: 100 and 50 N on the nominal bench.
+
+The flow at full current is the limit: A v = q_n sqrt(2 p_s / (1 + alpha^3) / dp_n) gives k v / (2 pi f), 1020 and 510 N
+on the nominal bench, 310 and 150 N with the softest spring, weakest valve and lowest supply that the benchmarks draw.
+A third of that is left for the law's lead and for what the load cell does not show.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,6 +59,10 @@ class EvaluationSettings:
     """Four incommensurate sines from 0.5 Hz up, at most `amplitude` together, too."""
     steps: bool = False
     """Smooth steps of two thirds of `amplitude` to both sides at 0.5 Hz, too."""
+    fast: bool = False
+    """Sines of 5 Hz with a third of `amplitude` and of 10 Hz with a sixth, too."""
+    recorded: tuple[str, ...] = ()
+    """Files of recorded references, CSV, .mat or bag, scaled to `amplitude`, too."""
     settle: Annotated[float, quantity("s", 0.5, 60.0)] = 2.0
     """Left out at the start of each run: the cross-fade takes 0.3 s."""
     measure: Annotated[float, quantity("s", 0.1, 600.0)] = 3.0
@@ -50,7 +74,7 @@ class EvaluationSettings:
 
     def __post_init__(self) -> None:
         check(self)
-        if not (self.frequencies or self.multisine or self.steps):
+        if not self.cases:
             raise SettingsError("an evaluation needs frequencies, a multisine or steps")
 
     @property
@@ -61,15 +85,25 @@ class EvaluationSettings:
             cases.append(Case("multisine", _signal(Waveform.MULTISINE, self.amplitude, 0.5)))
         if self.steps:
             cases.append(Case("steps", _signal(Waveform.SMOOTH_STEP, self.amplitude * 2.0 / 3.0, 0.5)))
+        if self.fast:
+            for frequency, share in FAST.items():
+                force = self.amplitude * share
+                cases.append(Case(f"{frequency:g} Hz, {force:g} N", _signal(Waveform.SINE, force, frequency)))
+        for file in self.recorded:
+            first, *others = recorded.pieces(Path(file), self.amplitude)
+            cases.append(Case(Path(file).stem, first, tuple(others)))
         return tuple(cases)
 
-    def measured(self, frequency: float) -> float:
-        """Return the measured time [s] at this frequency [Hz], whole periods."""
+    def measured(self, case: Case) -> float:
+        """Return the measured time [s]: whole periods, of a record what is left of it behind `settle`."""
+        if case.pieces:
+            return max(FADE * (len(case.pieces) + 1) - self.settle, self.measure)
+        frequency = case.signal.frequency
         return max(math.ceil(self.measure * frequency - 1e-9), self.periods) / frequency
 
     def length(self, case: Case) -> float:
         """Return the duration of a run [s]."""
-        return self.settle + self.measured(case.signal.frequency)
+        return self.settle + self.measured(case)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,6 +153,8 @@ class Score:
     repeat: int
     rmse: float = math.nan
     """Force RMSE [N]; NaN if the run was stopped."""
+    reference_rms: float = math.nan
+    """N, RMS of the reference."""
     true_rmse: float = math.nan
     """N, the same of the force on the specimen, in front of the load cell; NaN unless the plant is emulated."""
     peak: float = math.nan
@@ -166,6 +202,7 @@ def score(trace: Trace, repeat: int, held: int = 0, felt: FloatArray | None = No
         frequency=trace.frequency,
         repeat=repeat,
         rmse=float(np.sqrt(np.mean(error**2))),
+        reference_rms=float(np.sqrt(np.mean(states["reference_force"] ** 2))),
         true_rmse=math.nan if felt is None else float(np.sqrt(np.mean((states["reference_force"] - felt) ** 2))),
         peak=float(np.abs(error).max()),
         chatter=float(np.sqrt(np.mean(current_rate**2))),

@@ -24,7 +24,7 @@ import numpy as np
 
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
 from hydro_core.settings import SettingsError, check, quantity
-from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
+from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, ReferenceSignal, StateArray
 from hydro_core.size import resized
 from hydro_sim.box import firmware
 from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records
@@ -276,10 +276,14 @@ def law_state(state: np.void) -> LawState:
     return LawState(Law(int(acting["law"])), *followed, (a_0, a_1, a_2, a_3), c_1, c_2)
 
 
+def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
+    """Fields of a record of hydro_signal."""
+    return signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0
+
+
 def fill_command(record: Records, command: Command) -> None:
     """Write a command into one record of hydro_command, shape (1,)."""
-    signal = command.reference
-    reference = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
+    reference = signal_record(command.reference)
     gains = (command.delta_kp, command.delta_ki, command.delta_u)
     shaping = (*command.coefficients, command.velocity_compensation, command.valve_gain_scale)
     record[0] = (0, command.corrects, command.arm, command.filter_fresh, 0, *gains, reference, command.law, shaping)

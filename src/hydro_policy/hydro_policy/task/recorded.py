@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded references, a ground motion for instance, as signals that every box can play.
+
+A box plays one waveform at a time and fades over `FADE` into the next (protocol.md). So a record is sent as sines with
+an offset, one each `FADE`, s_k at t_k = k `FADE`::
+
+    f_r(t) = (1 - b) s_{k-1}(t) + b s_k(t)        b = 3 p^2 - 2 p^3,  p = (t - t_k) / FADE
+
+s_k is the least-squares fit over both fades that it takes part in, the one before it as it is; its frequency is the
+best of `FREQUENCIES`. Four numbers each 0.3 s follow a record up to some 3 Hz, so it is low-passed there; what the box
+plays then misses it by 7 to 8 % of its RMS on the three ground motions of `benchmarks.hybrid_simulation`.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from hydro_bridge.conformance.reference import FADE
+from hydro_core.settings import SettingsError
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
+
+SECONDS = 20.0
+"""Of a longer record that many seconds are played, those with the largest RMS."""
+BANDWIDTH = 3.0
+"""Hz, of the low-pass, second order forwards and backwards."""
+FREQUENCIES = np.arange(0.5, 10.01, 0.25)
+"""Hz, of a piece."""
+SAMPLES = round(FADE / SAMPLE_PERIOD)
+"""Samples between two pieces."""
+
+
+def read(path: Path) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and values of a record, shape (n,) each.
+
+    A rosbag2 folder or .mcap: its reference force. A .mat file: its matrix of two rows or columns. Else text with
+    commas, the first two columns. Raises SettingsError: it is no such file, or times do not rise.
+    """
+    try:
+        if path.is_dir() or path.suffix == ".mcap":
+            from hydro_bridge.bags.recording import read_bag
+
+            states = read_bag(path).state
+            table = np.stack((states["sequence"] * SAMPLE_PERIOD, states["reference_force"]))
+        elif path.suffix == ".mat":
+            from scipy.io import loadmat
+
+            found = [value for name, value in loadmat(path).items() if not name.startswith("__")]
+            (table,) = (m.T if m.shape[0] > m.shape[1] else m for m in found if m.ndim == 2 and 2 in m.shape)
+        else:
+            table = np.genfromtxt(path, delimiter=",", usecols=(0, 1)).T
+        table = table[:, np.isfinite(table).all(axis=0)].astype(float)
+    except (ValueError, IndexError) as error:
+        raise SettingsError(f"{path} holds no record, a column of times [s] and one of values: {error}") from None
+    if table.shape[1] < 10 or np.any(np.diff(table[0]) <= 0.0):
+        raise SettingsError(f"{path} holds no record: ten times [s] or more that rise are needed")
+    return table[0], table[1]
+
+
+@cache
+def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
+    """Signals to send one after the other, a `FADE` apart; the record's largest magnitude is `amplitude` [N]."""
+    from scipy.signal import butter, sosfiltfilt
+
+    time, value = read(path)
+    value = np.interp(np.arange(time[0], time[-1], SAMPLE_PERIOD), time, value)
+    if len(value) < 3 * SAMPLES:
+        raise SettingsError(f"{path} is shorter than {3 * FADE:.1f} s")
+    smooth = sosfiltfilt(butter(2, BANDWIDTH, fs=1.0 / SAMPLE_PERIOD, output="sos"), value - value.mean())
+    length = min(len(smooth), round(SECONDS / SAMPLE_PERIOD))
+    energy = np.concatenate(([0.0], np.cumsum(smooth**2)))
+    first = int(np.argmax(energy[length:] - energy[: len(energy) - length]))
+    part = smooth[first : first + length]
+    largest = float(np.abs(part).max())
+    if largest == 0.0:
+        raise SettingsError(f"{path} holds nothing but one value")
+    return tuple(fitted(amplitude / largest * part, 2.0 * amplitude))
+
+
+def fitted(record: FloatArray, limit: float) -> list[ReferenceSignal]:
+    """Pieces of a record [N] at 1 kHz, shape (n,); no piece with more than `limit` [N] of offset and amplitude."""
+    since, fade = SAMPLE_PERIOD * np.arange(2 * SAMPLES), np.arange(SAMPLES) / SAMPLES
+    rising = fade**2 * (3.0 - 2.0 * fade)
+    weight = np.concatenate((rising, 1.0 - rising))
+    angles = 2.0 * np.pi * np.outer(FREQUENCIES, since)
+    bases = np.stack((np.ones_like(angles), np.sin(angles), np.cos(angles)), axis=-1)
+    inverses = np.linalg.pinv(bases * weight[:, np.newaxis], rcond=0.03)
+    made, leaving = [], np.zeros(SAMPLES)
+    for start in range(0, len(record) - 2 * SAMPLES + 1, SAMPLES):
+        target = weight * record[start : start + 2 * SAMPLES]
+        target[:SAMPLES] = record[start : start + SAMPLES] - (1.0 - rising) * leaving
+        found = inverses @ target
+        played = np.einsum("fsn,fn->fs", bases, found)
+        size = np.abs(found[:, 0]) + np.hypot(found[:, 1], found[:, 2])
+        missed = np.where(size <= limit, np.sum((target - weight * played) ** 2, axis=1), np.inf)
+        best = int(np.argmin(missed))
+        offset, sine, cosine = map(float, found[best])
+        made.append(
+            ReferenceSignal(
+                waveform=Waveform.SINE, amplitude=math.hypot(sine, cosine), offset=offset,
+                frequency=float(FREQUENCIES[best]), phase=math.atan2(cosine, sine),
+            )
+        )  # fmt: skip
+        leaving = played[best, SAMPLES:]
+    return made
