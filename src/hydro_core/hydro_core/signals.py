@@ -104,6 +104,12 @@ class CorrectionStatus(IntEnum):
     MISMATCH = 7
 
 
+OUTSIDE = 8
+"""Bit of `Correction.status` beside a `CorrectionStatus`: the loop is outside of the region that is proved."""
+DECIDED = OUTSIDE - 1
+"""Mask of `Correction.status` that leaves the `CorrectionStatus`."""
+
+
 class Law(IntEnum):
     """Force laws of a box (`firmware/hydro/force_law.h`): the paper's, and the one with a compensated reference."""
 

@@ -32,7 +32,17 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.serial.protocol import LawState
-from hydro_core.signals import PLANT_FIELDS, STATE_FIELDS, CorrectionStatus, Law, ReferenceSignal, Waveform
+from hydro_core.signals import (
+    DECIDED,
+    OUTSIDE,
+    PLANT_FIELDS,
+    STATE_FIELDS,
+    CorrectionStatus,
+    Flag,
+    Law,
+    ReferenceSignal,
+    Waveform,
+)
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric
@@ -42,6 +52,7 @@ from hydro_msgs.msg import LawState as LawStateMessage
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.excitation import Segment
+from hydro_sim.files import learned_bench
 from hydro_sim.files.learned_bench import digest as digest_of
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.model.bench import Bench
@@ -163,7 +174,7 @@ def test_new_files_are_taken_over_while_disarmed_and_not_before(
             sequence = next(number)
             source.publish(sequence, Sample.of(record), flags=flags)
             source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
-        return CorrectionStatus(source.corrections[-1].status)
+        return CorrectionStatus(source.corrections[-1].status & DECIDED)
 
     write(replace(model, spring_stiffness=1.5 * model.spring_stiffness))
     source, number = started("--metric", str(file), "--model", str(of), *PATIENT), itertools.count()
@@ -226,10 +237,10 @@ def test_a_plant_that_goes_by_its_own_clock_has_no_stale_states(
     source = started()
     source.node.destroy_publisher(source.states)  # two plants are not answered
     start("hydro_sim sim")
-    source.wait(lambda: any(message.status == CorrectionStatus.PASS for message in source.corrections))
+    source.wait(lambda: any(message.status & DECIDED == CorrectionStatus.PASS for message in source.corrections))
     before = len(source.corrections)
     source.wait(lambda: len(source.corrections) > before + 500)
-    later = [message.status for message in source.corrections[before:]]
+    later = [message.status & DECIDED for message in source.corrections[before:]]
     assert later.count(CorrectionStatus.PASS) == len(later)
 
 
@@ -253,7 +264,7 @@ def test_every_state_gets_one_correction_with_the_cores_numbers_and_a_gap_a_new_
         if k == 210:
             contraction_filter.skip()
         expected, message = contraction_filter.correct(sample), source.corrections[-1]
-        assert (message.sequence, message.status) == (sequence, expected.status)
+        assert (message.sequence, message.status & DECIDED) == (sequence, expected.status)
         assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
         assert message.certificate_before == pytest.approx(expected.before, rel=1e-9, abs=1e-12)
         assert message.active == (message.delta_u != 0.0)
@@ -287,7 +298,7 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
             nonlocal sequence
             source.publish(sequence, unstable)
             sequence += 1
-            return bool(source.corrections) and source.corrections[-1].status == status
+            return bool(source.corrections) and source.corrections[-1].status & DECIDED == status
 
         source.wait(answered, timeout=30.0)
         last = source.corrections[-1]
@@ -313,7 +324,7 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     for k, record in enumerate(records):
         source.publish(k, Sample.of(record))
         source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
-    statuses = [message.status for message in source.corrections]
+    statuses = [message.status & DECIDED for message in source.corrections]
     first = statuses.index(CorrectionStatus.MISMATCH)
     assert set(statuses[first:]) == {CorrectionStatus.MISMATCH}
     assert all(message.delta_u == 0.0 and not message.active for message in source.corrections[first:])
@@ -349,3 +360,30 @@ def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source]
 
 def dict_of(status: DiagnosticStatus) -> dict[str, str]:
     return {pair.key: pair.value for pair in status.values}
+
+
+def test_outside_of_the_proved_region_is_said_beside_the_status(started: Callable[..., Source]) -> None:
+    """The shipped statement of the paper's law is of sines of 100 N, 1 Hz, and of gains that change slowly."""
+    bench, source, number = Bench.nominal(), started(*PATIENT), itertools.count()
+
+    def outside(amplitude: float, proportional_gain: float) -> list[bool]:
+        signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=1.0)
+        plan = Schedule(reference=signal, gains=(90.0, 15.0), seconds=1.5)
+        said = []
+        for index, record in enumerate(simulate(AnalyticPlant(learned_bench.load_model()), bench, plan, seed=0)):
+            sequence = next(number)
+            sample = Sample.of(record)
+            if 1200 <= index < 1300:
+                sample = sample._replace(proportional_gain=proportional_gain)
+            source.publish(sequence, sample, flags=int(record["flags"]) | Flag.ARMED)
+            source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
+            status = source.corrections[-1].status
+            assert CorrectionStatus(status & DECIDED) <= CorrectionStatus.INFEASIBLE
+            said.append(bool(status & OUTSIDE))
+        return said
+
+    assert not any(outside(100.0, 90.0)[1000:])
+    assert any(outside(300.0, 90.0)[1000:])
+    changed = outside(100.0, 80.0)
+    assert sum(changed[1000:]) == 20, "ten samples each: the gain steps away, and back"
+    source.wait(lambda: int(dict_of(source.diagnostics[-1])["outside"]) >= 20)

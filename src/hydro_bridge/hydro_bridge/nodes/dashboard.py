@@ -57,6 +57,7 @@ from hydro_bridge.ros.topics import (
 )
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_core.cli.console import command, command_line, number
+from hydro_core.signals import DECIDED
 from hydro_msgs.msg import Authority, TrainingStatus
 from hydro_msgs.srv import Claim, OverrideGains
 
@@ -95,7 +96,7 @@ class Samples:
         """Take all queued messages at `now` [s, monotonic]."""
         self._take_states(now)
         if (table := self._fetched(CORRECTION)) is not None:
-            self.decided.update(table["status"].tolist())
+            self.decided.update((table["status"] & DECIDED).tolist())
             self.series[1].add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
         if (table := self._fetched(LAW_STATE)) is not None:
             self.compensated_at = now

@@ -87,7 +87,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace
 from hydro_bridge.serial.protocol import BoxLaw, LawState
-from hydro_core.signals import SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, flag_names
+from hydro_core.signals import DECIDED, SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs.msg import Answered, Gains, LawCommand
 from hydro_msgs.msg import Authority as AuthorityMessage
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
@@ -488,7 +488,8 @@ class PlantNode(Node):
     def _on_correction(self, message: Any) -> None:
         if self.gate.admits(CORRECTION, message.epoch):
             with self.side.lock:
-                self.side.guard.set_correction(message.delta_u, message.status, message.sequence, self.side.now())
+                status = message.status & DECIDED
+                self.side.guard.set_correction(message.delta_u, status, message.sequence, self.side.now())
             self.side.send(message.sequence)
         if not self.side.real_time:
             self.side.pace.corrected(message.sequence)

@@ -17,6 +17,8 @@ from hydro_core.files import site
 from hydro_core.settings import describe
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped
+from hydro_filter.region.statement import Statement, region_path
+from hydro_filter.region.watch import RegionWatch
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
@@ -118,6 +120,20 @@ class FilterChoice:
         files = self.files
         metric, model = self.stored_metric, learned_bench.load_model(files["model"])
         return loop_filter(metric, model, self.bench, settings)
+
+    def region(self, filtering: LoopFilter) -> RegionWatch | None:
+        """Return the watch of the regions that are proved beside the metric, for this model and bench; None: none is.
+
+        Raises ValueError: a file is no statement.
+        """
+        metric, believed = self.files["metric"], (self._model_digest, self.bench.digest)
+        found = {
+            law: Statement.load(path)
+            for law in (False, True)
+            if (path := region_path(metric, compensated=law)).is_file()
+        }
+        found = {law: one for law, one in found.items() if (one.facts.get("model"), one.facts.get("box")) == believed}
+        return RegionWatch(found, float(filtering.parts["closing"][0])) if found else None
 
 
 def _digest(path: Path) -> str:

@@ -15,6 +15,9 @@ the filter was started for (/hydro/box).
 New files of metric, model and bench take the place of the old ones while the plant is disarmed, once they belong
 together; until they are compiled the old ones answer.
 
+Where a region is proved beside the metric (METRIC.region.json), a correction of an armed sample outside of it carries
+OUTSIDE besides its status, judged each policy step, and the log says what left.
+
 While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
 without. Where the metric is not made for the law that runs, every answer is BYPASSED.
 
@@ -73,10 +76,11 @@ from hydro_core.cli.console import UserError, command
 from hydro_core.files.site import ANEW
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
+from hydro_core.signals import OUTSIDE, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
 from hydro_filter.controller.factory import FilterChoice, arguments
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
+from hydro_filter.region.watch import RegionWatch
 from hydro_msgs.msg import Authority
 
 PATIENCE = 2.0
@@ -110,6 +114,8 @@ class FilterStatistics:
     """Statistics since the node started; `news` compares with its previous call."""
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)
+    outside: int = 0
+    """Samples outside of the region that is proved."""
     missing: int = 0
     """Samples that never came, by gaps in the sequence."""
     work: Latency = field(default_factory=Latency)
@@ -143,6 +149,7 @@ class FilterStatistics:
         counts = {status.name.lower(): self.statuses[status] for status in CorrectionStatus}
         return {
             **counts,
+            "outside": self.outside,
             "missing_states": self.missing,
             **_shown("work", self.work),
             **_shown("age", self.age),
@@ -184,6 +191,9 @@ class FilterNode(Node):
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
         self.filter = self._first(choice)
+        self._region, self._outside = choice.region(self.filter), False
+        self._left: set[str] = set()
+        """What has left the region since the plant was armed, and was told."""
         self._unknown = self.filter.unknown(compensated=True)
         self.tally = FilterStatistics()
         self.foreign = ""
@@ -298,18 +308,19 @@ class FilterNode(Node):
         """Read and compile the new files, beside what answers."""
         try:
             choice = self._choice.read_again()
-            found.set_result((choice, choice.describe(), choice.make(self.settings)))
+            made = choice.make(self.settings)
+            found.set_result((choice, choice.describe(), made, choice.region(made)))
         except Exception as error:
             found.set_exception(error)
 
     def _take_over(self, taking: concurrent.futures.Future[Any]) -> None:
         try:
-            choice, told, made = taking.result()
+            choice, told, made, region = taking.result()
         except (ValueError, OSError, UserError) as error:
             self.get_logger().warning(f"the new files are not taken over: {error}")
             return
         with self._lock:
-            self._choice, self._told, self.filter = choice, told, made
+            self._choice, self._told, self.filter, self._region = choice, told, made, region
             self._unknown, self._mismatch = made.unknown(compensated=True), ""
         self.foreign = choice.foreign(self._box) if self._box else ""
         words = "; ".join(f"{name}: {value}" for name, value in told.items())
@@ -347,10 +358,27 @@ class FilterNode(Node):
             self.filter.skip()
             result = STALE
         else:
-            result = self.filter.correct(sample_of(message, law), age)
+            sample = sample_of(message, law)
+            if self._region is not None and message.sequence % SAMPLES_PER_STEP == 0:
+                self._look(self._region, sample)
+            result = self.filter.correct(sample, age)
         result = self._fitting(result)
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._age(message))
+
+    def _look(self, region: RegionWatch, sample: Sample) -> None:
+        """See whether the loop is within what is proved; what leaves first is told, once while the plant is armed."""
+        memory = self.filter.memory[0]  # before it moves on by this sample
+        if not sample.armed or not memory["running"]:
+            region.reset()
+            self._outside = False
+            self._left.clear()
+            return
+        left = region.look(sample, float(memory["opening"]), float(memory["opening_rate"]))
+        self._outside = left is not None
+        if left is not None and left.name not in self._left:
+            self._left.add(left.name)
+            self.get_logger().info(f"outside of the region that is proved (OUTSIDE): {left}")
 
     def _on_law_state(self, message: Any) -> None:
         if self._law is None:
@@ -412,7 +440,9 @@ class FilterNode(Node):
     def _publish(self, state: Any, result: Result) -> None:
         delta_u, before, after, status = result
         infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
-        numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status), self._epoch
+        outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(state.flags & Flag.ARMED)
+        self.tally.outside += outside
+        numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status) | OUTSIDE * outside, self._epoch
         self._last = CORRECTIONS.record(state.stamp, state.sequence, *numbers)
         if not self._handed:  # else the plant says when
             self.publish()

@@ -40,6 +40,11 @@ ASSUMED = (
 )
 
 
+def region_path(metric: Path, *, compensated: bool) -> Path:
+    """Return the statement's file beside a metric's: METRIC.region.json, METRIC.compensated.region.json."""
+    return metric.with_suffix(".compensated.region.json" if compensated else ".region.json")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cell:
     """Benches of a part of the tolerances, and the metric of all of them."""

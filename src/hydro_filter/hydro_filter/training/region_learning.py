@@ -25,7 +25,7 @@ from hydro_filter.model.loop import closing_current, loop_of, recorded_samples
 from hydro_filter.model.records import follow
 from hydro_filter.region.facts import STATES, bench_numbers, region_states, share_inside
 from hydro_filter.region.proof import prove_cell
-from hydro_filter.region.statement import TOLERANCES, Cell, Pair, Statement
+from hydro_filter.region.statement import TOLERANCES, Cell, Pair, Statement, region_path
 from hydro_filter.training.region_metric import solve_cell
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -194,18 +194,13 @@ def write(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw | None]) 
         if statement is None:
             print(f"{name}: no region is proved", file=sys.stderr)
             continue
-        path = region_path(out, law)
+        path = region_path(out, compensated=law is not None)
         statement.save(path)
         low, high = statement.proportional_gain
         print(
             f"{path}: {name}, K_p {low:g} to {high:g} 1/s, the states of a sine of {statement.facts['force']:.0f} N: "
             f"decay at {statement.contraction_rate:g} 1/s, tube {statement.tube:.0f} N"
         )
-
-
-def region_path(metric: Path, law: BoxLaw | None) -> Path:
-    """Return the statement's file beside a metric's: METRIC.region.json, METRIC.compensated.region.json."""
-    return metric.with_suffix(".region.json" if law is None else ".compensated.region.json")
 
 
 def _scale(scale: FloatArray, tolerances: dict[str, Pair]) -> FloatArray:

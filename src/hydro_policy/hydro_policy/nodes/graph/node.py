@@ -44,7 +44,7 @@ from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import typed_lines
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency, drop_realtime
-from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, LawCommand, ReferenceSignal
+from hydro_core.signals import DECIDED, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, LawCommand, ReferenceSignal
 from hydro_core.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import Gains, PolicyStep
@@ -485,7 +485,7 @@ class GraphNode(Node):
         for message in messages:
             self.corrected = True
             if self._session is not None:
-                self._session.on_correction(message.certificate_after, message.status)
+                self._session.on_correction(message.certificate_after, message.status & DECIDED)
 
     def _on_tick(self) -> None:
         try:

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a running loop is within the region that is proved for the law that runs.
+
+It is judged once a policy step, 10 ms: in that time the states of a region hardly move, and the gains change once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
+from hydro_filter.model.sample import Sample
+from hydro_filter.region.facts import STATES, region_states
+from hydro_filter.region.statement import Statement
+
+ROUNDING = 1e-9
+"""Share of a bound by which a number that is equal to it may seem to be beyond it."""
+
+
+class Left(NamedTuple):
+    """What is outside of a region."""
+
+    name: str
+    """A state of `facts.STATES`, velocity_compensation, proportional_gain, or gain_rate."""
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{self.name} is {self.value:.4g}, proved from {self.low:.4g} to {self.high:.4g}"
+
+
+class RegionWatch:
+    """Judges samples of one bench.
+
+    `statements`: by whether they are of the compensated law. `closing`: current [A] that closes the valve.
+    """
+
+    def __init__(self, statements: Mapping[bool, Statement], closing: float) -> None:
+        self._statements, self._closing = statements, closing
+        self._gain: float | None = None  # of the step before
+
+    def reset(self) -> None:
+        """Forget the gain of the step before: the loop begins anew."""
+        self._gain = None
+
+    def look(self, sample: Sample, opening: float, opening_rate: float) -> Left | None:
+        """Return what has left the region of the law that runs; None: nothing, or nothing is proved for that law.
+
+        Call once a policy step. `opening`, `opening_rate`: of the valve at the sample, as the filter has them [A, A/s].
+        """
+        before, self._gain = self._gain, sample.proportional_gain
+        of = self._statements.get(sample.compensated)
+        if of is None:
+            return None
+        valve = np.array([[opening, opening_rate, sample.nominal_current - self._closing]])
+        states = region_states(of.bench, sample.state[np.newaxis], valve)[0]
+        numbers = [(name, float(value), *of.states[name]) for name, value in zip(STATES, states, strict=True)]
+        numbers.append(("velocity_compensation", sample.followed[2], *of.velocity_compensation))
+        numbers.append(("proportional_gain", sample.proportional_gain, *of.proportional_gain))
+        if before is not None:
+            rate = (sample.proportional_gain - before) / (SAMPLES_PER_STEP * SAMPLE_PERIOD)
+            numbers.append(("gain_rate", rate, -of.gain_rate, of.gain_rate))
+        for name, value, low, high in numbers:
+            slack = ROUNDING * max(abs(low), abs(high))
+            if not low - slack <= value <= high + slack:
+                return Left(name, value, low, high)
+        return None
