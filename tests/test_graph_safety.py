@@ -50,7 +50,8 @@ def test_a_plant_that_was_armed_before_the_trainer_came_waits_for_the_person_who
         person.write(b"\n")
         probe.wait(lambda: "not armed, still waiting for" in process.text, 10.0)
         probe.wait(lambda: HOW_TO_ARM in process.text, 150.0)
-        assert TOO_EARLY in process.text and not probe.flags() & Flag.ARMED
+        assert TOO_EARLY in process.text
+        probe.wait(lambda: not probe.flags() & Flag.ARMED, 5.0)
         probe.forget()
         probe.spin(1.0)
         assert probe.heard[STATE] and not probe.heard[GAINS], "nobody has armed it on purpose yet"

@@ -28,6 +28,7 @@ setup(
         "numpy",
         "pyyaml",
         "safetensors",
+        "scipy",
         "tensorboardX",
         "torch",
         "tqdm",

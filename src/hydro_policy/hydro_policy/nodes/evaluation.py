@@ -334,7 +334,7 @@ def start_plant(
     start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
     folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
     policies = tuple(map(policy_file, options.policy))
-    recording = Path(options.record) if options.record else run.bag if options.recorded else None
+    recording = Path(options.record) if options.record else run.bag if options.keeps_bag else None
     plant = plant_options(options, recording=recording, seed=options.seed, policies=policies, controller="evaluate")
     if sentence := protection_gap(wanted, plant.filter, plant.bench):
         node.say(sentence, warning=True)
