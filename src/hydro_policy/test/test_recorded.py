@@ -72,10 +72,13 @@ def test_text_with_a_heading_and_matlab_give_the_same_record(tmp_path: Path, fil
 def test_what_is_no_record_is_refused(tmp_path: Path) -> None:
     savemat(tmp_path / "square.mat", {"a": np.eye(3)})
     (tmp_path / "short.csv").write_text("0,1\n1,2\n")
+    (tmp_path / "words.csv").write_text("hello\n" * 20)
+    (tmp_path / "broken.mat").write_bytes(b"MATLAB 7.3 MAT-file")
     (tmp_path / "still.csv").write_text("".join(f"{t},0\n" for t in TIME))
-    for name in ("square.mat", "short.csv", "still.csv"):
-        with pytest.raises(SettingsError, match=name):
+    for name in ("square.mat", "short.csv", "still.csv", "words.csv", "broken.mat", "none.csv"):
+        with pytest.raises(SettingsError, match=name) as refused:
             settings(tmp_path / name)
+        assert "\n" not in str(refused.value)
 
 
 def test_fast_sines_are_small_enough_for_the_valve() -> None:

@@ -39,6 +39,11 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
     A rosbag2 folder or .mcap: its reference force. A .mat file: its matrix of two rows or columns. Else text with
     commas, the first two columns. Raises SettingsError: it is no such file, or times do not rise.
     """
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    if not path.exists():
+        raise SettingsError(f"{path}: there is no such record")
     try:
         if path.is_dir() or path.suffix == ".mcap":
             from hydro_bridge.bags.recording import read_bag
@@ -46,15 +51,14 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
             states = read_bag(path).state
             table = np.stack((states["sequence"] * SAMPLE_PERIOD, states["reference_force"]))
         elif path.suffix == ".mat":
-            from scipy.io import loadmat
-
             found = [value for name, value in loadmat(path).items() if not name.startswith("__")]
             (table,) = (m.T if m.shape[0] > m.shape[1] else m for m in found if m.ndim == 2 and 2 in m.shape)
         else:
             table = np.genfromtxt(path, delimiter=",", usecols=(0, 1)).T
         table = table[:, np.isfinite(table).all(axis=0)].astype(float)
-    except (ValueError, IndexError) as error:
-        raise SettingsError(f"{path} holds no record, a column of times [s] and one of values: {error}") from None
+    except (OSError, ValueError, IndexError, NotImplementedError, MatReadError) as error:
+        why = str(error).partition("\n")[0].rstrip(" :")
+        raise SettingsError(f"{path} holds no record, a column of times [s] and one of values: {why}") from None
     if table.shape[1] < 10 or np.any(np.diff(table[0]) <= 0.0):
         raise SettingsError(f"{path} holds no record: ten times [s] or more that rise are needed")
     return table[0], table[1]
