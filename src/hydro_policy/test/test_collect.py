@@ -22,9 +22,9 @@ pytest.importorskip("rclpy")
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
-from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_core.signals import Flag
 from hydro_policy.nodes.collect import SchedulePlan
+from hydro_policy.supervision.plant_supervisor import HOW_TO_ARM, TOO_EARLY
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from tests.checks import ran, wait

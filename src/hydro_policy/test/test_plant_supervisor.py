@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import pytest
 
-from hydro_bridge.safety.arming import HOW_TO_ARM, TOO_EARLY
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import (
     FITS,
+    HOW_TO_ARM,
     HOW_TO_GET_A_FILTER,
     IDLE,
     MISMATCH,
     NO_FILTER,
+    TOO_EARLY,
     TRIALS,
     UNWATCHED,
     PlantSupervisor,

@@ -4,18 +4,17 @@
 ::
 
     /hydro/gains, /hydro/law, /hydro/correction, /hydro/reference ──> guard ─┐
-    /hydro/claim, /hydro/arm ─────────────────────────────────────> gate     ├─ PlantSide (serial line, simulation)
+    /hydro/claim, /hydro/arm ─────────────────────────────────────> lease    ├─ PlantSide (serial line, simulation)
     /hydro/answered ──────────────────────────────────────────────> pace ────┤
     /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law, /clock <─ publish_… ──┘
 
-The gate accepts commands of the holder only, with its session's epoch, from a single publisher. While two nodes publish
-one of these topics the status is ERROR, nothing can be armed, and an armed plant is disarmed::
+The guard is told commands of the lease's holder only (`hydro_bridge.safety.lease`), with its session's epoch, from a
+single publisher. While two nodes publish one of these topics the status is ERROR, nothing can be armed, and an armed
+plant is disarmed::
 
-    /hydro/claim      take the authority, arm with it, give it back; disarming is open to any named caller
+    /hydro/claim      take the lease, arm with it, give it back; disarming is open to any named caller
     /hydro/authority  its holder, and the epoch that commands must carry
     /hydro/arm        disarms at once for any caller; never arms
-
-What a person has disarmed only a person arms again, as long as the same node holds the authority.
 
 A publisher is matched with the subscription before its messages can arrive. A second publisher is therefore known by
 the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
@@ -82,7 +81,6 @@ from hydro_bridge.ros.topics import (
     create_publisher,
     create_subscription,
 )
-from hydro_bridge.safety.authority import BY_HAND, Authority
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace
@@ -152,19 +150,18 @@ def mode(flags: int) -> str:
     return "tripped" if flags & Flag.TRIPPED else "armed" if flags & Flag.ARMED else "disarmed"
 
 
-class Gate:
-    """ROS interface of the authority over one plant.
+class LeaseServer:
+    """The lease of a plant in the graph: /hydro/claim, /hydro/arm, /hydro/authority; the lease itself decides.
 
     `node`: node of the plant. `plant`: plant that is armed and disarmed. `tripped`: whether the box has disarmed by
     itself.
     """
 
     def __init__(self, node: Node, plant: PlantSide, tripped: Callable[[], bool]) -> None:
-        self.authority = Authority()
         self._node, self._plant, self._tripped = node, plant, tripped
+        self.lease = plant.guard.lease
         self._following = threading.Lock()
         self._armed, self._crowd = False, ""
-        self._disarmed_by_hand = 0  # claim of the holder at that time; 0: no person has
         self._heard: dict[str, Subscription] = {}
         self._publisher = create_publisher(node, AUTHORITY)
         self._told: Counter[str] = Counter()
@@ -183,18 +180,14 @@ class Gate:
         self._heard[topic] = subscription
 
     def admits(self, topic: str, epoch: int) -> bool:
-        """Return whether to accept a received command; a second publisher of its topic ends the session."""
+        """Return whether a received command is the holder's; a second publisher of its topic disarms the plant."""
         heard = self._heard.get(topic)
         if heard is not None and heard.get_publisher_count() > 1:
-            self.authority.refused[topic] += 1
+            self.lease.refused[topic] += 1
             self._give_up(topic)
             return False
         self.follow()
-        now = self._plant.now()
-        admitted = self.authority.admits(topic, epoch, now)
-        if admitted and topic != CORRECTION:  # the filter continues without the holder
-            self.authority.renew(now)
-        return admitted
+        return self.lease.admits(topic, epoch, self._plant.now(), renews=topic != CORRECTION)
 
     def crowd(self) -> str:
         """Return a sentence about the topics with more than one publisher; empty if there is none."""
@@ -202,72 +195,64 @@ class Gate:
 
     def values(self) -> dict[str, object]:
         """Values for /diagnostics."""
-        refused = {f"refused {topic}": self.authority.refused[topic] for topic in COMMANDS}
-        return {"authority": self.authority.holder or "nobody", **refused}
+        refused = {f"refused {topic}": self.lease.refused[topic] for topic in COMMANDS}
+        return {"authority": self.lease.holder or "nobody", **refused}
+
+    def follow(self) -> None:
+        """End the session on a disarm, whoever requested it, and on a trip."""
+        with self._following:
+            before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
+            if before and not self._armed:
+                self.lease.end(self._plant.now())
+                self._tell()
 
     def _on_claim(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
         self.follow()
-        held = self.authority.claim
+        lease, held = self.lease, self.lease.claim
         if request.act == Claim.Request.TAKE:
-            trouble = self.authority.take(request.name, request.claim, self._plant.now())
-            done = "taken"
+            trouble, done = lease.take(request.name, request.claim, self._plant.now()), "taken"
         elif request.act == Claim.Request.ARM:
-            trouble, done = (
-                self._arm(request.claim, request.epoch, request.whom),
-                f"armed for {self.authority.holder or 'nobody: base gains'}",
-            )
+            trouble = lease.may_arm(request.claim, request.epoch, request.whom) or self.crowd() or self._arm()
+            done = f"armed for {lease.holder or 'nobody: base gains'}"
         elif request.act == Claim.Request.DISARM:
-            trouble, done = self._disarm(by_hand=request.claim != self.authority.claim), "disarmed"
+            trouble, done = self._disarm(request.claim), "disarmed"
         elif request.act == Claim.Request.GIVE:
-            trouble = self._take_back(request.claim, request.whom)
+            trouble = f"{lease.holder or 'nobody'} commands this plant now"
+            if lease.held_by(request.claim):
+                trouble = self._disarm(request.claim)
+                lease.give(request.claim, self._plant.now(), request.whom)
             done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
         else:
             trouble, done = f"act {request.act} is not known", ""
-        if self.authority.claim != held:
+        if lease.claim != held:
             self._plant.pace.claimed()
             self._begin_anew(succeeds=bool(held))
-            self._node.get_logger().info(f"{self.authority.holder or 'nobody'} commands this plant")
+            self._node.get_logger().info(f"{lease.holder or 'nobody'} commands this plant")
             self._tell()
         own = not trouble and (request.claim or request.act == Claim.Request.TAKE)
         response.success, response.message = not trouble, trouble or done
-        response.claim, response.epoch = (self.authority.claim, self.authority.epoch) if own else (0, 0)
+        response.claim, response.epoch = (lease.claim, lease.epoch) if own else (0, 0)
         if request.act != Claim.Request.TAKE:
             self._called(request.name or "somebody", response.message)
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = BY_NAME if request.data else self._disarm(by_hand=True)
+        trouble = BY_NAME if request.data else self._disarm(0)
         response.success, response.message = not trouble, trouble or "disarmed"
         self._called("somebody, by /hydro/arm", response.message)
         return response
 
-    def _disarm(self, *, by_hand: bool) -> str:
-        if by_hand:
-            self._disarmed_by_hand = self.authority.claim
+    def _arm(self) -> str:
+        trouble = self._plant.arm(True)
+        if not trouble:
+            self.lease.armed()
+        self.follow()
+        return trouble
+
+    def _disarm(self, claim: int) -> str:
+        self.lease.disarmed(claim)
         trouble = self._plant.arm(False)
         self.follow()
-        return trouble
-
-    def _arm(self, claim: int, epoch: int, whom: str) -> str:
-        if whom and whom != self.authority.holder:
-            return f"{self.authority.holder or 'nobody'} commands this plant, not {whom}"
-        if claim not in (0, self.authority.claim):
-            return f"{self.authority.holder or 'nobody'} commands this plant now"
-        if epoch not in (0, self.authority.epoch):
-            return "the plant was disarmed, tripped or changed hands since: look, and ask again"
-        if claim and claim == self._disarmed_by_hand:
-            return BY_HAND
-        trouble = self.crowd() or self._plant.arm(True)
-        if not trouble:
-            self._disarmed_by_hand = 0
-        self.follow()
-        return trouble
-
-    def _take_back(self, claim: int, heir: str) -> str:
-        if not claim or claim != self.authority.claim:
-            return f"{self.authority.holder or 'nobody'} commands this plant now"
-        trouble = self._disarm(by_hand=False)
-        self.authority.give(claim, self._plant.now(), heir)
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
@@ -287,18 +272,10 @@ class Gate:
         if self._armed:
             if self._crowd:
                 self._give_up(STATE)
-        elif self.authority.lapse(self._plant.now()):
+        elif self.lease.lapse(self._plant.now()):
             self._begin_anew(succeeds=False)
             self._node.get_logger().info("nobody commands this plant: its commander has stopped sending")
             self._tell()
-
-    def follow(self) -> None:
-        """End the session on a disarm, whoever requested it, and on a trip."""
-        with self._following:
-            before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
-            if before and not self._armed:
-                self.authority.end(self._plant.now())
-                self._tell()
 
     def _give_up(self, topic: str) -> None:
         if not self._plant.guard.armed:
@@ -311,8 +288,8 @@ class Gate:
 
     def _tell(self) -> None:
         """Publish the holder, and the epoch that commands must carry now."""
-        authority = self.authority
-        message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
+        lease = self.lease
+        message = AuthorityMessage(holder=lease.holder, claim=lease.claim, epoch=lease.epoch)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
         self._last_call = ""
@@ -323,10 +300,10 @@ class Gate:
         The holder is announced again: messages of a restarted plant are ignored while its killed predecessor is still
         in the graph, and the new plant cannot know that.
         """
-        news = self.authority.refused - self._told
+        news = self.lease.refused - self._told
         if news:
             self._tell()
-        self._told = self.authority.refused.copy()
+        self._told = self.lease.refused.copy()
         corrected, self._corrected = self._corrected, news[CORRECTION] > 0
         if not corrected:  # those of a filter that has not received the epoch yet
             del news[CORRECTION]
@@ -386,14 +363,14 @@ class PlantNode(Node):
                 "leave it out unless you want that"
             )
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
-        self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
+        self.leases = LeaseServer(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         gains = create_subscription(self, GAINS, self._on_gains)
         reference = create_subscription(self, REFERENCE, self._on_reference)
         law = create_subscription(self, LAW, self._on_law)
         if self._corrector is None:
-            self.gate.listen(CORRECTION, subscribe(self, CORRECTION, CORRECTIONS, self._on_correction))
+            self.leases.listen(CORRECTION, subscribe(self, CORRECTION, CORRECTIONS, self._on_correction))
         for topic, heard in ((GAINS, gains), (REFERENCE, reference), (LAW, law)):
-            self.gate.listen(topic, heard)  # no callback runs before the node is spun
+            self.leases.listen(topic, heard)  # no callback runs before the node is spun
         self._answers = create_subscription(self, ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._look_for_peers, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -426,7 +403,7 @@ class PlantNode(Node):
         if law is not None and law.law is not Law.PAPER:
             acting = LAW_STATES.unpack(pack_law_state(stamp_ns, sequence, law))
         try:
-            correction = self._corrector.correct(state, acting, self.gate.authority.epoch)
+            correction = self._corrector.correct(state, acting, self.leases.lease.epoch)
         except Exception as error:
             self._corrector = None
             self._defect = f"the filter failed, start this plant anew: {type(error).__name__}: {error}"
@@ -445,7 +422,7 @@ class PlantNode(Node):
         changed, self._flags = flags ^ self._flags, flags
         if not self.side.real_time:
             if changed & (Flag.ARMED | Flag.TRIPPED):
-                self.gate.follow()
+                self.leases.follow()
             if sequence % SAMPLES_PER_STEP == 0:
                 self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
                 self._clock_publisher.publish(self._clock_message)
@@ -467,13 +444,13 @@ class PlantNode(Node):
         self._box_publisher.publish(box_to_message(box, now))
 
     def _on_gains(self, message: Gains) -> None:
-        if self.gate.admits(GAINS, message.epoch):
+        if self.leases.admits(GAINS, message.epoch):
             with self.side.lock:
                 self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
         self.side.pace.commanded()
 
     def _on_law(self, message: LawCommand) -> None:
-        if self.gate.admits(LAW, message.epoch):
+        if self.leases.admits(LAW, message.epoch):
             self._take_law(message)
         self.side.pace.commanded()
 
@@ -486,7 +463,7 @@ class PlantNode(Node):
             self.side.guard.set_law(wanted, self.side.now())
 
     def _on_correction(self, message: Any) -> None:
-        if self.gate.admits(CORRECTION, message.epoch):
+        if self.leases.admits(CORRECTION, message.epoch):
             with self.side.lock:
                 status = message.status & DECIDED
                 self.side.guard.set_correction(message.delta_u, status, message.sequence, self.side.now())
@@ -495,7 +472,7 @@ class PlantNode(Node):
             self.side.pace.corrected(message.sequence)
 
     def _on_reference(self, message: ReferenceMessage) -> None:
-        if self.gate.admits(REFERENCE, message.epoch):
+        if self.leases.admits(REFERENCE, message.epoch):
             self._take_reference(message)
         self.side.pace.commanded()
 
@@ -525,14 +502,14 @@ class PlantNode(Node):
         message += f": {given_up}" if given_up else ""
         least = Level.WARN if given_up or not required or side.flags & _TROUBLED else Level.OK
         values = {"flags": flag_names(side.flags), "require filter": required, **status.values}
-        values |= {f"guard {name}": count for name, count in guard.items()} | self.gate.values()
+        values |= {f"guard {name}": count for name, count in guard.items()} | self.leases.values()
         if self._defect:
             least, message = Level.ERROR, f"{message}, NOTHING IS CORRECTED: {self._defect}"
         status = Status(level=max(status.level, least), message=message, values=values)
         if self.count_publishers(STATE) > 1 and not self._beside_another:
             self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")
         self._beside_another = self.count_publishers(STATE) > 1
-        return with_publisher_conflicts(status, self.gate.crowd())
+        return with_publisher_conflicts(status, self.leases.crowd())
 
     def _tell_events(self) -> None:
         with self.side.lock:

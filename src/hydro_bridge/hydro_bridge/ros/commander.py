@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command of a plant: a node requests the authority, keeps it, and publishes gains and references under it.
+"""Command of a plant: a node asks for the lease, renews it, and publishes gains, law and references under it.
 
-Without the authority nothing is published, and not even a publisher exists.
+Without the lease nothing is published, and not even a publisher exists.
 """
 
 from __future__ import annotations
@@ -29,14 +29,20 @@ from hydro_bridge.ros.topics import (
     create_publisher,
     create_subscription,
 )
+from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.signals import LawCommand, ReferenceSignal
 from hydro_msgs.msg import Authority, Gains
 from hydro_msgs.msg import LawCommand as LawMessage
 from hydro_msgs.srv import Claim
 
-_AGAIN = 0.5  # s between two requests; the plant may give the authority to others after 3 s of silence
+_AGAIN = 0.5  # s between two requests; a lease lapses after 3 s of silence
 _ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
 _DISARMED_WITHIN = 2.0  # s, for the last request to the plant
+ALONE_WITHIN = 600.0
+"""s that a node waits for the present holder of the plant."""
+TOLD_WITHIN = 30.0
+"""s that it waits for a plant that says nothing about its lease."""
+UNTOLD = "the plant does not say who may command it (/hydro/claim)"
 UNCONFIRMED = (
     "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms after 10 s; to "
     "be sure, `ros2 run hydro_bridge arm --off`"
@@ -44,14 +50,23 @@ UNCONFIRMED = (
 
 
 class Commander:
-    """A node's authority over the running plant. Use it only in the thread that spins the node.
+    """A node's lease on the running plant. Use it only in the thread that spins the node.
 
     Under the plant's clock (`collects`) what it publishes waits for `flush`, by which a node ends its answer to a
     sample: the last gains, law and reference go out together, and how many there were is part of the answer.
 
-    `node`: the commanding node, whose name is the holder's. `changed`: called when the authority has been granted (with
-    an empty sentence) or lost (with the reason). `end`: ends the run, as Ctrl-C does; anybody may call it by /hydro/end
-    while this node commands. None: nobody may.
+    Parameters
+    ----------
+    node
+        The commanding node, whose name is the holder's.
+    changed
+        Called when the lease has been granted (with an empty sentence) or lost (with the reason).
+    end
+        Ends the run, as Ctrl-C does; anybody may call it by /hydro/end while this node commands. None: nobody may.
+    warn
+        Takes a sentence about why the node has to wait for the lease.
+    within
+        s after which another holder ends the wait.
     """
 
     def __init__(
@@ -59,16 +74,19 @@ class Commander:
         node: Node,
         changed: Callable[[str], None] = lambda why: None,
         end: Callable[[], None] | None = None,
+        warn: Callable[[str], None] = lambda sentence: None,
+        within: float = ALONE_WITHIN,
     ) -> None:
-        self._node, self._changed, self._end = node, changed, end
+        self._node, self._changed, self._end, self._warn = node, changed, end, warn
+        self._within = within
         self._end_service: Service | None = None
         self._claims = node.create_client(Claim, CLAIM_SERVICE)
-        self._said = Authority()  # the plant's last message about the authority
+        self._said = Authority()  # the plant's last message about the lease
         self._claim = self._known = 0  # the second: the epoch at the last request
         self.epoch = 0
         """Epoch of the session if this node commands the plant, else 0."""
-        self.refusal = ""
-        """Reason of the plant's last refusal of the authority; empty: granted, or not answered yet."""
+        self._refusal, self._told = "", ""  # of the plant's last answer, empty: granted or none; warned of
+        self._waits_since = inf
         self._answer: Future | None = None
         self._asked = -inf
         self.collects = False
@@ -82,7 +100,9 @@ class Commander:
         self._collected: dict[str, Any] = {}  # messages by topic
         self._sent = 0  # commands under the present claim
         self._reference: ReferenceSignal | None = None
-        self._gains, self._law = Gains(), LawMessage()
+        self.last_gains = Gains()
+        """As last published, with their stamp."""
+        self._law = LawMessage()
         self._publishers: dict[str, Publisher] = {}  # that of a law from its first command on
         self._words = create_subscription(node, AUTHORITY, self._on_authority)
 
@@ -92,38 +112,59 @@ class Commander:
         return bool(self._claim)
 
     def seek(self, now: float) -> None:
-        """Take or keep the authority; call several times a second, `now` by the monotonic clock [s]."""
+        """Take or renew the lease; call several times a second, `now` by the monotonic clock [s]."""
         waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_WITHIN
         if waiting or now < self._asked + _AGAIN or not self._claims.service_is_ready():
             return
         self._asked, self._known = now, self.epoch
         self._answer = self._ask(Claim.Request.TAKE, then=self._on_taken)
 
-    def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> Gains:
-        """Publish gains [1/s], [1/s^2] if this node may; returns the message with its stamp."""
-        message = self._gains
-        message.header.stamp = self.stamp()
-        message.delta_kp, message.delta_ki, message.step, message.epoch = delta_kp, delta_ki, step, self.epoch
-        if GAINS in self._publishers:
-            self._send(GAINS, message)
-        return message
+    def look(self, now: float) -> None:
+        """Warn once of each reason for which this node does not command a plant that is there; call as `seek`.
+
+        Raises NotReadyError: the plant has said nothing for `TOLD_WITHIN`, or another node has held it for `within`.
+        """
+        if self.held:
+            self._waits_since, self._told = inf, ""
+            return
+        self._waits_since = min(self._waits_since, now)
+        within = self._within if self._refusal else TOLD_WITHIN
+        if self._refusal and self._refusal != self._told:
+            self._warn(f"{self._refusal}; {self._node.get_name()} waits, {within:g} s at most")
+        self._told = self._refusal
+        if now - self._waits_since > within:
+            raise NotReadyError(f"{self._refusal or UNTOLD}, still after {within:g} s")
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> None:
+        """Publish gains [1/s], [1/s^2] if this node may."""
+        message = self.last_gains
+        message.delta_kp, message.delta_ki = delta_kp, delta_ki
+        self._send(GAINS, message, step)
 
     def law(self, command: LawCommand, step: int = 0) -> None:
         """Publish the force law to run if this node may; without this, it is the paper's."""
-        if not self.held:
-            return
-        if LAW not in self._publishers:
+        if self.held and LAW not in self._publishers:
             self._publishers[LAW] = create_publisher(self._node, LAW)
-        message = fill_law_command(self._law, command)
-        message.header.stamp = self.stamp()
-        message.step, message.epoch = step, self.epoch
-        self._send(LAW, message)
+        self._send(LAW, fill_law_command(self._law, command), step)
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """Publish the force to track; without the authority, as soon as it is granted."""
+        """Publish the force to track; without the lease, as soon as it is granted."""
         self._reference = signal
         if REFERENCE in self._publishers:
-            self._send(REFERENCE, reference_to_message(signal, self.epoch))
+            message = reference_to_message(signal, self.epoch)
+            if self.collects:
+                self._collected[REFERENCE] = message
+            else:
+                self._publishers[REFERENCE].publish(message)
+
+    def _send(self, topic: str, message: Any, step: int) -> None:
+        message.header.stamp, message.step, message.epoch = self.stamp(), step, self.epoch
+        if topic not in self._publishers:
+            return
+        if self.collects:
+            self._collected[topic] = message
+        else:
+            self._publishers[topic].publish(message)
 
     def flush(self) -> int:
         """Publish what has been collected; returns the number of commands under the present claim."""
@@ -135,14 +176,8 @@ class Commander:
                 self._sent += 1
         return self._sent
 
-    def _send(self, topic: str, message: Any) -> None:
-        if self.collects:
-            self._collected[topic] = message
-        else:
-            self._publishers[topic].publish(message)
-
     def arm(self, arm: bool, then: Callable[[Future], None] = lambda answer: None) -> Future | None:
-        """Request arming or disarming if this node may and the plant is present; returns the plant's answer.
+        """Ask to arm or disarm if this node may and the plant is present; returns the plant's answer.
 
         `then`: called with the answer once it is there.
         """
@@ -151,7 +186,7 @@ class Commander:
         return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM, then=then)
 
     def give(self, heir: str = "") -> Future | None:
-        """Return the authority, which disarms; returns the plant's answer, or None without the authority.
+        """Give the lease back, which disarms; returns the plant's answer, or None without the lease.
 
         `heir`: name of the only node that may take it next, for 10 s; empty: the first to ask.
         """
@@ -163,7 +198,7 @@ class Commander:
         return answer
 
     def give_back(self, heir: str = "") -> str:
-        """Give the authority back while nobody else spins the node; return what to say if no disarming is confirmed."""
+        """Give the lease back while nobody else spins the node; return what to say if no disarming is confirmed."""
         if not self.held:
             return ""
         answer = self.give(heir)
@@ -189,7 +224,7 @@ class Commander:
         response = answer.result()
         if response is None or answer is not self._answer:
             return
-        self.refusal = "" if response.success else response.message
+        self._refusal = "" if response.success else response.message
         if not response.success:
             if self.held:
                 self._lose(response.message)

@@ -18,6 +18,7 @@ from math import inf, isfinite
 
 import numpy as np
 
+from hydro_bridge.safety.lease import Lease
 from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
@@ -104,6 +105,8 @@ class CommandGuard:
     counts: GuardCounts = field(default_factory=GuardCounts)
     valve_current_max: float = inf
     """A, valve limit of the box: no correction demands more, since no certificate does."""
+    lease: Lease = field(default_factory=Lease)
+    """Whose commands a plant's node passes on to it."""
     offered: BoxLaw | None = None
     """The box's compensated law; None: it has the paper's alone."""
     armed: bool = field(default=False, init=False)

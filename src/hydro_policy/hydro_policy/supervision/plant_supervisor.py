@@ -21,7 +21,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hydro_bridge.safety.arming import TOO_EARLY, Arming, ArmingOutputs
 from hydro_bridge.safety.limits import NARROW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_core.files.site import ANEW
@@ -89,8 +88,24 @@ HEARD_WITHIN = 1.0
 CALM_AGAIN = "calm again: disarmed and armed again, so that the force law starts again"
 
 
-class Outputs(ArmingOutputs, Protocol):
+SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
+RETRY = 1.0  # s
+REMINDER = 30.0  # s between requests to arm a plant that a person disarmed
+HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
+TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
+
+
+class Outputs(Protocol):
     """Outputs of a session to the graph. No call blocks."""
+
+    def reference(self, signal: ReferenceSignal) -> None:
+        """Publish the force to track."""
+
+    def arm(self, arm: bool) -> None:
+        """Request the plant to arm or disarm."""
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        """Report a sentence to the user."""
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """Publish gains [1/s], [1/s^2]."""
@@ -141,7 +156,11 @@ class PlantSupervisor:
         filtered: bool = True,
     ) -> None:
         self.outputs, self.override = outputs, override or GainOverride()
-        self._arming = Arming(outputs, rearm)
+        self._alone = rearm
+        self._arm_after = math.inf  # time to arm after a disarm, s
+        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
+        self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed, s
+        self._prompted = ""  # condition in which a person was asked to arm
         samples = plant(lambda: not self.lost)
         answers = corrections(lambda: self.mismatched or self._bypassed or not self._flags & Flag.FILTER_STALE)
         fitting = fitting_filter(lambda: not self.mismatched)
@@ -200,7 +219,7 @@ class PlantSupervisor:
     def on_sample(self, flags: int, now: float) -> None:
         """Process a sample's flags."""
         if flags & Flag.ARMED and not (self.armed or self.lost):
-            wanted = self.readiness.complete or self._arming.under_way(now)
+            wanted = self.readiness.complete or now - self._asked <= RETRY
             self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
             self._armed_at = now
         if self.armed and flags & Flag.ARMED and now - self._armed_at >= CALM:
@@ -212,7 +231,7 @@ class PlantSupervisor:
             self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
             if now >= self._calm_until:
                 self._calm_until = None
-                self._spoilt = CALM_AGAIN if self._arming.alone else self._spoilt
+                self._spoilt = CALM_AGAIN if self._alone else self._spoilt
 
     def on_correction(self, status: int) -> None:
         """Process the status of a correction."""
@@ -270,35 +289,64 @@ class PlantSupervisor:
             self._flags = int(Flag.FILTER_STALE)
             self.outputs.arm(False)
         self.readiness.look(now)
-        if self.armed:
-            self._arming.rest()
-            why = self.unready(now)
+        if self.armed or self.lost:
+            self._arm_after, self._asked, self._not_before, self._prompted = math.inf, -math.inf, -math.inf, ""
+            why = self.unready(now) if self.armed else ""
             if why and not (self.calming or self.override.active):
-                self._arming.lower(now, why)
-        elif self.lost:
-            self._arming.rest()
+                self._lower(now, why)
         else:
-            self._arming.seek(self.readiness.complete, now)
+            self._seek_arming(now)
         self._tell(now)
 
+    def _seek_arming(self, now: float) -> None:
+        """Arm where that is allowed without a person and all is ready; what a person asked for is done once it is."""
+        self._lowered = -math.inf
+        if not self.readiness.complete:
+            if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
+                self._arm_after = math.inf
+        elif now >= self._arm_after:
+            self._arm_after = math.inf
+            self.outputs.arm(True)
+        elif self._alone and now - self._asked > RETRY and now >= self._not_before:
+            self._arm_anew(now)
+
+    def _arm_anew(self, now: float) -> None:
+        """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
+        self.outputs.arm(False)
+        self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
+
+    def _lower(self, now: float, why: str) -> None:
+        """Disarm with reference 0 N and report why; on each tick as long as it stays armed."""
+        if now - self._lowered <= RETRY:
+            return
+        if self._lowered == -math.inf:
+            self.outputs.say(why, warning=True)
+        self._lowered = now
+        self.outputs.reference(ReferenceSignal())
+        self.outputs.arm(False)
+
     def leave_to_person(self, now: float) -> None:
-        """Request arming now and then only: a person disarmed the plant."""
-        self._arming.leave_to_person(now)
+        """Request arming again after `REMINDER` only: the plant refused since a person disarmed it."""
+        if self._alone:
+            self._arm_after, self._not_before = math.inf, now + REMINDER
 
     def arm_now(self, now: float) -> None:
         """Arm at a person's request if all is ready; otherwise report what is missing."""
         if self.armed and not self.unready(now):
             self.outputs.say("the plant is already armed: nothing was done", warning=True)
         elif self.readiness.complete:
-            self._arming.arm(now)
+            self._arm_anew(now)
         else:
-            self._arming.prompt_anew()
+            self._prompted = ""
             sentence = f"not armed, still waiting for {self.readiness.awaited}: you are asked once all is ready"
             self.outputs.say(sentence, warning=True)
 
     def _tell(self, now: float) -> None:
-        condition, ready = self.condition, self.readiness.complete
-        hint = "" if self.armed or self.lost else self._arming.prompt(condition, ready, now)
+        """Report the plant's condition when it changes, and once in each what a person has to do."""
+        condition, ready, hint = self.condition, self.readiness.complete, ""
+        waits = not (self.armed or self.lost or self._alone) and ready and now - self._asked > RETRY
+        if waits and condition != self._prompted:
+            self._prompted, hint = condition, HOW_TO_ARM
         if hint or self._told not in (None, condition):
             self.outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
         self._told = condition

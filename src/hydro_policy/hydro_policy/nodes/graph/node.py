@@ -20,7 +20,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.ros.answers import Answers
-from hydro_bridge.ros.commander import Commander
+from hydro_bridge.ros.commander import ALONE_WITHIN, Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
 from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, seconds, subscribe, subscribe_to_box
@@ -36,18 +36,18 @@ from hydro_bridge.ros.topics import (
     create_publisher,
     create_subscription,
 )
-from hydro_bridge.safety.authority import BY_HAND
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
+from hydro_bridge.safety.lease import BY_HAND
 from hydro_bridge.safety.pace import COMMANDS
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import typed_lines
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency, drop_realtime
-from hydro_core.signals import DECIDED, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, LawCommand, ReferenceSignal
+from hydro_core.signals import DECIDED, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, ReferenceSignal
 from hydro_core.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
-from hydro_msgs.msg import Gains, PolicyStep
+from hydro_msgs.msg import PolicyStep
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.nodes.graph.announcements import UNRECORDED, Announcer, CompanionWatch
 from hydro_policy.nodes.graph.services import FreezeService, OverrideService
@@ -82,52 +82,6 @@ class GainTiming:
             self.jitter.add(abs(interval - _PERIOD))
 
 
-ALONE_WITHIN = 600.0
-"""s that a new node waits for the present holder of the plant."""
-ANSWER_WITHIN = 30.0
-"""s, wait for the plant's answer."""
-UNANSWERED = "the plant does not say who may command it (/hydro/claim)"
-
-
-class AuthorityWait:
-    """Reports why a node does not command the plant, each reason once, and gives up after a timeout.
-
-    `node`: waiting node. `commander`: requests the authority from the plant, and holds its answer. `warn`: called with
-    each reason. `within`: s after which another holder ends the wait.
-    """
-
-    def __init__(self, node: Node, commander: Commander, warn: Callable[[str], None], within: float) -> None:
-        self._node, self._commander, self._warn, self._within = node, commander, warn, within
-        self._since = math.inf
-        self._two_plants, self._crowd, self._refusal = False, "", ""  # seen since the last check; already reported
-
-    def note_two_plants(self) -> None:
-        """Record that samples of two plants arrived, which are both ignored."""
-        self._two_plants = True
-
-    def look(self, now: float, sampled: bool) -> None:
-        """Check who commands the plant, at every tick; `sampled`: whether any sample has arrived.
-
-        Raises NotReadyError: the wait exceeded its time-out.
-        """
-        crowd = publisher_conflicts(self._node, STATE) if self._two_plants else ""
-        if crowd and not self._crowd:
-            self._warn(f"{crowd}; until then no sample is believed")
-        self._two_plants, self._crowd = False, crowd
-        if self._commander.held or not sampled:
-            self._since, self._refusal = math.inf, ""
-            return
-        self._since = min(self._since, now)
-        refusal, within = self._commander.refusal or UNANSWERED, self._within
-        if not self._commander.refusal:
-            within = ANSWER_WITHIN
-        elif refusal != self._refusal:
-            self._warn(f"{refusal}; {self._node.get_name()} waits, {within:g} s at most")
-        self._refusal = refusal
-        if now - self._since > within:
-            raise NotReadyError(f"{refusal}, still after {within:g} s")
-
-
 TICK = 0.05  # s
 NICE = -15
 """Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
@@ -141,7 +95,7 @@ _TICK_SAMPLES = round(TICK / SAMPLE_PERIOD)
 class GraphNode(Node):
     """Moves messages between the graph and one session at a time; implements `supervision.plant_supervisor.Outputs`.
 
-    It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
+    It commands the plant only while it holds the lease: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
 
     A plant that goes by its own clock waits for the answer to each policy step: it is given once the session has seen
@@ -183,11 +137,11 @@ class GraphNode(Node):
         self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
         self._done = Future()
         self._gains_out = 0.0
-        self._gains = Gains()
         self._step = PolicyStep()  # one object, used again a hundred times a second
         self._steps: Publisher | None = None
-        self._commander = Commander(self, self._on_authority, endings.ask)
-        self._wait = AuthorityWait(self, self._commander, self.warn, alone_within)
+        self._commander = Commander(self, self._on_lease, endings.ask, self.warn, alone_within)
+        self.command_law, self.reference = self._commander.law, self._commander.reference
+        self._two_plants, self._crowd = False, ""  # whose samples came since the last tick; warned of
         self._override_service = OverrideService(self, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = subscribe(self, STATE, STATES, self._on_state)
@@ -294,9 +248,9 @@ class GraphNode(Node):
         return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENT)
 
     def disarm(self, *, still: bool = False) -> None:
-        """Release the authority, which disarms the plant, and wait at most 2 s for the answer.
+        """Release the lease, which disarms the plant, and wait at most 2 s for the answer.
 
-        `still`: leave a reference of 0 N. With a `successor` set, the plant keeps the authority for that node.
+        `still`: leave a reference of 0 N. With a `successor` set, the plant is kept for that node.
         """
         self._session = None
         if still:
@@ -334,12 +288,8 @@ class GraphNode(Node):
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
-        self._gains = self._commander.gains(delta_kp, delta_ki, step)
+        self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
-
-    def command_law(self, command: LawCommand, step: int) -> None:
-        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
-        self._commander.law(command, step)
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
@@ -350,10 +300,6 @@ class GraphNode(Node):
         message.step, message.weights, message.reward = step, weights, reward
         message.mean_delta_kp, message.mean_delta_ki = mean
         self._steps.publish(message)
-
-    def reference(self, signal: ReferenceSignal) -> None:
-        """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
-        self._commander.reference(signal)
 
     def arm(self, arm: bool) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
@@ -403,7 +349,7 @@ class GraphNode(Node):
 
     def _on_state(self, message: Any) -> None:
         if self._states.get_publisher_count() > 1:
-            self._wait.note_two_plants()  # which of them is the plant's?
+            self._two_plants = True  # which of them is the plant's?
             return
         again = self._heard is not None and self._heard.sequence == message.sequence
         self._heard, self._arrived = message, time.monotonic()
@@ -440,7 +386,7 @@ class GraphNode(Node):
     def _pass_on(self, session: Session, message: Any, arrived: float) -> None:
         now = 1e-9 * message.stamp if message.flags & Flag.PACED else arrived
         if session.on_sample(message.sequence, np.array(message[_SAMPLE]), message.flags, now):
-            age = seconds(self._gains.header.stamp) - 1e-9 * message.stamp
+            age = seconds(self._commander.last_gains.header.stamp) - 1e-9 * message.stamp
             self.timing.add(arrived, self._gains_out, age)
 
     def _begin_answering(self) -> None:
@@ -529,7 +475,12 @@ class GraphNode(Node):
 
     def _carry_on(self, session: Session, now: float) -> None:
         self._commander.seek(now)
-        self._wait.look(now, self._sampled < math.inf)
+        crowd = publisher_conflicts(self, STATE) if self._two_plants else ""
+        if crowd and not self._crowd:
+            self.warn(f"{crowd}; until then no sample is believed")
+        self._two_plants, self._crowd = False, crowd
+        if self._sampled < math.inf:
+            self._commander.look(now)
         with suppress(queue.Empty):
             self._keys.get_nowait()
             session.watch.arm_now(now)
@@ -540,7 +491,7 @@ class GraphNode(Node):
         if session.finished:
             self._finish()
 
-    def _on_authority(self, lost: str) -> None:
+    def _on_lease(self, lost: str) -> None:
         if lost:
             self.warn(f"authority over the plant was lost; nothing is sent until it is regained: {lost}")
             self._override_service.close()

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One holder at a time, and the epoch that its commands carry."""
+
+from __future__ import annotations
+
+from itertools import count
+
+import pytest
+
+from hydro_bridge.safety.lease import BY_HAND, KEPT, SILENCE, Lease
+
+
+@pytest.fixture
+def lease() -> Lease:
+    return Lease(count(1).__next__)
+
+
+def test_the_second_is_told_who_commands_and_a_holder_that_asks_again_keeps_claim_and_epoch(lease) -> None:
+    assert lease.take("trainer", 0, 0.0) == ""
+    claim, epoch = lease.claim, lease.epoch
+    assert "trainer commands this plant" in lease.take("evaluate", 0, 1.0)
+    assert "trainer commands this plant" in lease.take("trainer", claim + 100, 1.0), "of the same name"
+    for now in range(1, 10):
+        assert lease.take("trainer", claim, float(now)) == ""
+    assert (lease.holder, lease.claim, lease.epoch) == ("trainer", claim, epoch)
+    assert lease.take("evaluate", 0, 9.0 + SILENCE) != ""
+
+
+def test_a_silent_holder_is_succeeded_and_its_commands_are_refused(lease: Lease) -> None:
+    lease.take("trainer", 0, 0.0)
+    old = lease.epoch
+    now = SILENCE + 0.1
+    assert lease.take("evaluate", 0, now) == ""
+    assert lease.holder == "evaluate"
+    assert not lease.admits("gains", old, now + 1.0)
+    assert lease.admits("gains", lease.epoch, now + 1.0)
+    assert "evaluate commands this plant" in lease.take("trainer", old, now + 1.0)
+
+
+def test_a_claim_lapses_with_silence_in_which_no_command_came(lease: Lease) -> None:
+    lease.take("trainer", 0, 0.0)
+    assert not lease.lapse(SILENCE) and lease.holder
+    assert lease.admits("gains", lease.epoch, SILENCE)
+    assert "trainer commands" in lease.take("evaluate", 0, SILENCE + 0.1)
+    assert not lease.lapse(2 * SILENCE) and lease.lapse(2 * SILENCE + 0.1) and not lease.holder
+    assert not lease.lapse(100.0), "nobody is there to lose it"
+
+
+def test_what_carries_no_epoch_or_an_old_one_is_refused_and_counted(lease: Lease) -> None:
+    lease.take("trainer", 0, 0.0)
+    old = lease.epoch
+    lease.end(10.0)
+    assert not lease.admits("gains", old, 10.1) and not lease.refused, "on its way when the session ended"
+    assert not lease.admits("gains", old, 11.0)
+    assert not lease.admits("gains", 0, 11.0)
+    assert not lease.admits("reference", 0, 11.0)
+    assert lease.refused == {"gains": 2, "reference": 1}
+
+
+def test_only_the_holder_can_give_it_back_and_an_heir_is_waited_for_but_not_for_ever(lease: Lease) -> None:
+    assert not lease.give(0, 0.0)
+    lease.take("trainer", 0, 0.0)
+    old = lease.epoch
+    assert not lease.give(lease.claim + 1, 1.0) and lease.holder
+    assert lease.give(lease.claim, 1.0, heir="evaluate") and not lease.holder
+    assert "handed over to evaluate" in lease.take("collect", 0, 1.1)
+    assert "handed over to evaluate" in lease.take("trainer", 0, 1.1), "nor he who gave it"
+    assert lease.take("evaluate", 0, 2.0) == "" and lease.holder == "evaluate"
+    assert lease.epoch != old
+    lease.give(lease.claim, 3.0)
+    assert lease.take("collect", 0, 3.1) == "", "given back to whoever asks"
+    lease.give(lease.claim, 4.0, heir="evaluate")
+    assert lease.take("collect", 0, 4.0 + KEPT) == "", "the heir has not come"
+
+
+def test_numbers_are_drawn_anew_and_are_never_0() -> None:
+    drawn = {Lease().epoch for _ in range(100)}
+    assert len(drawn) == 100 and 0 not in drawn and max(drawn) < 2**64
+
+
+def test_what_a_person_disarmed_only_a_person_arms(lease: Lease) -> None:
+    lease.take("trainer", 0, 0.0)
+    lease.disarmed(lease.claim)
+    assert lease.may_arm(lease.claim, 0, "") == "", "its own disarming"
+    lease.disarmed(0)
+    assert lease.may_arm(lease.claim, 0, "") == BY_HAND and lease.may_arm(0, 0, "") == ""
+    assert "trainer commands this plant, not evaluate" in lease.may_arm(0, 0, "evaluate")
+    assert "changed hands since" in lease.may_arm(0, lease.epoch + 1, "trainer")
+    lease.armed()
+    assert lease.may_arm(lease.claim, lease.epoch, "trainer") == ""
+    lease.disarmed(0)
+    lease.take("evaluate", 0, SILENCE + 0.1)
+    assert lease.may_arm(lease.claim, 0, "") == "", "the bar was the other's"
+
+
+def test_corrections_do_not_renew_the_lease(lease: Lease) -> None:
+    lease.take("trainer", 0, 0.0)
+    assert lease.admits("correction", lease.epoch, SILENCE, renews=False)
+    assert lease.lapse(SILENCE + 0.1)
