@@ -75,7 +75,7 @@ class Probe:
         return longest
 
     def take(self, timeout: float = 30.0) -> None:
-        """Take the authority over the plant, and keep it."""
+        """Take the lease over the plant, and keep it."""
         self.commands = True
         self.wait(lambda: self.commander.held, timeout)
 

@@ -118,7 +118,7 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
 
     probe.wait(lambda: min(counted()) >= 5)  # these topics keep the last message alone: one may replace another
     assert max(counted()) <= 10
-    probe.wait(lambda: "of /hydro/gains from nodes without authority (probe)" in steered.output.getvalue())
+    probe.wait(lambda: "of /hydro/gains from nodes without the lease (probe)" in steered.output.getvalue())
 
 
 def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import shutil
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hydro_core.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
+from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Run, Trial, gammas, run
@@ -116,3 +119,17 @@ def test_the_integral_cannot_wind_up_without_end(bench: Bench, plant: Plant) -> 
     wound = sample._replace(nominal_current=sample.nominal_current + more, valve_current=sample.valve_current + more)
     change = [each.correct(wound).delta_u - each.correct(sample).delta_u for each in (made, none)]
     assert abs(change[1]) > abs(change[0])
+
+
+def test_a_region_of_another_bench_is_not_used_and_that_is_said(tmp_path: Path) -> None:
+    shipped = FilterChoice(bench=NOMINAL)
+    assert shipped.describe()["region"] == "proved for the paper's law, proved for the compensated law"
+    assert shipped.region(MADE) is not None
+    for file in shipped.files["metric"].parent.glob("default_metric.*"):
+        shutil.copy(file, tmp_path)
+    region = tmp_path / "default_metric.region.json"
+    region.write_text(region.read_text().replace(NOMINAL.digest, "0" * len(NOMINAL.digest)))
+    (tmp_path / "default_metric.compensated.region.json").unlink()
+    choice = FilterChoice(bench=NOMINAL, metric=str(tmp_path / "default_metric.safetensors"))
+    assert choice.describe()["region"] == "default_metric.region.json is of another model or bench: not used"
+    assert choice.region(MADE) is None

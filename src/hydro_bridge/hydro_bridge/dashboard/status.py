@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status of the graph for the page, besides the series: holder of the authority, state of the nodes, learning progress.
+"""Status of the graph for the page, besides the series: holder of the lease, state of the nodes, learning progress.
 
 All of it is bounded: the latest status of each node, and a curve of at most `CURVE` episodes.
 """

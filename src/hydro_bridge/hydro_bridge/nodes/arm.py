@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms the running plant for the node that has the authority, or disarms it, and prints the plant's answer.
+"""Arms the running plant for the node that holds the lease, or disarms it, and prints the plant's answer.
 
-Where no node has the authority it is armed at base gains. Anybody may disarm.
+Where no node holds the lease it is armed at base gains. Anybody may disarm.
 
 ros2 run hydro_bridge arm            # exit status 0 once the box confirms, 2 with the plant's reason if it refuses
 ros2 run hydro_bridge arm --for trainer    # only if the trainer commands it

@@ -149,7 +149,7 @@ class PageCommands:
     epoch
         Returns the plant's present epoch; 0: none.
     holder
-        Returns the holder of the authority, for whom a page's override is meant.
+        Returns the holder of the lease, for whom a page's override is meant.
     """
 
     def __init__(self, node: Node, token: str, epoch: Callable[[], int], holder: Callable[[], str]) -> None:

@@ -24,7 +24,7 @@ before the sample is published. Its corrections are published like any; the plan
 raises an error is asked no more: the guard goes to base gains, as for any filter that is silent.
 
 Where the plant goes by its own clock (`PlantSide.paced`), times are the plant's, and what the plant says about a sample
-(the authority that ends with a trip, /clock, its law) is published before the sample.
+(the session that ends with a trip, /clock, its law) is published before the sample.
 """
 
 from __future__ import annotations
@@ -268,7 +268,7 @@ class LeaseServer:
         self.follow()
         before, self._crowd = self._crowd, self.crowd()
         if before and not self._crowd:
-            self._tell()  # corrects any false message about the authority
+            self._tell()  # corrects any false message about the lease
         if self._armed:
             if self._crowd:
                 self._give_up(STATE)
@@ -310,8 +310,8 @@ class LeaseServer:
         for topic, count in news.items():
             names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
             self._node.get_logger().warning(
-                f"refused: {count} of {topic} from nodes without authority ({', '.join(names) or 'gone'})"
-                ": the valve does not follow them; end what sends them, or wait until it has the authority"
+                f"refused: {count} of {topic} from nodes without the lease ({', '.join(names) or 'gone'})"
+                ": the valve does not follow them; end what sends them, or wait until it holds the lease"
             )
 
     def _called(self, who: str, answer: str) -> None:

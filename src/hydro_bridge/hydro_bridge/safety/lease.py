@@ -65,7 +65,7 @@ class Lease:
         """Grant it to `name`, or renew it for the holder of `claim`; returns the reason of a refusal, or nothing."""
         kept = self.held_by(claim)
         if self.holder and not kept and now - self._renewed <= SILENCE:
-            return f"{self.holder} commands this plant: end it, or wait until it gives the authority back"
+            return f"{self.holder} commands this plant: end it, or wait until it gives the lease back"
         if not self.holder and self._heir not in ("", name) and now < self._kept_until:
             return f"this plant is handed over to {self._heir}, which may take it within {KEPT:g} s"
         if not kept:

@@ -91,7 +91,7 @@ class Marks:
         self._flags = int(flags[-1])
 
     def authority(self, time: float, holder: str) -> None:
-        """Add the holder of the authority from `time` on; empty: none."""
+        """Add the holder of the lease from `time` on; empty: none."""
         if holder != self._holder:
             self.add(time, "authority", f"commanded by {holder}" if holder else "no node commands the plant")
         self._holder = holder

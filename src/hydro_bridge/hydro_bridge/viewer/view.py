@@ -171,7 +171,7 @@ class _Reading:
             self.curve.add(int(row["phase"]), int(row["episode"]), *results)
 
     def take_object(self, topic: str, time: float, message: Any) -> None:
-        """Add a message about the authority, of the diagnostics or of the log."""
+        """Add a message about the lease, of the diagnostics or of the log."""
         if topic == LOG_TOPIC:
             self.marks.log(time, int(message.level), message.name, message.msg)
             return

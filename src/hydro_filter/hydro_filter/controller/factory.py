@@ -64,11 +64,15 @@ class FilterChoice:
         return choice
 
     def describe(self) -> dict[str, str]:
-        """Return its description with the files' digests and certified gains, for logs and /diagnostics."""
+        """Return its description with the files' digests, certified gains and regions, for logs and /diagnostics."""
         told = {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
         ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.certificates)
         certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
-        return {**told, "certified": ", ".join(certified)}
+        proved, foreign = self._statements
+        laws = {False: "the paper's law", True: "the compensated law"}
+        regions = [f"proved for {laws[compensated]}" for compensated in proved]
+        regions += [f"{name} is of another model or bench: not used" for name in foreign]
+        return {**told, "certified": ", ".join(certified), "region": ", ".join(regions) or "none is proved"}
 
     def trouble(self, box: BoxIdentity | None = None) -> str:
         """Return why metric, model and bench do not belong together, in one sentence; empty if they do.
@@ -121,19 +125,31 @@ class FilterChoice:
         metric, model = self.stored_metric, learned_bench.load_model(files["model"])
         return loop_filter(metric, model, self.bench, settings)
 
+    @cached_property
+    def _statements(self) -> tuple[dict[bool, Statement], list[str]]:
+        """Statements beside the metric by whether they are of the compensated law; names of those of another bench.
+
+        Raises ValueError: a file is no statement.
+        """
+        believed, proved, foreign = (self._model_digest, self.bench.digest), {}, []
+        for compensated in (False, True):
+            path = region_path(self.files["metric"], compensated=compensated)
+            if not path.is_file():
+                continue
+            statement = Statement.load(path)
+            if (statement.facts.get("model"), statement.facts.get("box")) == believed:
+                proved[compensated] = statement
+            else:
+                foreign.append(path.name)
+        return proved, foreign
+
     def region(self, filtering: LoopFilter) -> RegionWatch | None:
         """Return the watch of the regions that are proved beside the metric, for this model and bench; None: none is.
 
         Raises ValueError: a file is no statement.
         """
-        metric, believed = self.files["metric"], (self._model_digest, self.bench.digest)
-        found = {
-            law: Statement.load(path)
-            for law in (False, True)
-            if (path := region_path(metric, compensated=law)).is_file()
-        }
-        found = {law: one for law, one in found.items() if (one.facts.get("model"), one.facts.get("box")) == believed}
-        return RegionWatch(found, float(filtering.parts["closing"][0])) if found else None
+        proved, _ = self._statements
+        return RegionWatch(proved, float(filtering.parts["closing"][0])) if proved else None
 
 
 def _digest(path: Path) -> str:

@@ -43,7 +43,7 @@ REST = 1.0
 """s recorded before arming: the still bench."""
 TRIPS_IN_A_ROW = 3
 AUTHORITY_WITHIN = 5.0
-"""s for the plant to give the authority: longer than it keeps that of one who was killed."""
+"""s for the plant to grant the lease: longer than it keeps that of one who was killed."""
 TRIPPED = 3
 """Exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there."""
 

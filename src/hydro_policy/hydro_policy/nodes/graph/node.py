@@ -493,7 +493,7 @@ class GraphNode(Node):
 
     def _on_lease(self, lost: str) -> None:
         if lost:
-            self.warn(f"authority over the plant was lost; nothing is sent until it is regained: {lost}")
+            self.warn(f"the lease on the plant was lost; nothing is sent until it is regained: {lost}")
             self._override_service.close()
         else:
             self._override_service.open()

@@ -48,15 +48,15 @@ class GainRange:
         )  # fmt: skip
 
     def gains(self, action: FloatArray) -> tuple[float, float]:
-        """Return (delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
+        """Return (delta_kp, delta_ki) of an action [2] in [-1, 1]."""
         kp, ki = self.changes(action)
         return float(kp), float(ki)
 
     def changes(self, actions: FloatArray) -> FloatArray:
-        """Return `gains` of many actions, shape (..., 2) to (..., 2)."""
+        """Return `gains` of many actions in [-1, 1], shape (..., 2) to (..., 2)."""
         low = np.array((self.delta_kp_min, self.delta_ki_min))
         high = np.array((self.delta_kp_max, self.delta_ki_max))
-        return np.asarray(low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (high - low))
+        return np.asarray(low + 0.5 * (actions + 1.0) * (high - low))
 
     def action(self, delta_kp: float, delta_ki: float) -> FloatArray:
         """Return the action [2] for these gains; not clamped."""
