@@ -73,7 +73,7 @@ def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
     result = learn(moved(truth, 1.2), data)
     values = [value for effect in truth.effects for value in kind_of(effect)[1]]
     for found, value in zip(result.parameters, values, strict=True):
-        assert found.seen and found.high - found.low < 0.5 * abs(value), found
+        assert found.informed and found.high - found.low < 0.5 * abs(value), found
         assert abs(found.value - value) < max(0.05 * abs(value), found.high - found.low), found
 
 

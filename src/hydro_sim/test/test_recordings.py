@@ -144,13 +144,13 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     bench = replace(Bench.nominal(), effects=(SPRING, DEADBAND), closures=(DRAG,))
     result = bench_learning.learn(bench, data, count=60)
     ratio, half_width, drag = result.parameters
-    assert ratio.value == pytest.approx(1.6, rel=2e-3) and ratio.seen
+    assert ratio.value == pytest.approx(1.6, rel=2e-3) and ratio.informed
     assert half_width.value == pytest.approx(3e-4, rel=5e-3) and half_width.low < 3.01e-4 and half_width.high > 2.99e-4
     assert drag.low < 30.0 and drag.high > -30.0
     assert result.quality.over_noise < 1.2
     assert result.bench.effects[0]["parameters"]["ratio"] == pytest.approx(ratio.value, rel=1e-6)
     assert result.bench.closures[0]["form"] == "quadratic drag" and "id" not in result.bench.closures[0]
-    assert result.file().unfit == ""
+    assert result.with_quality().unfit == ""
 
 
 def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(

@@ -48,29 +48,29 @@ class Coordinates:
         self.scale = np.array([one.scale for one in chosen])
         self.logarithm = self.low > 0.0
 
-    def theta(self, q: FloatArray) -> FloatArray:
-        """All parameters."""
+    def parameters(self, q: FloatArray) -> FloatArray:
+        """All parameters, shape (parameters,), at coordinates q, shape (free,)."""
         theta = self.values.copy()
-        theta[self.free] = self.one(q)
+        theta[self.free] = self.free_parameters(q)
         return theta
 
-    def one(self, q: FloatArray) -> FloatArray:
-        """Return the free ones, held within their bounds."""
+    def free_parameters(self, q: FloatArray) -> FloatArray:
+        """Return the free parameters within their bounds, shape (free,)."""
         found = np.where(self.logarithm, np.exp(np.where(self.logarithm, q, 0.0)), self.scale * q)
         return np.asarray(np.clip(found, self.low, self.high))
 
-    def q(self, theta: FloatArray) -> FloatArray:
+    def coordinates(self, theta: FloatArray) -> FloatArray:
         """Coordinates q of the free parameters, given all."""
         one = theta[self.free]
         return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
 
-    def magnitude(self, q: FloatArray) -> FloatArray:
+    def step_max(self, q: FloatArray) -> FloatArray:
         """Largest step of q: 1 at least, and |q| of a parameter that may be 0, which then doubles."""
         return np.asarray(np.where(self.logarithm, 1.0, np.maximum(np.abs(q), 1.0)))
 
-    def slopes(self, q: FloatArray) -> FloatArray:
+    def derivative(self, q: FloatArray) -> FloatArray:
         """d theta/d q of the free ones."""
-        return np.asarray(np.where(self.logarithm, self.one(q), self.scale))
+        return np.asarray(np.where(self.logarithm, self.free_parameters(q), self.scale))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,19 +109,19 @@ class Problem:
 
     def __init__(self, exact: Sensitivities, coordinates: Coordinates, batch: Batch) -> None:
         self.exact, self.coordinates, self.batch = exact, coordinates, batch
-        self.first = coordinates.q(coordinates.values)
+        self.first = coordinates.coordinates(coordinates.values)
         self.size = batch.targets.size
 
-    def improve(self, fit: Fit) -> bool:
+    def iterate(self, fit: Fit) -> bool:
         """Run one iteration in place; return whether another one is worthwhile."""
-        reduced, gradient, back = self.normal(fit)
+        matrix, gradient, eliminated = self.normal_equations(fit)
         cost = self.cost(fit.q, fit.s)
-        reach = STEP_MAX * self.coordinates.magnitude(fit.q)
+        reach = STEP_MAX * self.coordinates.step_max(fit.q)
         while fit.damping < 1e8:
-            damped = reduced + fit.damping * np.diag(np.diag(reduced))
+            damped = matrix + fit.damping * np.diag(np.diag(matrix))
             change = np.clip(-np.linalg.solve(damped, gradient), -reach, reach)
-            q = self.coordinates.q(self.coordinates.theta(fit.q + change))
-            moves = -(back[:, :, -1] + back[:, :, :-1] @ (q - fit.q))
+            q = self.coordinates.coordinates(self.coordinates.parameters(fit.q + change))
+            moves = -(eliminated[:, :, -1] + eliminated[:, :, :-1] @ (q - fit.q))
             s = fit.s + np.clip(moves, -START_MAX, START_MAX)
             better = self.cost(q, s)
             if better < cost:
@@ -133,25 +133,25 @@ class Problem:
 
     def cost(self, q: FloatArray, s: FloatArray) -> float:
         """Mean squared error over noise, priors with it; infinite where a prediction is not finite."""
-        k, _ = self.exact.coefficients(self.coordinates.theta(q))
+        k, _ = self.exact.coefficients(self.coordinates.parameters(q))
         total = float(np.sum(s * s) + np.sum(((q - self.first) / PRIOR) ** 2))
         for i in range(len(s)):
             z = self.exact.model.rollout(k, self._start(i, s[i]), self.batch.currents[i])
             total += float(np.sum(((z - self.batch.targets[i]) / self.batch.noise) ** 2))
         return total / self.size if np.isfinite(total) else np.inf
 
-    def left(self, fit: Fit) -> FloatArray:
+    def residual_rms(self, fit: Fit) -> FloatArray:
         """RMS prediction error of each reading, shape (5,)."""
-        k, _ = self.exact.coefficients(self.coordinates.theta(fit.q))
+        k, _ = self.exact.coefficients(self.coordinates.parameters(fit.q))
         found = [self.exact.model.rollout(k, self._start(i, s), self.batch.currents[i]) for i, s in enumerate(fit.s)]
         return np.asarray(np.sqrt(np.mean((np.array(found) - self.batch.targets) ** 2, axis=(0, 1))))
 
-    def normal(self, fit: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def normal_equations(self, fit: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Matrix and gradient by q, starts eliminated; and A_i^-1 (B_i, a_i), shape (n, held, free + 1)."""
-        k, dk = self.exact.coefficients(self.coordinates.theta(fit.q))
-        by_q = dk[:, self.coordinates.free] * self.coordinates.slopes(fit.q)
+        k, dk = self.exact.coefficients(self.coordinates.parameters(fit.q))
+        by_q = dk[:, self.coordinates.free] * self.coordinates.derivative(fit.q)
         held, count = self.exact.held, len(self.coordinates.free)
-        back = np.empty((len(fit.s), held, count + 1))
+        eliminated = np.empty((len(fit.s), held, count + 1))
         matrix = np.eye(count) / PRIOR**2
         gradient = (fit.q - self.first) / PRIOR**2
         for i, s in enumerate(fit.s):
@@ -161,10 +161,10 @@ class Problem:
             rows = (dz / noise[:, None]).reshape(len(error), -1)
             by_s, by_parameters = rows[:, :held], rows[:, held:]
             b, a = by_s.T @ by_parameters, by_s.T @ error + s
-            back[i] = np.linalg.solve(by_s.T @ by_s + np.eye(held), np.column_stack([b, a]))
-            matrix += by_parameters.T @ by_parameters - b.T @ back[i, :, :-1]
-            gradient = gradient + by_parameters.T @ error - b.T @ back[i, :, -1]
-        return matrix, gradient, back
+            eliminated[i] = np.linalg.solve(by_s.T @ by_s + np.eye(held), np.column_stack([b, a]))
+            matrix += by_parameters.T @ by_parameters - b.T @ eliminated[i, :, :-1]
+            gradient = gradient + by_parameters.T @ error - b.T @ eliminated[i, :, -1]
+        return matrix, gradient, eliminated
 
     def _start(self, i: int, s: FloatArray) -> FloatArray:
         y = self.batch.starts[i].copy()
@@ -178,7 +178,7 @@ TRUSTS = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """Model error that the filter assumes, by round."""
 ITERATIONS = 5
 """Largest number of iterations in a round."""
-TRIED = (0.03, 0.3, 3.0)
+FINAL_TRUSTS = (0.03, 0.3, 3.0)
 """Trusts of the final choice: the one that predicts the validation runs best."""
 DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
 """Upper bound of a dead time: at least so many s, and so many times that of the bench file."""
@@ -189,7 +189,7 @@ Report = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Identified:
+class IdentifiedParameter:
     """A learned parameter."""
 
     name: str
@@ -200,7 +200,7 @@ class Identified:
     low: float
     """Lower end of the 95 % interval, as far as windows are independent and the model holds."""
     high: float
-    seen: bool
+    informed: bool
     """Whether the recordings add to the prior."""
 
 
@@ -209,18 +209,18 @@ class Result:
     """A learned bench."""
 
     bench: Bench
-    parameters: list[Identified]
+    parameters: list[IdentifiedParameter]
     noise: FloatArray
     """Noise of the readings, measured in the recordings, shape (5,)."""
-    left: FloatArray
+    rmse: FloatArray
     """RMSE of 70-sample predictions of the validation runs against the readings, shape (5,)."""
 
     @property
     def quality(self) -> Quality:
         """Quality of the learned bench."""
-        return Quality.of((self.left / self.noise).tolist())
+        return Quality.of((self.rmse / self.noise).tolist())
 
-    def file(self) -> Bench:
+    def with_quality(self) -> Bench:
         """The learned bench with its measured quality."""
         return replace(self.bench, learned={"bench": self.bench.digest, **self.quality.to_mapping()})
 
@@ -253,17 +253,17 @@ def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: 
     Raises ValueError: the recordings have no room for windows.
     """
     bench = with_usual_effects(bench)
-    exact = Sensitivities(BenchModel(_roomy(bench), substeps=SUBSTEPS))
+    exact = Sensitivities(BenchModel(_with_longer_dead_times(bench), substeps=SUBSTEPS))
     coordinates = _coordinates(bench, exact.model)
     noise = noise_of(data.training)
     chosen = _windows(data.training, count, np.random.default_rng(seed))
     q, matrix = _fitted(exact, coordinates, data.training, chosen, noise, report)
     deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
-    theta = coordinates.theta(q)
-    left, _ = best_prediction_rmse(exact, theta, noise, data.validation)
+    theta = coordinates.parameters(q)
+    rmse, _ = best_prediction_rmse(exact, theta, noise, data.validation)
     return Result(
         bench=_with(bench, exact.model, theta), parameters=_identified(exact.model, coordinates, q, deviation),
-        noise=noise, left=left,
+        noise=noise, rmse=rmse,
     )  # fmt: skip
 
 
@@ -272,20 +272,20 @@ def _fitted(
     report: Report,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Parameters, as coordinates, of the round that predicts best, and the information matrix there."""
-    weights, q = noise, coordinates.q(coordinates.values)
+    weights, q = noise, coordinates.coordinates(coordinates.values)
     best, kept = np.inf, (q, np.eye(len(q)))
     for number, trust in enumerate(TRUSTS, 1):
-        follower = StateEstimator(exact, coordinates.theta(q), weights, trust)
+        follower = StateEstimator(exact, coordinates.parameters(q), weights, trust)
         problem = Problem(exact, coordinates, _batch(follower, runs, chosen, weights))
         fit = Fit(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
         for _ in range(ITERATIONS):
-            if not problem.improve(fit):
+            if not problem.iterate(fit):
                 break
-        left = problem.left(fit)
-        q, weights = fit.q, np.maximum(noise, left)
-        report(f"round {number} of {len(TRUSTS)}: error over noise {np.round(left / noise, 3)}")
-        if (error := float(np.mean(np.log(left / noise)))) < best:
-            best, kept = error, (q, problem.normal(fit)[0])
+        residual = problem.residual_rms(fit)
+        q, weights = fit.q, np.maximum(noise, residual)
+        report(f"round {number} of {len(TRUSTS)}: error over noise {np.round(residual / noise, 3)}")
+        if (error := float(np.mean(np.log(residual / noise)))) < best:
+            best, kept = error, (q, problem.normal_equations(fit)[0])
     return kept
 
 
@@ -293,22 +293,22 @@ def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
 ) -> tuple[FloatArray, StateEstimator]:
     """Lowest RMSE of 70-sample predictions of the readings, shape (5,), over the filter's trusts, and that filter."""
-    followers = [StateEstimator(exact, theta, noise, trust) for trust in TRIED]
-    found = [(_left(follower, runs), follower) for follower in followers]
+    followers = [StateEstimator(exact, theta, noise, trust) for trust in FINAL_TRUSTS]
+    found = [(_prediction_rmse(follower, runs), follower) for follower in followers]
     return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
 
 
-def _roomy(bench: Bench) -> Bench:
+def _with_longer_dead_times(bench: Bench) -> Bench:
     """The bench with dead times as long as they may become: a model keeps as many past currents as that needs."""
     delays = sum(effect["id"] == valve.TransportDelay.id for effect in bench.effects)
 
-    def longer(effect: Any) -> Any:
+    def lengthened(effect: Any) -> Any:
         if effect["id"] != valve.TransportDelay.id:
             return effect
         time = max(DELAY_FACTOR * float(effect["parameters"]["time"]), DELAY_LEAST)
         return {**effect, "parameters": {"time": min(time, catalogue.DELAY_MAX / delays, 0.03)}}
 
-    return replace(bench, effects=tuple(longer(effect) for effect in bench.effects))
+    return replace(bench, effects=tuple(lengthened(effect) for effect in bench.effects))
 
 
 def _coordinates(bench: Bench, model: BenchModel) -> Coordinates:
@@ -349,7 +349,7 @@ def _batch(follower: StateEstimator, runs: list[Run], chosen: list[Indices], wei
     )  # fmt: skip
 
 
-def _left(follower: StateEstimator, runs: list[Run]) -> FloatArray:
+def _prediction_rmse(follower: StateEstimator, runs: list[Run]) -> FloatArray:
     """RMSE of predictions from the filter's states against the readings, shape (5,)."""
     squares, windows = np.zeros(READINGS), 0
     for run in runs:
@@ -361,14 +361,16 @@ def _left(follower: StateEstimator, runs: list[Run]) -> FloatArray:
     return np.asarray(np.sqrt(squares / max(windows, 1)))
 
 
-def _identified(model: BenchModel, coordinates: Coordinates, q: FloatArray, deviation: FloatArray) -> list[Identified]:
-    value, half = coordinates.one(q), QUANTILE * deviation
-    low, high = coordinates.one(q - half), coordinates.one(q + half)
+def _identified(
+    model: BenchModel, coordinates: Coordinates, q: FloatArray, deviation: FloatArray
+) -> list[IdentifiedParameter]:
+    value, half = coordinates.free_parameters(q), QUANTILE * deviation
+    low, high = coordinates.free_parameters(q - half), coordinates.free_parameters(q + half)
     return [
-        Identified(
+        IdentifiedParameter(
             name=model.parameters[index].name, unit=model.parameters[index].unit,
             before=float(coordinates.values[index]), value=float(value[i]), low=float(low[i]), high=float(high[i]),
-            seen=bool(deviation[i] < 0.5 * PRIOR),
+            informed=bool(deviation[i] < 0.5 * PRIOR),
         )
         for i, index in enumerate(coordinates.free)
     ]  # fmt: skip

@@ -6,7 +6,7 @@
     exact = Sensitivities(BenchModel(bench))
     k, dk = exact.coefficients(model.values)                 dk: d k/d theta
     z, dz, y = exact.window(k, y, currents, dy, dk[:, free]) readings of a prediction, and their derivatives
-    track = exact.follow(k, start, currents, readings, q, r) states at the samples: an extended Kalman filter
+    exact.filter_states(k, start, currents, readings, q, r)  states at the samples: an extended Kalman filter
 
 Derivatives are forward: any number of directions is propagated with the states, each by the partial derivatives of one
 integration step, which come from the model's symbols. With p directions a sample costs its partial derivatives once,
@@ -40,13 +40,13 @@ Indices = npt.NDArray[np.int64]
 ORDER = 6
 """Order of the differences by which noise is measured: they reduce motion below 100 Hz to a thirtieth."""
 
-MISSED_PRESSURE, MISSED_VELOCITY, MISSED_HIDDEN = 6e-6, 2.5e-4, 1e-4
+MODEL_ERROR_PRESSURE, MODEL_ERROR_VELOCITY, MODEL_ERROR_HIDDEN = 6e-6, 2.5e-4, 1e-4
 """Model error per sample at a trust of 1, standard deviations: of the supply pressure, of the stroke per
 second, and of a hidden state's typical size."""
 
 
 @dataclass
-class Track:
+class FilterState:
     """State of a filter, updated in place."""
 
     y: FloatArray
@@ -70,7 +70,7 @@ class Sensitivities:
         self._code.bench_once_partials(to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(dk))
         return k, dk
 
-    def begin(self, theta: FloatArray, y: FloatArray) -> FloatArray:
+    def rest_state(self, theta: FloatArray, y: FloatArray) -> FloatArray:
         """States, shape (states,), of a bench that stands still in the textbook states y[:6]."""
         y, k, z = y.copy(), np.empty(self.model.coefficients), np.empty(READINGS)
         self._code.bench_begin(
@@ -91,28 +91,34 @@ class Sensitivities:
         directions = np.zeros((self.held + len(k), first + dk.shape[1]))
         directions[: self.held, :first], directions[self.held :, first:] = dy, dk
         n, p = len(currents), directions.shape[1]
-        z, dz, room = np.empty((n, READINGS)), np.empty((n, READINGS, p)), np.empty((self.held, p))
+        z, dz, workspace = np.empty((n, READINGS)), np.empty((n, READINGS, p)), np.empty((self.held, p))
         self._code.bench_sensitivities(
             to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)), ctypes.c_long(n),
-            to_c(currents, (n,)), ctypes.c_long(p), to_c(directions), to_c(z), to_c(dz), to_c(room),
+            to_c(currents, (n,)), ctypes.c_long(p), to_c(directions), to_c(z), to_c(dz), to_c(workspace),
         )  # fmt: skip
         return z, dz, y
 
-    def follow(
-        self, k: FloatArray, track: Track, currents: FloatArray, readings: FloatArray, q: FloatArray, r: FloatArray
+    def filter_states(
+        self,
+        k: FloatArray,
+        state: FilterState,
+        currents: FloatArray,
+        readings: FloatArray,
+        q: FloatArray,
+        r: FloatArray,
     ) -> FloatArray:
-        """States, shape (n, states), each from the readings up to it; `track` changes in place.
+        """States, shape (n, states), each from the readings up to it; `state` changes in place.
 
         `currents`, `readings`: currents [A], shape (n,), and the readings after each, shape (n, 5). `q`: variance that
         a sample adds to each held state for what the model misses, shape (held,). `r`: variance of the readings' noise,
         shape (5,).
         """
         n, held = len(currents), self.held
-        states, room = np.empty((n, len(self.model.states))), np.empty((2 * held + len(k), held))
+        states, workspace = np.empty((n, len(self.model.states))), np.empty((2 * held + len(k), held))
         self._code.bench_follow(
-            to_c(k, (self.model.coefficients,)), to_c(track.y, (len(self.model.states),)),
-            to_c(track.covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, READINGS)),
-            to_c(q, (held,)), to_c(r, (READINGS,)), to_c(states), to_c(room),
+            to_c(k, (self.model.coefficients,)), to_c(state.y, (len(self.model.states),)),
+            to_c(state.covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, READINGS)),
+            to_c(q, (held,)), to_c(r, (READINGS,)), to_c(states), to_c(workspace),
         )  # fmt: skip
         return states
 
@@ -137,7 +143,7 @@ class StateEstimator:
     noise
         Standard deviation of the readings, shape (5,).
     trust
-        Scale of the model error, in units of `MISSED_*`.
+        Scale of the model error, in units of `MODEL_ERROR_*`.
     """
 
     def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, trust: float) -> None:
@@ -147,9 +153,9 @@ class StateEstimator:
 
     def states(self, run: Run) -> FloatArray:
         """Return the states at every sample of a run, shape (n, states)."""
-        track = self._begin(run)
-        first = track.y.copy()
-        rest = self.exact.follow(self.k, track, run.u[:-1], run.readings[1:], self.q, self.noise**2)
+        state = self._begin(run)
+        first = state.y.copy()
+        rest = self.exact.filter_states(self.k, state, run.u[:-1], run.readings[1:], self.q, self.noise**2)
         return np.concatenate([first[None], rest])
 
     def starts(self, run: Run, samples: Indices) -> tuple[FloatArray, FloatArray]:
@@ -157,32 +163,32 @@ class StateEstimator:
 
         States, shape (n, states), and square roots of their covariances, shape (n, held, held).
         """
-        track, at, readings, r = self._begin(run), 0, run.readings, self.noise**2
+        state, at, readings, r = self._begin(run), 0, run.readings, self.noise**2
         held = self.exact.held
-        states, roots = np.empty((len(samples), len(track.y))), np.empty((len(samples), held, held))
-        scales = np.array([state.scale for state in self.exact.model.states])[:held]
+        states, roots = np.empty((len(samples), len(state.y))), np.empty((len(samples), held, held))
+        scales = np.array([one.scale for one in self.exact.model.states])[:held]
         for i, sample in enumerate(samples):
-            self.exact.follow(self.k, track, run.u[at:sample], readings[at + 1 : sample + 1], self.q, r)
+            self.exact.filter_states(self.k, state, run.u[at:sample], readings[at + 1 : sample + 1], self.q, r)
             at = int(sample)
-            states[i], roots[i] = track.y, scales[:, None] * _root(track.covariance / np.outer(scales, scales))
+            states[i], roots[i] = state.y, scales[:, None] * _root(state.covariance / np.outer(scales, scales))
         return states, roots
 
-    def _begin(self, run: Run) -> Track:
+    def _begin(self, run: Run) -> FilterState:
         model = self.exact.model
         y: FloatArray = np.zeros(len(model.states))
         y[:TEXTBOOK] = run.x[0, [4, 5, 6, 7, 2, 3]]
-        y = self.exact.begin(self.theta, y)
-        spread = np.array([state.scale for state in model.states])[: self.exact.held]
+        y = self.exact.rest_state(self.theta, y)
+        spread = np.array([one.scale for one in model.states])[: self.exact.held]
         spread[:3] = 3.0 * self.noise[2:]
-        return Track(y, np.diag(spread**2))
+        return FilterState(y, np.diag(spread**2))
 
 
 def process_noise(model: BenchModel) -> FloatArray:
     """Process noise: standard deviation per sample of each state at a trust of 1, shape (states,)."""
-    result = MISSED_HIDDEN * np.array([state.scale for state in model.states])
+    result = MODEL_ERROR_HIDDEN * np.array([one.scale for one in model.states])
     result[:TEXTBOOK] = 0.0
-    result[:2] = MISSED_PRESSURE * model.bench.supply_pressure
-    result[3] = MISSED_VELOCITY * model.bench.stroke
+    result[:2] = MODEL_ERROR_PRESSURE * model.bench.supply_pressure
+    result[3] = MODEL_ERROR_VELOCITY * model.bench.stroke
     return result
 
 

@@ -70,7 +70,7 @@ def _table(result: Result) -> Table:
     for one in result.parameters:
         table.add(
             parameter=one.name, before=one.before, learnt=one.value, low=one.low, high=one.high, unit=one.unit,
-            seen="yes" if one.seen else "no",
+            seen="yes" if one.informed else "no",
         )  # fmt: skip
     return table
 
@@ -84,4 +84,4 @@ def _write(result: Result, out: Path, digests: dict[str, str]) -> None:
     lines += [f"{one.name}: 95 % within {one.low:.6g} and {one.high:.6g} {one.unit}" for one in result.parameters]
     head = "".join(f"# {line}\n" for line in lines)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, (head + yaml.safe_dump(result.file().to_mapping(), sort_keys=False)).encode())
+    write_whole(out, (head + yaml.safe_dump(result.with_quality().to_mapping(), sort_keys=False)).encode())

@@ -435,6 +435,10 @@ class GraphNode(Node):
 
     def _on_tick(self) -> None:
         try:
+            with suppress(queue.Empty):  # a person is heard while a plant waits, too
+                self._keys.get_nowait()
+                if self._session is not None:
+                    self._session.watch.arm_now(self.now())
             if self.paced:
                 self._tick_by_the_wall()
             else:
@@ -481,9 +485,6 @@ class GraphNode(Node):
         self._two_plants, self._crowd = False, crowd
         if self._sampled < math.inf:
             self._commander.look(now)
-        with suppress(queue.Empty):
-            self._keys.get_nowait()
-            session.watch.arm_now(now)
         if self._commander.held or self._sampled == math.inf:
             session.on_tick(now)
         if not self.paced:
