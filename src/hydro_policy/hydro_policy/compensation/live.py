@@ -66,6 +66,9 @@ class LiveCompensation:
         self._safe = safe_command(law)
         self._steps: dict[int, _Step] = {}
         self._taken, self._told, self._seen = -1, -1, -1
+        self._take(_Step(), good=False)  # loads what is compiled, a second before anything is armed
+        self.held = 0
+        self.reset()
 
     def reset(self, *, learned: bool = False) -> None:
         """Start again, at neutral coefficients; frozen ones stay, and get no residual."""
