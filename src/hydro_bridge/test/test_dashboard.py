@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import http.client
+import re
 import socket
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future
+from importlib import resources
 
 import msgspec
 import pytest
@@ -150,3 +152,28 @@ def test_disarm_needs_nothing_and_all_else_the_token_and_the_epoch_of_after_the_
 def test_hostile_bytes_end_in_a_sentence(data: bytes) -> None:
     with pytest.raises(RefusedError):
         read(data)
+
+
+def _luminance(colour: str) -> float:
+    """Relative luminance of #rrggbb (WCAG 2.2)."""
+    linear = [int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in linear]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_text_is_read_on_bright_and_on_dark_screens_and_pages_have_no_colours_of_their_own() -> None:
+    pages = resources.files("hydro_bridge")
+    bright, dark = (pages / "pages/templates/palette.css").read_text().split("@media")
+    palettes = [dict(re.findall(r"--(\w+): (#\w{6})", text)) for text in (bright, bright + dark)]
+    for palette in palettes:
+        for text in ("ink", "soft", "blue", "vermilion", "green", "brown"):
+            for ground in ("paper", "ground", "tint"):
+                light, dim = sorted((_luminance(palette[text]), _luminance(palette[ground])), reverse=True)
+                assert (light + 0.05) / (dim + 0.05) >= 4.5, (text, ground, palette[text], palette[ground])
+        for surface in ("armed", "alarm", "pressed", "idle"):
+            assert 1.05 / (_luminance(palette[surface]) + 0.05) >= 4.5, surface
+    for style in ("pages/templates/report.css", "dashboard/page/page.css", "viewer/page/view.css"):
+        text = (pages / style).read_text()
+        assert not re.search(r"#[0-9a-f]{3,6}\b", text), style
+        assert set(re.findall(r"var\(--(\w+)\)", text)) <= palettes[0].keys(), style
+    assert "@media (max-width: 600px)" in (pages / "dashboard/page/page.css").read_text()

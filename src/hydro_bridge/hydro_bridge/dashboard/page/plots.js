@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // The plots: one uPlot each, all over the same seconds; where the plant was disarmed or tripped is shaded.
 
-const INK = "#1a1a1a";
-const BLUE = "#0072b2";
-const VERMILION = "#d55e00";
-const GREEN = "#00795a";
+const palette = getComputedStyle(document.documentElement);
+export const colour = (name) => palette.getPropertyValue(`--${name}`).trim(); // of palette.css
+
+const [INK, BLUE, VERMILION, GREEN] = ["ink", "blue", "vermilion", "green"].map(colour);
 const HEIGHT = 168;
 const POINTS = 500; // groups of slots in a plot: of two points each, about as many as it has pixels
 
@@ -46,7 +46,7 @@ function shade(plot, bands) {
     const left = Math.max(plot.valToPos(from, "x", true), bbox.left);
     const right = Math.min(plot.valToPos(to, "x", true), bbox.left + bbox.width);
     if (right <= left) continue;
-    ctx.fillStyle = "#e4e8eb";
+    ctx.fillStyle = colour("disarmed");
     if (!tripped) {
       ctx.fillRect(left, bbox.top, right - left, bbox.height);
       continue;
@@ -56,7 +56,7 @@ function shade(plot, bands) {
     ctx.rect(left, bbox.top, right - left, bbox.height);
     ctx.clip();
     ctx.setLineDash([]);
-    ctx.strokeStyle = "#f3c9ab";
+    ctx.strokeStyle = colour("tripped");
     ctx.lineWidth = 4;
     for (let x = left - bbox.height; x < right; x += 10) {
       ctx.beginPath();
@@ -69,7 +69,10 @@ function shade(plot, bands) {
   ctx.restore();
 }
 
-const AXIS = { stroke: "#5c6670", grid: { stroke: "#e7eaec", width: 1 }, ticks: { stroke: "#d5dade", width: 1 }, font: "11px system-ui" };
+const AXIS = {
+  stroke: colour("soft"), grid: { stroke: colour("grid"), width: 1 }, ticks: { stroke: colour("line"), width: 1 },
+  font: "11px system-ui",
+};
 
 // Upright lines where something happened, and where a person looks; `marks` are [time, colour].
 function mark(plot, marks) {

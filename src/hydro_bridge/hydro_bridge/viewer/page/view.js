@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // A recording: the plots of the live page over a window that a slider moves, and what happened as a list to press on.
 
-import { Curve, Plots, shaded, shown } from "./plots.js";
+import { colour, Curve, Plots, shaded, shown } from "./plots.js";
 import { Series } from "./series.js";
 
 // Colours of Okabe and Ito; the list says in words what each is.
 const COLOURS = {
-  armed: "#0072b2", trip: "#d55e00", watchdog: "#e69f00", authority: "#1a1a1a", episode: "#b8c0c6", phase: "#5c6670",
-  examination: "#00795a", rollback: "#cc79a7", override: "#56b4e9", learner: "#8a5a00", weights: "#6a3d9a",
+  armed: colour("blue"), trip: colour("vermilion"), watchdog: "#e69f00", authority: colour("ink"), episode: "#b8c0c6", phase: "#5c6670",
+  examination: colour("green"), rollback: "#cc79a7", override: "#56b4e9", learner: colour("brown"), weights: "#6a3d9a",
   call: "#7b3294", log: "#b35806", window: "#35978f",
 };
 const QUIET = ["episode", "phase", "log", "weights"]; // kinds that are not chosen at first if they are many
@@ -49,7 +49,7 @@ function draw() {
   plots.seconds = Math.min(windowed, about.seconds);
   const right = Math.min(Math.max(at + plots.seconds / 2, plots.seconds), about.seconds);
   const slot = Math.min(Math.floor(at / about.slot), series[0].end - 1);
-  plots.marks = [...about.marks.filter((one) => chosen.has(one.kind)).map((one) => [one.time, COLOURS[one.kind]]), [at, "#1a1a1a55"]];
+  plots.marks = [...about.marks.filter((one) => chosen.has(one.kind)).map((one) => [one.time, COLOURS[one.kind]]), [at, colour("soft")]];
   plots.draw(series, about.slot, Math.ceil(right / about.slot), 0, slot);
   const [armed, tripped] = ["armed", "tripped"].map((name) => series[0].at(name, slot));
   const state = Number.isNaN(armed) ? "unknown" : tripped ? "tripped" : armed ? "armed" : "disarmed";
@@ -68,10 +68,10 @@ function strip() {
   [canvas.width, canvas.height] = [width, height];
   const ctx = canvas.getContext("2d");
   const x = (time) => (time / about.seconds) * width;
-  ctx.fillStyle = "#fff";
+  ctx.fillStyle = colour("paper");
   ctx.fillRect(0, 0, width, height);
   for (const [from, to, tripped] of strip.bands) {
-    ctx.fillStyle = tripped ? "#f3c9ab" : "#e4e8eb";
+    ctx.fillStyle = colour(tripped ? "tripped" : "disarmed");
     ctx.fillRect(x(from), 0, Math.max(1, x(to) - x(from)), height);
   }
   for (const one of about.marks) {
@@ -79,7 +79,7 @@ function strip() {
     ctx.fillStyle = COLOURS[one.kind];
     ctx.fillRect(x(one.time) - 0.75, 0, 1.5, height);
   }
-  ctx.fillStyle = "#1a1a1a";
+  ctx.fillStyle = colour("ink");
   ctx.fillRect(x(at) - 1.5, 0, 3, height);
 }
 
