@@ -16,9 +16,8 @@ from torch import nn
 
 from hydro_core.signals import FloatArray
 from hydro_policy.env import ID
-from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.sac import ReplayBuffer, Sac
 from hydro_policy.sac.settings import SacSettings
 
 WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
@@ -35,7 +34,7 @@ def force_control(seed: int = 0, **options: Any) -> gymnasium.Env[Any, Any]:
 
 
 class Ours:
-    """`hydro_policy.sac.algorithm` in the loop that everybody has."""
+    """`hydro_policy.sac.sac` in the loop that everybody has."""
 
     def __init__(self, batch: int, seed: int) -> None:
         self.sac = Sac(13, 2, SacSettings(batch_size=batch, reward_scale=1.0, seed=seed))

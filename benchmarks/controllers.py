@@ -48,7 +48,7 @@ from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.task import recorded
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box.firmware import reference_force

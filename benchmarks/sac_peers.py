@@ -3,12 +3,15 @@
 
 All learn the same environment (one bench, the learned model) with the paper's sizes and values, one
 update a step, on one core of one process. Updates per second are timed in turns after that, many updates a call, which
-each library offers. Peers: `make bench-peers`.
+each library offers. Peers: `make bench-peers`. Returns over seeds, which go on where an earlier call ended:
+
+    make bench-peers ARGS="--returns-only --batch 256 --seeds 20 21 22 --json returns.json"
 """
 
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import sys
 import time
@@ -21,14 +24,17 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import numpy as np
 import torch
+from scipy.stats import bootstrap, trim_mean
 
 from benchmarks._report import parser
 from hydro_core.cli.console import Table, progress
 
 PEERS = ("gymnasium", "stable_baselines3", "skrl", "sbx")
+LEARNERS = ("ours", "stable-baselines3", "skrl", "SBX")
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)
 EXAM = 500  # steps of an examination at one frequency
 ROUNDS, UPDATES = 7, 256
+RETURN = "of the mean action, 4 sines of 300 N, 5 s each, reward / 50"
 
 
 def main() -> int:
@@ -36,7 +42,11 @@ def main() -> int:
     asked = parser("sac_peers", __doc__)
     asked.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
     asked.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
-    asked.add_argument("--seed", type=int, default=0, metavar="N")
+    asked.add_argument("--seeds", type=int, nargs="+", default=[0], metavar="N", help="trainings of each learner (0)")
+    asked.add_argument(
+        "--returns-only", action="store_true", help="no timing; keep the rows in the --json file and add what lacks"
+    )
+    asked.add_argument("--learners", nargs="+", choices=LEARNERS, default=LEARNERS, help="with --returns-only")
     options = asked.parse_args()
     missing = [name for name in PEERS if importlib.util.find_spec(name) is None]
     if missing:
@@ -44,50 +54,119 @@ def main() -> int:
         return 0
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
+    if options.returns_only:
+        compare_returns(options)
+        return 0
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     columns = {
         "batch": "transitions per update",
+        "seed": "",
         "learner": "",
         "updates_per_second": f"median of {ROUNDS} turns of {UPDATES} updates",
         "ours_over_it": "our updates per second over its",
         "steps_per_second": f"environment steps per second of a training of {options.steps} steps, an update each",
-        "final_return": "of the mean action, 4 sines of 300 N, 5 s each, reward / 50",
+        "final_return": RETURN,
     }
     table = Table(columns, title="Soft Actor-Critic: 13 observations, 2 actions, 2 x 32 ReLU, one core")
     for batch in options.batch:
-        compare(table, batch, options.steps, options.seed)
+        for seed in options.seeds:
+            compare(table, batch, options.steps, seed)
     table.show(options.json)
     return 0
 
 
-def compare(table: Table, batch: int, steps: int, seed: int) -> None:
-    """Rows of one batch size."""
+def makers(batch: int, seed: int) -> dict[str, Callable[[], Any]]:
+    """Return what makes each learner anew."""
     import sbx
     import stable_baselines3
 
-    from benchmarks._sac_learners import Baselines, Ours, Skrl, force_control
+    from benchmarks._sac_learners import Baselines, Ours, Skrl
 
-    makers: dict[str, Callable[[], Any]] = {
+    return {
         "ours": lambda: Ours(batch, seed),
         "stable-baselines3": lambda: Baselines(stable_baselines3, batch, seed),
         "skrl": lambda: Skrl(batch, seed),
         "SBX": lambda: Baselines(sbx, batch, seed),
     }
-    learners = {name: make() for name, make in makers.items()}
+
+
+def compare(table: Table, batch: int, steps: int, seed: int) -> None:
+    """Rows of one batch size and seed."""
+    from benchmarks._sac_learners import force_control
+
+    made = makers(batch, seed)
+    learners = {name: make() for name, make in made.items()}
     rates: dict[str, float] = {}
     for name in progress(list(learners), label=f"batch {batch}", unit="learner"):
         learners[name].train(force_control(seed), 2 * 500)  # compiles; counted by nobody
-        learners[name] = makers[name]()
+        learners[name] = made[name]()
         begin = time.perf_counter()
         learners[name].train(force_control(seed), steps)
         rates[name] = steps / (time.perf_counter() - begin)
     timed = updates_per_second(learners)
     for name, learner in learners.items():
         table.add(
-            batch=batch, learner=name, updates_per_second=round(timed[name]), steps_per_second=round(rates[name]),
-            ours_over_it=timed["ours"] / timed[name], final_return=examine(learner, force_control),
+            batch=batch, seed=seed, learner=name, updates_per_second=round(timed[name]),
+            steps_per_second=round(rates[name]), ours_over_it=timed["ours"] / timed[name],
+            final_return=examine(learner),
         )  # fmt: skip
+
+
+def compare_returns(options: Any) -> None:
+    """Train each learner on each seed, then compare their returns."""
+    from benchmarks._sac_learners import force_control
+
+    table = Table({"batch": "", "steps": "", "seed": "", "learner": "", "final_return": RETURN})
+    if options.json and options.json.exists():
+        table.rows = json.loads(options.json.read_text())["rows"]
+    done = {(row["batch"], row["steps"], row["seed"], row["learner"]) for row in table.rows}
+    wanted = [(b, options.steps, s, name) for b in options.batch for s in options.seeds for name in options.learners]
+    for batch, steps, seed, name in progress([key for key in wanted if key not in done], unit="training", every=30.0):
+        learner = makers(batch, seed)[name]()
+        learner.train(force_control(seed), steps)
+        table.add(batch=batch, steps=steps, seed=seed, learner=name, final_return=examine(learner))
+        if options.json:
+            table.write_json(options.json)
+    for batch in options.batch:
+        print(f"batch {batch}")
+        by_seed = [
+            {r["learner"]: r["final_return"] for r in table.rows if (r["batch"], r["seed"]) == (batch, seed)}
+            for seed in options.seeds
+        ]
+        summarise(by_seed, options.seeds)
+
+
+def summarise(by_seed: list[dict[str, float]], seeds: list[int]) -> None:
+    """Print returns per seed, and per learner the interquartile mean and in how many seeds it was worst of all."""
+    names = [name for name in LEARNERS if all(name in row for row in by_seed)]
+    each = Table({"seed": "", **dict.fromkeys(names, "")}, title=f"final return, {RETURN}")
+    for seed, row in zip(seeds, by_seed, strict=True):
+        each.add(seed=seed, **{name: round(row[name]) for name in names})
+    each.show()
+    table = Table({
+        "learner": "",
+        "mean": f"interquartile mean over {len(seeds)} seeds",
+        "low": "bootstrap 95 % interval of it", "high": "",
+        "worst": "seeds in which it was the worst",
+        "best": "seeds in which it was the best",
+    })  # fmt: skip
+    for name in names:
+        values = np.array([row[name] for row in by_seed])
+        low = high = float("nan")
+        if len(values) > 1:
+            low, high = bootstrap((values,), _middle, method="percentile", rng=0).confidence_interval
+        table.add(
+            learner=name, mean=round(float(_middle(values))), low=low, high=high,
+            worst=sum(min(row, key=row.__getitem__) == name for row in by_seed),
+            best=sum(max(row, key=row.__getitem__) == name for row in by_seed),
+        )  # fmt: skip
+    table.show()
+
+
+def _middle(values: Any, axis: int = -1) -> Any:
+    """Interquartile mean."""
+    return trim_mean(values, 0.25, axis=axis)
 
 
 def updates_per_second(learners: dict[str, Any]) -> dict[str, float]:
@@ -102,11 +181,13 @@ def updates_per_second(learners: dict[str, Any]) -> dict[str, float]:
     return {name: UPDATES / float(np.median(values)) for name, values in seconds.items()}
 
 
-def examine(learner: Any, make: Callable[..., Any]) -> float:
+def examine(learner: Any) -> float:
     """Return of the mean action over the four sines."""
+    from benchmarks._sac_learners import force_control
+
     total = 0.0
     for frequency in FREQUENCIES:
-        environment = make(reference={"amplitude": 300.0, "frequency": frequency}, max_episode_steps=EXAM)
+        environment = force_control(reference={"amplitude": 300.0, "frequency": frequency}, max_episode_steps=EXAM)
         observation, _ = environment.reset(seed=0)
         over = terminated = False
         while not (over or terminated):

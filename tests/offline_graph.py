@@ -6,7 +6,6 @@ Runs as fast as possible, with bit-identical results for equal seeds, unlike any
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
@@ -25,10 +24,9 @@ from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Corrector
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory
+from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, agent
 from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.sac.algorithm import Losses
-from hydro_policy.sac.snapshot import dump
+from hydro_policy.sac.sac import Losses, dump
 from hydro_policy.supervision.plant_supervisor import Outputs, Session
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
@@ -39,16 +37,13 @@ PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
 
 
 class InlineLearner:
-    """Interface of `LearnerSupervisor` with a learner in this process; `work` performs the pending updates.
-
-    Use `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
-    """
+    """Interface of `LearnerSupervisor` with a learner in this process; `work` performs the pending updates."""
 
     def __init__(self, settings: TrainingSettings, start: bytes | None = None) -> None:
-        self._memory = _PrivateMemory(settings)
-        _, self._weights, snapshot, self._good, _ = self._memory.open()
+        self._memory, self._settings = _PrivateMemory(settings), settings
+        _, self._latest, self._good, _ = self._memory.open()
         if start is not None:
-            snapshot.publish(start)
+            self._latest.publish(agent(settings, start).state)
         self._learner = Learner(self._memory, settings)
         self.replay = self._learner.replay
         self.ready = self.alive = True
@@ -70,15 +65,13 @@ class InlineLearner:
 
     def new_weights(self) -> FloatArray | None:
         """See `LearnerSupervisor.new_weights`."""
-        blob = self._weights.read()
-        return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
+        return self._learner.sac.actor_parameters() if self._latest.news and self._latest.read() is not None else None
 
     def work(self) -> None:
         """Perform all pending updates, then publish."""
         if self._learner.pending_updates >= CHUNK:
             while self._learner.work():
                 pass
-            self._learner.publish(time.monotonic())
 
     def restart_if_dead(self) -> None:
         """Do nothing: there is no process to restart."""
@@ -95,7 +88,7 @@ class InlineLearner:
 
     def save_policy(self, good: bytes) -> None:
         """See `LearnerSupervisor.save_policy`."""
-        self._good.publish(good)
+        self._good.publish(agent(self._settings, good).state)
 
     def roll_back(self) -> None:
         """See `LearnerSupervisor.roll_back`; takes effect at once."""

@@ -31,7 +31,7 @@ from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
-from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready

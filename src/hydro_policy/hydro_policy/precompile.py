@@ -8,7 +8,6 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-import torch
 
 from hydro_core.signals import SAMPLES_PER_STEP, ReferenceSignal
 from hydro_policy.compensation.estimator import Compensator
@@ -23,7 +22,6 @@ from hydro_sim.model.plant import AnalyticPlant, Plant
 
 
 def _learner() -> None:
-    torch.set_grad_enabled(False)  # as the learner
     for name in CONFIGURATIONS:
         compile_updates(configuration(name).sac)
 

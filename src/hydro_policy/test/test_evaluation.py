@@ -22,8 +22,7 @@ from hydro_policy.evaluation.gain_search import GridPlan, GridSearch, GridSettin
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
-from hydro_policy.sac.algorithm import Losses, Sac
-from hydro_policy.sac.snapshot import actor_parameters, dump
+from hydro_policy.sac.sac import Losses, Sac, actor_parameters, dump
 from hydro_policy.sessions.run_state import EXAMINED, Progress, RunState, significantly_better
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor

@@ -17,8 +17,8 @@ from hydro_policy.pretraining.run import load_simulation_setup
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import load_policy
+from hydro_policy.sac.sac import dump
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sac.snapshot import dump
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.mdp.events import Randomisation, draw_bench

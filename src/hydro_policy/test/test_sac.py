@@ -10,15 +10,21 @@ import pytest
 import torch
 from torch import Tensor
 
-from hydro_policy.sac.algorithm import Sac, StackedMlp
-from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.sac import ReplayBuffer, Sac
 from hydro_policy.sac.settings import SacSettings
 
 
-def leaves(network: StackedMlp) -> list[Tensor]:
-    """Copies of weights and biases, in turn."""
-    pairs = zip(network.weights, network.biases, strict=True)
-    return [tensor.clone().requires_grad_() for pair in pairs for tensor in pair]
+def leaves(sac: Sac, name: str) -> list[Tensor]:
+    """Copies of weights [member, fan_in, fan_out] and biases [member, 1, fan_out] of `actor` or `critics`, in turn."""
+    flat = getattr(sac.agent, name).parameters
+    arrays = [flat[places] for places in sac.sizes[name].places()]
+    return [torch.from_numpy(a if a.ndim == 3 else a[:, np.newaxis]).requires_grad_() for a in arrays]
+
+
+def flat(sac: Sac, name: str) -> Tensor:
+    """Parameters of `actor`, `critics` or `targets`, in the order of files."""
+    vector = sac.agent.targets if name == "targets" else getattr(sac.agent, name).parameters
+    return torch.from_numpy(vector[sac.places["actor" if name == "actor" else "critics"]])
 
 
 def forward(layers: Sequence[Tensor], inputs: Tensor) -> Tensor:
@@ -34,9 +40,9 @@ class Equations:
 
     def __init__(self, begun: Sac) -> None:
         self.settings, s = begun.settings, begun.settings
-        self.actor, self.critics = leaves(begun.actor_network), leaves(begun.critics)
+        self.actor, self.critics = leaves(begun, "actor"), leaves(begun, "critics")
         self.targets = [tensor.detach().clone() for tensor in self.critics]
-        self.log_alpha = begun.log_entropy_coefficient.clone().requires_grad_()
+        self.log_alpha = torch.from_numpy(begun.agent.entropy.parameters.copy()).requires_grad_()
         self.actor_adam = torch.optim.Adam(self.actor, lr=s.actor_learning_rate)
         self.critic_adam = torch.optim.Adam(self.critics, lr=s.critic_learning_rate)
         self.alpha_adam = torch.optim.Adam([self.log_alpha], lr=s.entropy_learning_rate)
@@ -82,32 +88,27 @@ def descend(optimizer: torch.optim.Adam, parameters: Sequence[Tensor], loss: Ten
 @pytest.mark.parametrize("rows", [256, 100, 3])
 def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dtype) -> None:
     """Five updates on the same draws: equal to rounding; a buffer's tail, and a sigma at its bound, do not count."""
-    sac = Sac(5, 2, SacSettings(batch_size=rows, hidden_size=30, seed=4), dtype)
+    sac = Sac(5, 2, SacSettings(batch_size=rows, hidden_size=30, seed=4), torch.empty(0, dtype=dtype).numpy().dtype)
     if rows == 100:
-        sac.actor_network.biases[-1][..., 2] = -8.0  # sigma at its lower bound
+        sac.agent.actor.parameters[sac.sizes["actor"].places()[-1][0, 2]] = -8.0  # sigma at its lower bound
     equations = Equations(sac)
     rng, memory = np.random.default_rng(1), ReplayBuffer(5, 2, 500)
     table = rng.normal(size=(400, 14)).astype(np.float32)
     table[:, 10:12], table[:, 13] = np.tanh(table[:, 10:12]), rng.random(400) < 0.2
     memory.extend(table)
-    state = sac.generator.get_state()
+    places, noise = sac.draw(memory, 5)
     sac.learn(memory, 5)
-    sac.generator.set_state(state)
-    places = memory.draw(5 * rows, sac.generator).view(5, rows)
-    noise = torch.randn(5, 2, rows, 2, generator=sac.generator, dtype=dtype)
-    drawn = [torch.from_numpy(table[at.numpy()]).to(dtype).split(memory.widths, dim=1) for at in places]
-    losses = [equations.update(*each) for each in zip(drawn, noise, strict=True)]
+    drawn = [torch.from_numpy(table[at]).to(dtype).split(memory.widths, dim=1) for at in places]
+    losses = [equations.update(*each) for each in zip(drawn, torch.from_numpy(noise), strict=True)]
     tolerance = {"rtol": 1e-11, "atol": 1e-13} if dtype == torch.float64 else {"rtol": 1e-3, "atol": 2e-5}
-    pairs = (
-        (sac.actor_network, equations.actor),
-        (sac.critics, equations.critics),
-        (sac.target_critics, equations.targets),
-    )
-    for network, want in pairs:
-        torch.testing.assert_close(network.parameters, torch.cat([each.detach().ravel() for each in want]), **tolerance)
+    for name in ("actor", "critics", "targets"):
+        want = torch.cat([each.detach().ravel() for each in getattr(equations, name)])
+        torch.testing.assert_close(flat(sac, name), want, **tolerance)
+    for vector, name in ((sac.agent.actor.parameters, "actor"), (sac.agent.critics.parameters, "critics")):
+        assert not np.delete(vector, sac.places[name]).any(), "the padding has learnt"
     assert sac.entropy_coefficient == pytest.approx(float(equations.log_alpha.detach().exp()), rel=1e-6)
     assert sac.losses == pytest.approx(np.mean(losses, axis=0), rel=1e-9 if dtype == torch.float64 else 1e-3)
-    assert (sac.updates, sac.actor_optimizer.steps) == (5, 5)
+    assert (sac.updates, sac.steps) == (5, 5)
 
 
 def test_linear_quadratic_regulator_is_learnt() -> None:
@@ -138,7 +139,7 @@ def test_linear_quadratic_regulator_is_learnt() -> None:
 
     def learnt(x: np.ndarray) -> np.ndarray:
         rows = torch.from_numpy(x.astype(np.float32)).unsqueeze(1)
-        return torch.tanh(forward(leaves(sac.actor_network), rows)[0, :, 0]).detach().numpy()
+        return torch.tanh(forward(leaves(sac, "actor"), rows)[0, :, 0]).detach().numpy()
 
     assert cost(learnt) < 1.10 * cost(lambda x: -gain * x)
     assert cost(lambda x: 0.0 * x) > 2.0 * cost(lambda x: -gain * x), "doing nothing would pass too"

@@ -19,8 +19,8 @@ from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.run_state import LEAD
 from hydro_policy.sessions.training import TrainingSession

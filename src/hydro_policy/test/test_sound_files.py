@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
@@ -21,11 +20,9 @@ from hydro_policy.nodes.training import begin_checkpoint, check_run
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
-from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy, load_policy
-from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sac.snapshot import actor_parameters, dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange
 
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_paper"))
@@ -159,19 +156,17 @@ def test_interrupted_writer_leaves_the_previous_checkpoint(tmp_path: Path) -> No
     assert sorted(p.name for p in tmp_path.iterdir()) == ["latest"]
 
 
-def test_numpy_policy_equals_the_torch_actor(tmp_path: Path) -> None:
+def test_the_acting_policy_equals_the_trained_actor(tmp_path: Path) -> None:
     sac, _ = trained(50)
     policy = Policy(SacSettings())
-    policy.load_flat(sac.actor_network.parameters.numpy())
+    policy.load_flat(sac.actor_parameters())
     policy.save(tmp_path / "policy.safetensors", GainRange(delta_kp_max=285.0), {"episode": 7})
     loaded, gains, notes = load_policy(tmp_path / "policy.safetensors")
     assert gains == GainRange(delta_kp_max=285.0) and notes == {"episode": 7}
     observations = np.random.default_rng(1).normal(size=(500, OBSERVATIONS)).astype(np.float32)
-    hidden, network = torch.from_numpy(observations), sac.actor_network
-    for k, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
-        hidden = hidden @ weight[0] + bias[0]
-        hidden = torch.relu(hidden) if k < 2 else hidden
-    expected = torch.tanh(hidden[:, :2]).numpy()
+    layers = [sac.agent.actor.parameters[places[0]] for places in sac.sizes["actor"].places()]
+    hidden = np.maximum(np.maximum(observations @ layers[0] + layers[1], 0.0) @ layers[2] + layers[3], 0.0)
+    expected = np.tanh((hidden @ layers[4] + layers[5])[:, :2])
     for actor in (policy, loaded):
         ours = np.stack([actor.act(row.astype(np.float64)) for row in observations])
         np.testing.assert_allclose(ours, expected, atol=1e-6, rtol=0)

@@ -10,7 +10,7 @@ comes first, and caches it so, for every other caller.
 
 Where the environment variable HYDRO_COMPILATIONS names a file, each compilation appends one line of JSON to it:
 
-    {"program": "trainer", "process": 4711, "function": "hydro_policy.sac.algorithm.learn", "seconds": 7.3}
+    {"program": "trainer", "process": 4711, "function": "hydro_policy.sac.sac.learn", "seconds": 7.3}
 
 A function that comes from numba's cache appends none. One that is compiled inside of another has a line of its own,
 and the outer one's time holds it.

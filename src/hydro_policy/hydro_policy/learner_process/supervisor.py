@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the learner process by the acting process: start, watch, restart, stop. Only `stop` blocks."""
+"""Supervision of the learner process by the acting process: start, watch, restart, stop.
+
+It waits only in `stop`, and where the plant waits as well (`exact`, `settle`).
+"""
 
 from __future__ import annotations
 
-import multiprocessing
 import select
 import signal
 import time
@@ -21,32 +23,34 @@ from hydro_core.errors import UserError
 from hydro_core.signals import FloatArray
 from hydro_policy.learner_process.learner import (
     CHECKPOINTS,
+    CONTEXT,
+    END,
     ENTROPY,
     LOSSES,
     READY,
+    ROLL_BACK,
     ROLLBACKS,
-    SNAPSHOTS,
     UPDATES,
     WAKE,
     LearnerFault,
     LearnerMemory,
-    RollbackRequest,
     SaveRequest,
-    SnapshotRequest,
+    agent,
     run_learner,
-    updates_due,
     write_run,
 )
 from hydro_policy.runs.run import Checkpoint, RunDirectory, TrainingSettings
-from hydro_policy.sac.algorithm import Losses
+from hydro_policy.sac.sac import Losses, dump
 
 NICENESS = 10
 """Of a learner for which the plant does not wait."""
 SETTLE_TIMEOUT = 60.0
 """s of wall clock within which a learner that is waited for has done what is due."""
-_GLANCE = 2e-4  # s between two looks at its progress
-RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
-STOP_TIMEOUT = 15.0  # s, for the last checkpoint
+RESTARTS, RESTART_WINDOW = 5, 60.0
+"""More restarts than this within so many seconds are a systematic fault."""
+STOP_TIMEOUT = 15.0
+"""s, for the last checkpoint."""
+_GLANCE = 2e-4  # s between two looks at the progress of a learner that is waited for
 
 
 class LearnerError(UserError):
@@ -65,9 +69,11 @@ class LearnerSupervisor:
     resumed
         Checkpoint to resume, or None.
     start
-        Initial agent, as returned by `snapshot.dump`, or None: freshly initialised networks.
+        Initial agent, as returned by `sac.dump`, or None: freshly initialised networks.
     real_time
         Whether the plant does not wait for it, so that it gives way to what acts.
+
+    Raises ValueError: the agent of the checkpoint, or the initial one, is not whole.
     """
 
     def __init__(
@@ -79,18 +85,19 @@ class LearnerSupervisor:
         *,
         real_time: bool = True,
     ) -> None:
-        self._context = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
         self._settings, self._run = settings, run
         self._niceness = NICENESS if real_time else 0
         self._memory = LearnerMemory(settings)
-        self.replay, self._weights, self._snapshot, self._good, self._status = self._memory.open()
+        self.replay, self._latest, self._good, self._status = self._memory.open()
         self._status[LOSSES] = np.nan
         self._rollbacks, self._unheard = 0, False  # requested; whether the last request could not be delivered
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             start = resumed.learner
+        self._copy = agent(settings, start)
+        """Of the learner's agent, as last read."""
         if start is not None:
-            self._snapshot.publish(start)
+            self._latest.publish(self._copy.state)
         self._deaths: deque[float] = deque()
         self.restarts = 0
         self._start()
@@ -135,10 +142,24 @@ class LearnerSupervisor:
 
         Also None until a requested rollback is done: earlier weights must not act.
         """
-        if self._status[ROLLBACKS] < self._rollbacks:
+        if self._status[ROLLBACKS] < self._rollbacks or not self._latest.news or not self._read():
             return None
-        blob = self._weights.read()
-        return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
+        return self._copy.actor_parameters()
+
+    def snapshot(self, *, exact: bool = False) -> bytes | None:
+        """Return the learner's whole state; None before the first.
+
+        `exact`: after all updates that are due; the caller waits for it.
+        """
+        if exact:
+            self.settle()
+        return dump(self._copy) if self._read() else None
+
+    def _read(self) -> bool:
+        state = self._latest.read()
+        if state is not None:
+            self._copy.state[:] = state
+        return state is not None
 
     def wake(self) -> None:
         """Tell the learner that a transition was stored."""
@@ -149,7 +170,7 @@ class LearnerSupervisor:
 
         It does not wait for a learner that is dead, starts, or takes more than a minute.
         """
-        due = updates_due(self._settings, self.replay.produced)
+        due = self._settings.updates_due(self.replay.produced)
         self._await(lambda: self._status[UPDATES] >= due and self._status[ROLLBACKS] >= self._rollbacks)
 
     def _await(self, done: Callable[[], bool]) -> None:
@@ -159,57 +180,14 @@ class LearnerSupervisor:
             if not self.alive:
                 return
 
-    def restart_if_dead(self) -> str | None:
-        """Restart a dead learner from its last snapshot; returns the message for the user.
-
-        Raises LearnerError: it keeps dying, cannot start, or cannot write a checkpoint.
-        """
-        self._hear()
-        if self.alive:
-            if self._unheard:
-                self._ask_to_roll_back()
-            return None
-        if self._said and not self.ready:
-            raise LearnerError(f"the learner cannot begin: {self._said}")
-        now, code = time.monotonic(), self._process.exitcode
-        self._deaths.append(now)
-        while now - self._deaths[0] > RESTART_WINDOW:
-            self._deaths.popleft()
-        if len(self._deaths) > RESTARTS:
-            raise LearnerError(
-                f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s ({self._how_it_ended(code)})"
-            )
-        how = self._how_it_ended(code)
-        self.restarts += 1
-        self._requests.close()
-        self._start()
-        if self._status[ROLLBACKS] < self._rollbacks:  # it died before the rollback
-            self._ask_to_roll_back()
-        return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
-
-    def snapshot(self, *, exact: bool = False) -> bytes | None:
-        """Return the learner's whole state, at most half a second old; None before the first.
-
-        `exact`: after all updates that are due; the caller waits for it.
-        """
-        if exact:
-            self.settle()
-            wanted = self._status[SNAPSHOTS] + 1
-            if self._ask(SnapshotRequest()):
-                self._await(lambda: self._status[SNAPSHOTS] >= wanted)
-        return self._snapshot.latest()
-
     def save_policy(self, good: bytes) -> None:
         """Store this state as the last good one."""
-        self._good.publish(good)
+        self._good.publish(agent(self._settings, good).state)
 
     def roll_back(self) -> None:
         """Make the learner return to the last good state."""
         self._rollbacks = int(self._status[ROLLBACKS]) + 1
-        self._ask_to_roll_back()
-
-    def _ask_to_roll_back(self) -> None:
-        self._unheard = not self._ask(RollbackRequest())  # `restart_if_dead` repeats the request to it or its successor
+        self._unheard = not self._ask(ROLL_BACK)  # `restart_if_dead` repeats the request to it or its successor
 
     def save(self, trainer: dict[str, Any], best: bool = False, *, exact: bool = False) -> bool:
         """Request a checkpoint; returns False if the learner is not running.
@@ -218,14 +196,55 @@ class LearnerSupervisor:
         """
         if exact:
             self.settle()
-        wanted, asked = self._status[CHECKPOINTS] + 1, self._ask(SaveRequest(self._run.path, trainer, best))
+        wanted, asked = self._status[CHECKPOINTS] + 1, self._ask(SaveRequest(trainer, best))
         if exact and asked:
             self._await(lambda: self._status[CHECKPOINTS] >= wanted)
         return asked
 
-    def _ask(
-        self, request: RollbackRequest | SaveRequest | SnapshotRequest | str | None, patience: float = 0.0
-    ) -> bool:
+    def restart_if_dead(self) -> str | None:
+        """Restart a dead learner from its last state; returns the message for the user.
+
+        Raises LearnerError: it keeps dying, cannot start, or cannot write a checkpoint.
+        """
+        self._hear()
+        if self.alive:
+            if self._unheard:
+                self._unheard = not self._ask(ROLL_BACK)
+            return None
+        if self._said and not self.ready:
+            raise LearnerError(f"the learner cannot begin: {self._said}")
+        code, now = self._process.exitcode, time.monotonic()
+        how = f"killed by signal {-code}" if code is not None and code < 0 else self._said or f"exit code {code}"
+        self._deaths.append(now)
+        while now - self._deaths[0] > RESTART_WINDOW:
+            self._deaths.popleft()
+        if len(self._deaths) > RESTARTS:
+            raise LearnerError(f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s ({how})")
+        self.restarts += 1
+        self._requests.close()
+        self._start()
+        if self._status[ROLLBACKS] < self._rollbacks:  # it died before the rollback
+            self._unheard = not self._ask(ROLL_BACK)
+        return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
+
+    def stop(self, trainer: dict[str, Any]) -> None:
+        """Write the last checkpoint and end the process; if it is dead or hangs, the checkpoint is written from here.
+
+        Raises LearnerError: the checkpoint cannot be written.
+        """
+        before = self.checkpoints
+        asked = self._ask(SaveRequest(trainer, best=False), STOP_TIMEOUT) and self._ask(END, STOP_TIMEOUT)
+        self._process.join(STOP_TIMEOUT if asked else 0.5)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        if self.checkpoints == before and self._read():
+            try:
+                write_run(self._run, self._settings, dump(self._copy), self.replay, trainer)
+            except OSError as error:
+                raise LearnerError(self._unwritten(error.strerror or str(error))) from None
+
+    def _ask(self, request: SaveRequest | str, patience: float = 0.0) -> bool:
         """Send a request; returns False if the learner is dead, or its pipe is full because it does not read.
 
         A writable pipe has room for any of the requests. `patience` in s.
@@ -238,34 +257,13 @@ class LearnerSupervisor:
                 return True
         return False
 
-    def stop(self, trainer: dict[str, Any]) -> None:
-        """Write the last checkpoint and end the process; if it is dead or hangs, the checkpoint is written from here.
-
-        Raises LearnerError: the checkpoint cannot be written.
-        """
-        before = self.checkpoints
-        last = SaveRequest(self._run.path, trainer, best=False)
-        asked = self._ask(last, STOP_TIMEOUT) and self._ask(None, STOP_TIMEOUT)
-        self._process.join(STOP_TIMEOUT if asked else 0.5)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        if self.checkpoints == before:
-            snapshot = self._snapshot.latest()
-            if snapshot is not None:
-                try:
-                    write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
-                except OSError as error:
-                    raise LearnerError(self._unwritten(error.strerror or str(error))) from None
-
     def _hear(self) -> None:
-        """Process the learner's messages."""
         with suppress(OSError, EOFError):
             while self._requests.poll():
-                trouble: LearnerFault = self._requests.recv()
-                if trouble.disk:
-                    raise LearnerError(self._unwritten(trouble.sentence))
-                self._said = trouble.sentence
+                fault: LearnerFault = self._requests.recv()
+                if fault.disk:
+                    raise LearnerError(self._unwritten(fault.sentence))
+                self._said = fault.sentence
 
     def _unwritten(self, why: str) -> str:
         return (
@@ -273,25 +271,14 @@ class LearnerSupervisor:
             f"with --resume {self._run.path}"
         )
 
-    def _how_it_ended(self, code: int | None) -> str:
-        if code is not None and code < 0:
-            return f"killed by signal {-code}"
-        return self._said or f"exit code {code}"
-
     def _start(self) -> None:
         self._status[READY] = 0.0
         self._said = ""  # by a learner that ends
         self._requests: Connection
-        self._requests, theirs = self._context.Pipe()
-        arguments = (
-            self._memory,
-            self._settings,
-            theirs,
-            self._niceness,
-        )  # small: more than the pipe holds would wait for the child
-        self._process: BaseProcess = self._context.Process(
-            target=run_learner, args=arguments, name="learner", daemon=True
-        )
+        self._requests, theirs = CONTEXT.Pipe()
+        # The arguments are small: more than the pipe to the child holds would wait for it.
+        arguments = (self._memory, self._settings, self._run, theirs, self._niceness)
+        self._process: BaseProcess = CONTEXT.Process(target=run_learner, args=arguments, name="learner", daemon=True)
         # Ctrl-C and a hangup go to the whole terminal, and would meet the child importing, long before it can say that
         # it ignores them. A blocked signal is inherited; ours, if one comes now, waits. Where the resource tracker of
         # multiprocessing is first started it lets SIGINT through again: so that comes before.

@@ -61,7 +61,7 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched, read_provenance
 from hydro_sim.model.bench import NOMINAL
 
-if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
+if TYPE_CHECKING:  # evaluate does without
     from hydro_policy.runs.initial_agent import InitialAgent
 
 PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"

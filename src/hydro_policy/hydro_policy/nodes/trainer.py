@@ -108,7 +108,7 @@ def main() -> int:
     own, ros = ros_arguments()
     options = asked(own)
     options.configuration = options.configuration or "paper"
-    from hydro_policy.nodes.training import train  # with torch, which takes seconds: not for --help or a slip
+    from hydro_policy.nodes.training import train  # with numba, which takes a second: not for --help or a slip
 
     with running_ros(ros):
         return train(options)

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from hydro_bridge.ros.companion import start_page
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
@@ -29,7 +28,7 @@ from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyCo
 from hydro_policy.evaluation.gain_search import coarse_grid
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.learner_process.learner import SaveRequest, write_run
+from hydro_policy.learner_process.learner import write_run
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluation import (
     box_mismatch,
@@ -68,10 +67,8 @@ from hydro_policy.runs import report as training
 from hydro_policy.runs.digest import circumstances, run_digest
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
 from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
-from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.replay import ReplayBuffer
-from hydro_policy.sac.snapshot import actor_parameters, dump, restore
+from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.run_state import Progress
 from hydro_policy.sessions.training import TrainingSession
@@ -189,7 +186,7 @@ def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Initi
     """Write the first checkpoint, of the initial agent, before anything moves."""
     agent = start.agent if start else dump(Sac(OBSERVATIONS, ACTIONS, settings.sac))
     nothing = ReplayBuffer(OBSERVATIONS, ACTIONS, settings.sac.batch_size + 128)
-    write_run(SaveRequest(run.path, {}, best=False), agent, None, nothing, settings)
+    write_run(run, settings, agent, nothing, {})
 
 
 def wait_for_box(node: GraphNode) -> BoxIdentity:
@@ -358,7 +355,6 @@ def say_policy(node: GraphNode, path: Path, *, resumed: bool) -> None:
 def train(options: argparse.Namespace) -> int:
     """Prepare, train, evaluate. In any case: disarm, write a checkpoint, stop the companions, in this order."""
     began = time.monotonic()
-    torch.set_num_threads(1)
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
         stack.callback(leave_graph, node)

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 import yaml
 from tqdm import tqdm
 
@@ -36,7 +35,7 @@ from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, Pret
 from hydro_policy.runs.initial_agent import AGENT
 from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.snapshot import actor_parameters, dump
+from hydro_policy.sac.sac import actor_parameters, dump
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
@@ -127,7 +126,6 @@ REPLAY_MAX = 1_152_000
 
 def pretrain(options: argparse.Namespace) -> int:
     """Run the pretraining of the command line; returns the exit status."""
-    torch.set_num_threads(1)  # the work is compiled; torch only draws numbers
     run = RunDirectory(options.resume or options.out)
     if options.resume:
         settings, source = resumed(run, sys.argv[1:])

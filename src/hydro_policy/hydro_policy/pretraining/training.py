@@ -29,10 +29,8 @@ from hydro_policy.envs.environment import Environment, Episodes, Transitions
 from hydro_policy.envs.vector_env import VectorBench, fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
 from hydro_policy.runs.run import Checkpoint, TrainingSettings
-from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.replay import ReplayBuffer
-from hydro_policy.sac.snapshot import dump, restore
+from hydro_policy.sac.sac import ReplayBuffer, Sac, dump, restore
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS, events
 from hydro_policy.task.mdp.events import Randomisation, RandomisedBench
@@ -165,7 +163,7 @@ class Pretraining:
         """One entry per round: episode, mean return, trips, RMSE at each frequency, scores (`examination`)."""
         self.best_score = math.inf
         self.best: bytes | None = None
-        """Agent (`snapshot.dump`) with the best score so far; not part of `state`."""
+        """Agent (`sac.dump`) with the best score so far; not part of `state`."""
         self._take_weights()
         draw = None if settings.randomisation is None else self._examined_bench
         self._exam = Examination(
@@ -227,11 +225,9 @@ class Pretraining:
         self._take_weights()
 
     def _learn(self) -> None:
-        training = self.settings.training
-        entitled = int(training.updates_per_step * max(self.replay.produced - training.warmup_steps, 0))
-        owed = entitled - self.sac.updates
-        if owed > 0:
-            self.sac.learn(self.replay, owed)
+        due = self.settings.training.updates_due(self.replay.produced) - self.sac.updates
+        if due > 0:
+            self.sac.learn(self.replay, due)
             self._take_weights()
 
     def _take_weights(self) -> None:

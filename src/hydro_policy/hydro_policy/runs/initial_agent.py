@@ -11,9 +11,9 @@ from typing import Any
 from hydro_core.size import Size, resized
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import load_policy
+from hydro_policy.sac.sac import Sac, dump, restore, settings_of
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sac.snapshot import as_beginning, settings_of
-from hydro_policy.task.mdp import GainRange
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange
 from hydro_sim.files.pairing import MadeFor, read_provenance
 from hydro_sim.model.bench import NOMINAL
 
@@ -31,7 +31,7 @@ class InitialAgent:
     """An initial agent."""
 
     agent: bytes
-    """Agent as returned by `snapshot.dump`."""
+    """Agent as returned by `sac.dump`; its updates are counted from here."""
     sac: SacSettings
     """Settings of the algorithm that it was trained with."""
     gains: GainRange
@@ -80,13 +80,16 @@ def load_initial_agent(path: Path) -> InitialAgent:
     if found is None:
         raise ValueError(f"{path} holds no {AGENT}: an agent to start from is a run's folder, or one made by pretrain")
     try:
-        agent = as_beginning(found.read_bytes())
-        sac = settings_of(agent)
+        content = found.read_bytes()
+        sac = settings_of(content)
+        agent = Sac(OBSERVATIONS, ACTIONS, sac)
+        restore(agent, content)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{found} is not an agent: {error}") from error
+    agent.updates = 0  # or those of its past would count as done for transitions to come
     policy, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
     return InitialAgent(
-        agent, sac, gains, reward, path, read_provenance(found) or read_provenance(run.policy), policy.size
+        dump(agent), sac, gains, reward, path, read_provenance(found) or read_provenance(run.policy), policy.size
     )

@@ -4,7 +4,7 @@
 runs/NAME/
     config.yaml            settings, and which plant; `--resume` reads them back
     policy.safetensors     the best policy so far (`policy` module); before an examination: the latest
-    checkpoints/latest/    learner.safetensors   networks, optimizers, temperature, random generator (`snapshot`)
+    checkpoints/latest/    learner.safetensors   networks, optimizers, temperature (`sac.dump`)
                            replay.npy            stored transitions, oldest first
                            trainer.json          count of all ever stored; episode, steps, random states, best episode
     checkpoints/best/      learner.safetensors of the best policy so far: the complete agent, to start others from
@@ -44,7 +44,7 @@ from hydro_policy.task.mdp import BASE, TaskSettings
 from hydro_sim.files.pairing import MadeFor
 
 if TYPE_CHECKING:
-    from hydro_policy.sac.replay import ReplayBuffer
+    from hydro_policy.sac.sac import ReplayBuffer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +67,10 @@ class TrainingSettings:
     monitor: MonitorSettings = field(default_factory=MonitorSettings)
     made: MadeFor | None = None
     """Which box its policies are for: what `--resume` is held to, and what goes into every file; None: not known."""
+
+    def updates_due(self, transitions: int) -> int:
+        """Return the updates that are due after so many transitions."""
+        return int(self.updates_per_step * max(transitions - self.warmup_steps, 0))
 
     @property
     def base_gains(self) -> tuple[float, float]:

@@ -20,7 +20,7 @@ import numpy as np
 from hydro_core.signals import FloatArray
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
-from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sessions.episode import EpisodeRecord
 from hydro_policy.task.cases import ExamSettings, Score
 

@@ -19,7 +19,7 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.sessions.episode import Phase
 
-if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
+if TYPE_CHECKING:  # evaluate does without
     from hydro_policy.learner_process.supervisor import LearnerSupervisor
     from hydro_policy.sessions.training import TrainingSession
 

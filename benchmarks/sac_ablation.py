@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Soft Actor-Critic without each of its choices: final returns over the same seeds, which settings are chosen on.
+
+Each variant is trained on as many benches side by side as there are seeds; bench and agent of seed s are those of
+`sac_peers --seeds s`, its random numbers are not. The variants named `base` and `peers` are the settings before, and
+what stable-baselines3 has in their place. Needs gymnasium (`make bench-peers`):
+
+    python -m benchmarks.sac_ablation --variants base uniform_warmup --json ablation.json
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import trim_mean
+
+from benchmarks._report import parser
+from hydro_core.cli.console import Table, progress
+from hydro_core.signals import FloatArray
+from hydro_policy.sac.sac import ReplayBuffer, Sac
+from hydro_policy.sac.settings import SacSettings
+
+REWARD_SCALE = 0.02
+FREQUENCIES, EXAM = (0.5, 1.0, 1.5, 2.0), 500
+EPISODE = 1800
+
+
+def nothing(sac: Sac) -> None:
+    """Leave the initial weights."""
+
+
+def last_actor_layer(factor: float) -> Callable[[Sac], None]:
+    """Scale the actor's last layer, so that every mean begins near zero and sigma near one."""
+
+    def change(sac: Sac) -> None:
+        for places in sac.sizes["actor"].places()[-2:]:
+            sac.agent.actor.parameters[places] *= factor
+
+    return change
+
+
+def log_std(value: float) -> Callable[[Sac], None]:
+    """Let log sigma begin at a value."""
+
+    def change(sac: Sac) -> None:
+        weights, biases = sac.sizes["actor"].places()[-2:]
+        sac.agent.actor.parameters[weights[..., 2:]], sac.agent.actor.parameters[biases[..., 2:]] = 0.0, value
+
+    return change
+
+
+def normal_weights(gain: float) -> Callable[[Sac], None]:
+    """Draw weights of deviation gain / sqrt(fan_in) (1: LeCun, sqrt(2): He), biases zero."""
+
+    def change(sac: Sac) -> None:
+        rng = np.random.default_rng((sac.settings.seed, 1))
+        for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
+            for k, places in enumerate(sac.sizes[name].places()):
+                fan_in = sac.sizes[name].fan_in[k // 2]
+                adam.parameters[places] = 0.0 if k % 2 else rng.normal(0.0, gain / math.sqrt(fan_in), places.shape)
+        sac.agent.targets[:] = sac.agent.critics.parameters
+
+    return change
+
+
+def zero_biases(sac: Sac) -> None:
+    """Let all biases begin at zero."""
+    for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
+        for places in sac.sizes[name].places()[1::2]:
+            adam.parameters[places] = 0.0
+    sac.agent.targets[:] = sac.agent.critics.parameters
+
+
+def zero_critics(sac: Sac) -> None:
+    """Let both critics begin at zero everywhere."""
+    for places in sac.sizes["critics"].places()[-2:]:
+        sac.agent.critics.parameters[places] = 0.0
+    sac.agent.targets[:] = sac.agent.critics.parameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A training's settings."""
+
+    uniform: bool = False
+    """Uniform actions before learning starts, in place of the initial policy's."""
+    starts: int = 500
+    """Steps before learning starts."""
+    updates: int = 1
+    """Per step."""
+    initial: Callable[[Sac], None] = nothing
+    sac: dict[str, Any] = field(default_factory=dict)
+    """Fields of `SacSettings`."""
+
+
+VARIANTS = {
+    "base": Variant(),
+    "uniform_warmup": Variant(uniform=True),
+    "log_std_min_-20": Variant(sac={"log_std_min": -20.0}),
+    "peers": Variant(uniform=True, sac={"log_std_min": -20.0}),
+    "learning_starts_1000": Variant(starts=1000),
+    "learning_starts_1800": Variant(starts=1800),
+    "uniform_1800": Variant(uniform=True, starts=1800),
+    "last_actor_layer_0.01": Variant(initial=last_actor_layer(0.01)),
+    "log_std_-1": Variant(initial=log_std(-1.0)),
+    "log_std_-2": Variant(initial=log_std(-2.0)),
+    "zero_biases": Variant(initial=zero_biases),
+    "lecun": Variant(initial=normal_weights(1.0)),
+    "he": Variant(initial=normal_weights(math.sqrt(2.0))),
+    "zero_critics": Variant(initial=zero_critics),
+    "alpha_0.05": Variant(sac={"initial_entropy_coefficient": 0.05}),
+    "alpha_0.5": Variant(sac={"initial_entropy_coefficient": 0.5}),
+    "alpha_fixed": Variant(sac={"entropy_learning_rate": 0.0}),
+    "target_entropy_0": Variant(sac={"target_entropy": 0.0}),
+    "target_entropy_-1": Variant(sac={"target_entropy": -1.0}),
+    "target_entropy_-4": Variant(sac={"target_entropy": -4.0}),
+    "reward_scale_0.1": Variant(sac={"reward_scale": 0.1}),
+    "reward_scale_0.01": Variant(sac={"reward_scale": 0.01}),
+    "tau_0.02": Variant(sac={"target_rate": 0.02}),
+    "discount_0.95": Variant(sac={"discount": 0.95}),
+    "actor_rate_0.0003": Variant(sac={"actor_learning_rate": 3e-4}),
+    "critic_rate_0.003": Variant(sac={"critic_learning_rate": 3e-3}),
+    "updates_2": Variant(updates=2),
+    "updates_8": Variant(updates=8),
+}
+
+
+class Actors:
+    """The policies of several agents, evaluated at once."""
+
+    def __init__(self, agents: Sequence[Sac]) -> None:
+        self._agents, self._places = agents, agents[0].sizes["actor"].places()
+        self._bounds = agents[0].settings.log_std_min, agents[0].settings.log_std_max
+
+    def distribution(self, observations: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (mu, log sigma), shape (agents, 2) each, of one observation each, shape (agents, 13)."""
+        flat = np.stack([sac.agent.actor.parameters for sac in self._agents])
+        hidden = observations[:, np.newaxis]
+        for k in range(3):
+            weights, biases = (flat[:, places[0]] for places in self._places[2 * k : 2 * k + 2])
+            hidden = hidden @ weights + biases[:, np.newaxis]
+            hidden = np.maximum(hidden, 0.0) if k < 2 else hidden
+        return hidden[:, 0, :2], np.clip(hidden[:, 0, 2:], *self._bounds)
+
+
+def train(variant: Variant, seeds: Sequence[int], steps: int) -> FloatArray:
+    """Return the final return of each seed."""
+    from hydro_policy.env import ForceControlVector
+
+    agents = [
+        Sac(13, 2, SacSettings(**({"reward_scale": REWARD_SCALE, "seed": seed} | variant.sac)))  # type: ignore[arg-type]
+        for seed in seeds
+    ]
+    for sac in agents:
+        variant.initial(sac)
+    replays, actors = [ReplayBuffer(13, 2, steps + 100) for _ in agents], Actors(agents)
+    rng = np.random.default_rng((seeds[0], 2))
+    environment = ForceControlVector(len(seeds), bench="shipped", max_episode_steps=EPISODE, autoreset_mode="Disabled")
+    environment.reset(seed=list(seeds))
+    now, _ = environment.reset()
+    for step in range(steps):
+        if step < variant.starts and variant.uniform:
+            action = rng.uniform(-1.0, 1.0, (len(seeds), 2))
+        else:
+            mean, spread = actors.distribution(now)
+            action = np.tanh(mean + np.exp(spread) * rng.standard_normal(mean.shape))
+        following, reward, terminated, truncated, _ = environment.step(action.astype(np.float32))
+        ends = np.stack((reward, terminated), axis=1)
+        rows = np.concatenate((now, following, action, ends), axis=1).astype(np.float32)
+        for sac, replay, row in zip(agents, replays, rows, strict=True):
+            replay.extend(row[np.newaxis])
+            if step >= variant.starts:
+                sac.learn(replay, variant.updates)
+        now, over = following, terminated | truncated
+        if over.any():
+            now, _ = environment.reset(options={"reset_mask": over})
+    return examine(actors, len(seeds))
+
+
+def examine(actors: Actors, count: int) -> FloatArray:
+    """Return the returns of the mean actions over the four sines, as `sac_peers.examine`."""
+    from hydro_policy.env import ForceControlVector
+
+    total = np.zeros(count)
+    for frequency in FREQUENCIES:
+        reference = {"amplitude": 300.0, "frequency": frequency}
+        environment = ForceControlVector(count, bench="shipped", reference=reference, autoreset_mode="Disabled")
+        now, _ = environment.reset(seed=[0] * count)
+        alive = np.ones(count, bool)
+        for _ in range(EXAM):
+            action = np.tanh(actors.distribution(now)[0]).astype(np.float32)
+            now, reward, terminated, _, _ = environment.step(action)
+            total += REWARD_SCALE * reward * alive
+            alive &= ~terminated
+    return total
+
+
+def main() -> int:
+    """Run."""
+    asked = parser("sac_ablation", __doc__)
+    asked.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
+    asked.add_argument("--seeds", type=int, nargs="+", default=list(range(100, 120)), metavar="N", help="100 to 119")
+    asked.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
+    options = asked.parse_args()
+    columns = {
+        "variant": "",
+        "middle": f"interquartile mean of the final returns of {len(options.seeds)} seeds (`sac_peers`)",
+        "median": "", "worst": "", "best": "",
+        "poor": "seeds below the untrained mean action, -4970",
+        "returns": "of each seed",
+    }  # fmt: skip
+    table = Table(columns, title=f"Soft Actor-Critic after {options.steps} steps")
+    if options.json and options.json.exists():
+        table.rows = json.loads(options.json.read_text())["rows"]
+    done = {row["variant"] for row in table.rows}
+    for name in progress([name for name in options.variants if name not in done], unit="variant", every=30.0):
+        returns = train(VARIANTS[name], options.seeds, options.steps)
+        table.add(
+            variant=name, middle=round(float(trim_mean(returns, 0.25))), median=round(float(np.median(returns))),
+            worst=round(returns.min()), best=round(returns.max()), poor=int((returns < -4970).sum()),
+            returns=[round(each) for each in returns],
+        )  # fmt: skip
+        print({key: value for key, value in table.rows[-1].items() if key != "returns"}, flush=True)
+        if options.json:
+            table.write_json(options.json)
+    table.rows = [{**row, "returns": len(row["returns"])} for row in table.rows]
+    table.show()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
