@@ -23,7 +23,7 @@ from hydro_bridge.ros.topics import ARM_SERVICE, CLAIM_SERVICE, GAINS, GRAPH, ST
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
-SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
+SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "learning_starts:=100", "-p", "exam.every:=0")
 """Words of a trainer whose episodes are short."""
 
 

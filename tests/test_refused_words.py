@@ -149,7 +149,7 @@ REFUSED = {
     "hydro_policy pretrain": (("--out @new --model nowhere.safetensors", "nowhere.safetensors"),),
     "hydro_policy trainer": (
         ("--runs @new --resume /nowhere", "holds no run to resume"),
-        ("--runs @new --ros-args -p sac.discont:=0.9", "no parameter sac.discont; is sac.discount meant?"),
+        ("--runs @new --ros-args -p sac.gama:=0.9", "no parameter sac.gama; is sac.gamma meant?"),
         ("--runs @new --plant sim --truth t.yaml", "--truth is of no use with --plant sim; it goes with emulator"),
     ),
     "hydro_policy evaluate": (

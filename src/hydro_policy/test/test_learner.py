@@ -21,7 +21,7 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from tests import checks
 
-SETTINGS = TrainingSettings(warmup_steps=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
+SETTINGS = TrainingSettings(learning_starts=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -53,7 +53,7 @@ def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.Comp
 
 
 def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> None:
-    short = ("--ros-args", "-p", "task.steps_per_episode:=250", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
+    short = ("--ros-args", "-p", "task.steps_per_episode:=250", "-p", "learning_starts:=100", "-p", "exam.every:=0")
     words = ("--plant", "sim", "--from", "scratch", "--episodes", "2", "--runs", str(tmp_path), "--name", "a")
     done = run("trainer", *words, *short, timeout=280.0)
     assert done.returncode == 0, done.stderr

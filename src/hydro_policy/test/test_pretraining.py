@@ -29,7 +29,7 @@ from tests.checks import ran
 
 def short() -> Pretraining:
     training = TrainingSettings(
-        episodes=4, seed=1, warmup_steps=40, replay_capacity=2000,
+        episodes=4, seed=1, learning_starts=40, replay_capacity=2000,
         task=TaskSettings(steps_per_episode=60), sac=SacSettings(batch_size=32, seed=1),
     )  # fmt: skip
     evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)

@@ -63,7 +63,7 @@ class Equations:
         with torch.no_grad():
             action, density = self.sample(following, noise[0])
             value = forward(self.targets, torch.cat((following, action), 1))[..., 0].amin(0) - alpha * density
-            y = s.reward_scale * r[:, 0] + s.discount * (1.0 - terminated[:, 0]) * value
+            y = s.reward_scale * r[:, 0] + s.gamma * (1.0 - terminated[:, 0]) * value
         critics = 0.5 * (forward(self.critics, torch.cat((o, a), 1))[..., 0] - y).square().mean(1).sum()
         descend(self.critic_adam, self.critics, critics)
         action, density = self.sample(o, noise[1])
@@ -73,7 +73,7 @@ class Equations:
         temperature = -(self.log_alpha * (density.detach().mean() + s.target_entropy)).sum()
         descend(self.alpha_adam, [self.log_alpha], temperature)
         for target, critic in zip(self.targets, self.critics, strict=True):
-            target.lerp_(critic.detach(), s.target_rate)
+            target.lerp_(critic.detach(), s.tau)
         return float(critics.detach()), float(actor.detach()), float(temperature.detach())
 
 
@@ -112,7 +112,7 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
 
 
 def test_linear_quadratic_regulator_is_learnt() -> None:
-    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, discount 0.9: within 10 % of the Riccati optimum after 6000 updates."""
+    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, gamma 0.9: within 10 % of the Riccati optimum after 6000 updates."""
     b, q, r, gamma = 0.5, 1.0, 0.1, 0.9
     p = q
     for _ in range(500):  # discounted Riccati recursion
@@ -130,9 +130,7 @@ def test_linear_quadratic_regulator_is_learnt() -> None:
     rng = np.random.default_rng(0)
     x, a = rng.uniform(-1, 1, 5000), rng.uniform(-1, 1, 5000)
     rows = np.stack((x, x + b * a, a, -(q * x**2 + r * a**2), np.zeros(5000)), axis=1).astype(np.float32)
-    sac = Sac(
-        1, 1, SacSettings(batch_size=128, discount=gamma, target_entropy=-1.0, reward_scale=1.0, target_rate=0.02)
-    )
+    sac = Sac(1, 1, SacSettings(batch_size=128, gamma=gamma, target_entropy=-1.0, reward_scale=1.0, tau=0.02))
     memory = ReplayBuffer(1, 1, 5000)
     memory.extend(rows)
     sac.learn(memory, 6000)

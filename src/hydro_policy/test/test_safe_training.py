@@ -41,7 +41,7 @@ EXAM = ExamSettings(every=1, settle=0.5, measure=0.5, repeats=1)
 def settings(*, episodes: int = 2, top: float = 75.0, **more: object) -> TrainingSettings:
     task = TaskSettings(steps_per_episode=150, gains=GainRange(delta_kp_max=top))
     values = {"exam": EXAM, "sac": SacSettings(batch_size=32), "task": task} | more
-    return TrainingSettings(episodes=episodes, warmup_steps=50, replay_capacity=4000, **values)  # type: ignore[arg-type]
+    return TrainingSettings(episodes=episodes, learning_starts=50, replay_capacity=4000, **values)  # type: ignore[arg-type]
 
 
 def start(chosen: TrainingSettings) -> tuple[OfflineGraph, InlineLearner, TrainingSession]:

@@ -34,8 +34,8 @@ BENCH = Bench.nominal()
 
 def short(**task: float) -> TrainingSettings:
     return TrainingSettings(
-        episodes=2, warmup_steps=100, replay_capacity=4000, sac=SacSettings(batch_size=32), exam=ExamSettings(every=0),
-        task=TaskSettings(steps_per_episode=150, **task),  # type: ignore[arg-type]
+        episodes=2, learning_starts=100, replay_capacity=4000, sac=SacSettings(batch_size=32),
+        exam=ExamSettings(every=0), task=TaskSettings(steps_per_episode=150, **task),  # type: ignore[arg-type]
     )  # fmt: skip
 
 

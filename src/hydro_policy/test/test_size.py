@@ -80,7 +80,7 @@ def test_the_size_of_the_similar_bench() -> None:
 def learning(bench: Bench) -> Pretraining:
     """A short pretraining on drawn benches of this size."""
     training = TrainingSettings(
-        episodes=4, warmup_steps=40, replay_capacity=2000, task=TaskSettings(steps_per_episode=60),
+        episodes=4, learning_starts=40, replay_capacity=2000, task=TaskSettings(steps_per_episode=60),
         sac=SacSettings(batch_size=32),
     )  # fmt: skip
     usual = PretrainSettings(

@@ -33,7 +33,7 @@ examples:
   ros2 run hydro_policy trainer --plant emulator --evaluate    the paper's 160 episodes: 70 minutes of bench time
   ros2 run hydro_policy trainer --plant bench --port /dev/ttyUSB0
   ros2 run hydro_policy trainer --resume runs/NAME             goes on after Ctrl-C, an error or a power cut
-every setting is a ROS parameter, too: --ros-args -p sac.discount:=0.98 -p task.steps_per_episode:=900
+every setting is a ROS parameter, too: --ros-args -p sac.gamma:=0.98 -p task.steps_per_episode:=900
 (training.md explains them). Ctrl-C disarms, writes a checkpoint and ends.
 """
 

@@ -60,7 +60,8 @@ class InitialAgent:
         )
         reward = resized(replace(settings.task, **self.reward), self.size, settings.task.size)
         task = replace(settings.task, gains=self.gains, **{name: getattr(reward, name) for name in self.reward})
-        return replace(settings, sac=sac, task=task, warmup_steps=max(settings.warmup_steps, task.steps_per_episode))
+        starts = max(settings.learning_starts, task.steps_per_episode)
+        return replace(settings, sac=sac, task=task, learning_starts=starts)
 
 
 def shipped_agent(authority: str) -> InitialAgent | None:

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from hydro_core.files.atomic import flush_folder, json_text, write_whole
 from hydro_core.files.tensors import UnsoundError, check_numbers
 from hydro_core.settings import SettingsError, check, from_mapping, quantity, read_yaml
-from hydro_policy.sac.settings import SacSettings
+from hydro_policy.sac.settings import SacSettings, present_names
 from hydro_policy.supervision.monitor import MonitorSettings
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import BASE, TaskSettings
@@ -55,7 +55,7 @@ class TrainingSettings:
     """Episodes of the run (paper: 160)."""
     updates_per_step: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
     """Gradient updates owed per policy step; the learner catches up in pauses."""
-    warmup_steps: Annotated[int, quantity("-", 1, 1e6)] = 500
+    learning_starts: Annotated[int, quantity("-", 1, 1e6)] = 500
     """Policy steps before learning starts; they act with the initial, broad policy."""
     replay_capacity: Annotated[int, quantity("-", 65, 1e8)] = 288_000
     """Transitions remembered (the paper's whole training)."""
@@ -70,7 +70,7 @@ class TrainingSettings:
 
     def updates_due(self, transitions: int) -> int:
         """Return the updates that are due after so many transitions."""
-        return int(self.updates_per_step * max(transitions - self.warmup_steps, 0))
+        return int(self.updates_per_step * max(transitions - self.learning_starts, 0))
 
     @property
     def base_gains(self) -> tuple[float, float]:
@@ -134,6 +134,10 @@ class RunDirectory:
             values.pop("plant", None)
             if not values:
                 raise SettingsError("it is empty")
+            if "warmup_steps" in values:  # until 2026-11
+                values["learning_starts"] = values.pop("warmup_steps")
+            if isinstance(values.get("sac"), dict):
+                values["sac"] = present_names(values["sac"])
             return from_mapping(TrainingSettings, values, self.config.name)
         except ValueError as error:
             raise ValueError(f"{self.path} holds no run to resume: {error}") from error

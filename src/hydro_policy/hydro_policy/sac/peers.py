@@ -12,6 +12,7 @@ other activations, a mean that is clipped in place of squashed, or further input
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -83,8 +84,7 @@ def _of_baselines(model: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float,
 
 def _of_skrl(agent: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float, float], Act]:
     """Return the same of an agent."""
-    import torch  # takes seconds
-
+    torch = sys.modules["torch"]  # imported with the agent; nothing here needs it
     actor, scaler = getattr(agent, "policy", None), getattr(agent, "_observation_preprocessor", None)
     if actor is None or scaler is None:
         raise ValueError(f"{type(agent).__name__} is neither a model of stable-baselines3 nor an agent of skrl")

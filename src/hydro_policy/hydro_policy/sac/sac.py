@@ -32,7 +32,7 @@ from hydro_core.files.tensors import UnsoundError, check_numbers, check_shapes
 from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.dense import BATCH_MAX, BLOCK, ROW, Floats, affine, outer, relu, relu_gradient
-from hydro_policy.sac.settings import SacSettings
+from hydro_policy.sac.settings import SacSettings, present_names
 from hydro_sim.jit import njit
 
 # ---------------------------------------------------------------------------------------------------- replay buffer
@@ -480,7 +480,7 @@ class Sac:
         self.agent.entropy.parameters[:] = math.log(settings.initial_entropy_coefficient)
         s, kind = settings, np.dtype(dtype).type
         self._constants = Constants(
-            observations, actions, s.hidden_size, kind(s.discount), kind(s.target_rate), kind(s.reward_scale),
+            observations, actions, s.hidden_size, kind(s.gamma), kind(s.tau), kind(s.reward_scale),
             kind(s.target_entropy), kind(s.log_std_min), kind(s.log_std_max),
         )  # fmt: skip
         self.losses = Losses()
@@ -562,7 +562,7 @@ def actor_parameters(blob: bytes) -> FloatArray:
 
 def settings_of(blob: bytes) -> SacSettings:
     """Return the settings that a dump was made with."""
-    settings = SacSettings(**_opened(blob)[1]["settings"])
+    settings = SacSettings(**present_names(_opened(blob)[1]["settings"]))
     check(settings)
     return settings
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of Soft Actor-Critic, without torch, which takes seconds to import."""
+"""Settings of Soft Actor-Critic, without numba, which takes a second to import."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from hydro_core.settings import quantity
 
@@ -19,10 +20,10 @@ class SacSettings:
     """Adam's step size for the actor."""
     critic_learning_rate: Annotated[float, quantity("-", 1e-7, 0.1)] = 1e-3
     """Adam's step size for the critics."""
-    discount: Annotated[float, quantity("-", 0.0, 0.99999)] = 0.99
-    """gamma: what a reward one step later is worth; 0.99 at 100 Hz looks about 1 s ahead."""
-    target_rate: Annotated[float, quantity("-", 1e-6, 1.0)] = 0.005
-    """tau: share by which the target critics move to the critics at each update."""
+    gamma: Annotated[float, quantity("-", 0.0, 0.99999)] = 0.99
+    """Discount: what a reward one step later is worth; 0.99 at 100 Hz looks about 1 s ahead."""
+    tau: Annotated[float, quantity("-", 1e-6, 1.0)] = 0.005
+    """Polyak averaging: share by which the target critics move to the critics at each update."""
     initial_entropy_coefficient: Annotated[float, quantity("-", 1e-6, 10.0)] = 0.005
     """alpha at the start: what a nat of entropy is worth in reward."""
     entropy_learning_rate: Annotated[float, quantity("-", 0.0, 0.1)] = 1e-3
@@ -38,4 +39,10 @@ class SacSettings:
     log_std_max: Annotated[float, quantity("-", 0.0, 4.0)] = 2.0
     """Upper bound of the same."""
     seed: Annotated[int, quantity("-", 0, 9e15)] = 0
-    """Seed of the initial weights, of the exploration in updates and of the batches drawn."""
+    """Seed of the initial weights, and of the batches and the noise of updates."""
+
+
+def present_names(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings of a file, until 2026-11 with the names `discount` and `target_rate`, by their present names."""
+    former = {"discount": "gamma", "target_rate": "tau"}
+    return {former.get(name, name): value for name, value in values.items()}

@@ -181,7 +181,7 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
 
 
 def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings:
-    """Declare all settings of a run as ROS parameters: episodes, sac.discount, task.gains.delta_kp_max ..."""
+    """Declare all settings of a run as ROS parameters: episodes, sac.gamma, task.gains.delta_kp_max ..."""
     gains = declare_parameters(node, settings.task.gains, "task.gains.")
     task = replace(declare_parameters(node, settings.task, "task."), gains=gains)
     sac = declare_parameters(node, settings.sac, "sac.")
