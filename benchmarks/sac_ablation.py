@@ -39,7 +39,7 @@ def last_actor_layer(factor: float) -> Callable[[Sac], None]:
     """Scale the actor's last layer, so that every mean begins near zero and sigma near one."""
 
     def change(sac: Sac) -> None:
-        for places in sac.sizes["actor"].places()[-2:]:
+        for places in sac.sizes["actor"].places()[-1]:
             sac.agent.actor.parameters[places] *= factor
 
     return change
@@ -49,7 +49,7 @@ def log_std(value: float) -> Callable[[Sac], None]:
     """Let log sigma begin at a value."""
 
     def change(sac: Sac) -> None:
-        weights, biases = sac.sizes["actor"].places()[-2:]
+        weights, biases = sac.sizes["actor"].places()[-1]
         sac.agent.actor.parameters[weights[..., 2:]], sac.agent.actor.parameters[biases[..., 2:]] = 0.0, value
 
     return change
@@ -61,9 +61,9 @@ def normal_weights(gain: float) -> Callable[[Sac], None]:
     def change(sac: Sac) -> None:
         rng = np.random.default_rng((sac.settings.seed, 1))
         for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
-            for k, places in enumerate(sac.sizes[name].places()):
-                fan_in = sac.sizes[name].fan_in[k // 2]
-                adam.parameters[places] = 0.0 if k % 2 else rng.normal(0.0, gain / math.sqrt(fan_in), places.shape)
+            for weights, biases in sac.sizes[name].places():
+                deviation = gain / math.sqrt(weights.shape[1])
+                adam.parameters[weights], adam.parameters[biases] = rng.normal(0.0, deviation, weights.shape), 0.0
         sac.agent.targets[:] = sac.agent.critics.parameters
 
     return change
@@ -72,14 +72,14 @@ def normal_weights(gain: float) -> Callable[[Sac], None]:
 def zero_biases(sac: Sac) -> None:
     """Let all biases begin at zero."""
     for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
-        for places in sac.sizes[name].places()[1::2]:
-            adam.parameters[places] = 0.0
+        for _, biases in sac.sizes[name].places():
+            adam.parameters[biases] = 0.0
     sac.agent.targets[:] = sac.agent.critics.parameters
 
 
 def zero_critics(sac: Sac) -> None:
     """Let both critics begin at zero everywhere."""
-    for places in sac.sizes["critics"].places()[-2:]:
+    for places in sac.sizes["critics"].places()[-1]:
         sac.agent.critics.parameters[places] = 0.0
     sac.agent.targets[:] = sac.agent.critics.parameters
 
@@ -145,7 +145,7 @@ class Actors:
         flat = np.stack([sac.agent.actor.parameters for sac in self._agents])
         hidden = observations[:, np.newaxis]
         for k in range(3):
-            weights, biases = (flat[:, places[0]] for places in self._places[2 * k : 2 * k + 2])
+            weights, biases = (flat[:, places[0]] for places in self._places[k])
             hidden = hidden @ weights + biases[:, np.newaxis]
             hidden = np.maximum(hidden, 0.0) if k < 2 else hidden
         return hidden[:, 0, :2], np.clip(hidden[:, 0, 2:], *self._bounds)

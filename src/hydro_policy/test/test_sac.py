@@ -17,7 +17,7 @@ from hydro_policy.sac.settings import SacSettings
 def leaves(sac: Sac, name: str) -> list[Tensor]:
     """Copies of weights [member, fan_in, fan_out] and biases [member, 1, fan_out] of `actor` or `critics`, in turn."""
     flat = getattr(sac.agent, name).parameters
-    arrays = [flat[places] for places in sac.sizes[name].places()]
+    arrays = [flat[places] for layer in sac.sizes[name].places() for places in layer]
     return [torch.from_numpy(a if a.ndim == 3 else a[:, np.newaxis]).requires_grad_() for a in arrays]
 
 
@@ -90,7 +90,7 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
     """Five updates on the same draws: equal to rounding; a buffer's tail, and a sigma at its bound, do not count."""
     sac = Sac(5, 2, SacSettings(batch_size=rows, hidden_size=30, seed=4), torch.empty(0, dtype=dtype).numpy().dtype)
     if rows == 100:
-        sac.agent.actor.parameters[sac.sizes["actor"].places()[-1][0, 2]] = -8.0  # sigma at its lower bound
+        sac.agent.actor.parameters[sac.sizes["actor"].places()[-1][1][0, 2]] = -8.0  # sigma at its lower bound
     equations = Equations(sac)
     rng, memory = np.random.default_rng(1), ReplayBuffer(5, 2, 500)
     table = rng.normal(size=(400, 14)).astype(np.float32)
@@ -112,7 +112,7 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
 
 
 def test_linear_quadratic_regulator_is_learnt() -> None:
-    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, gamma 0.9: within 10 % of the Riccati optimum after 6000 updates."""
+    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, gamma 0.9: within 10 % of the Riccati optimum after 6000 updates, by median."""
     b, q, r, gamma = 0.5, 1.0, 0.1, 0.9
     p = q
     for _ in range(500):  # discounted Riccati recursion
@@ -130,14 +130,17 @@ def test_linear_quadratic_regulator_is_learnt() -> None:
     rng = np.random.default_rng(0)
     x, a = rng.uniform(-1, 1, 5000), rng.uniform(-1, 1, 5000)
     rows = np.stack((x, x + b * a, a, -(q * x**2 + r * a**2), np.zeros(5000)), axis=1).astype(np.float32)
-    sac = Sac(1, 1, SacSettings(batch_size=128, gamma=gamma, target_entropy=-1.0, reward_scale=1.0, tau=0.02))
     memory = ReplayBuffer(1, 1, 5000)
     memory.extend(rows)
-    sac.learn(memory, 6000)
 
-    def learnt(x: np.ndarray) -> np.ndarray:
-        rows = torch.from_numpy(x.astype(np.float32)).unsqueeze(1)
-        return torch.tanh(forward(leaves(sac, "actor"), rows)[0, :, 0]).detach().numpy()
+    def learnt(seed: int) -> float:
+        settings = SacSettings(
+            batch_size=128, gamma=gamma, target_entropy=-1.0, reward_scale=1.0, tau=0.02, seed=seed
+        )  # fmt: skip
+        sac = Sac(1, 1, settings)
+        sac.learn(memory, 6000)
+        layers = [layer.detach() for layer in leaves(sac, "actor")]
+        return cost(lambda x: torch.tanh(forward(layers, torch.from_numpy(x[:, np.newaxis]).float())[0, :, 0]).numpy())
 
-    assert cost(learnt) < 1.10 * cost(lambda x: -gain * x)
+    assert np.median([learnt(seed) for seed in range(3)]) < 1.10 * cost(lambda x: -gain * x)
     assert cost(lambda x: 0.0 * x) > 2.0 * cost(lambda x: -gain * x), "doing nothing would pass too"

@@ -113,6 +113,9 @@ class ReplayBuffer:
 
 # ---------------------------------------------------------------------------------------------------------- networks
 
+Places = NDArray[np.int64]
+"""Places in a flat vector."""
+
 
 @njit
 def four(count):
@@ -138,32 +141,27 @@ class Sizes(NamedTuple):
         return sum(map(four.py_func, self.inputs)), four.py_func(self.hidden), four.py_func(self.outputs)
 
     @property
-    def fan_in(self) -> tuple[int, int, int]:
-        """Inputs of each layer."""
-        return sum(self.inputs), self.hidden, self.hidden
-
-    @property
     def length(self) -> int:
         """Length of the flat vector."""
         inputs, hidden, outputs = self.padded
         return self.members * ((inputs + hidden + 2) * hidden + (hidden + 1) * outputs)
 
-    def places(self) -> list[NDArray[np.int64]]:
-        """Return where in the flat vector the weights [member, fan_in, fan_out] and biases [member, fan_out] lie.
+    def places(self) -> list[tuple[Places, Places]]:
+        """Return where the weights [member, fan_in, fan_out] and the biases [member, fan_out] of each layer lie.
 
-        W_1, b_1, W_2, b_2, W_3, b_3 without padding, as in files and for `Policy.load_flat`.
+        In this order, without padding, they are in files and in `Policy.load_flat`.
         """
-        members = np.arange(self.length).reshape(self.members, -1)
         starts = np.cumsum([0, *map(four.py_func, self.inputs)])
         inputs = np.concatenate([start + np.arange(n) for start, n in zip(starts, self.inputs, strict=False)])
         units = [inputs, np.arange(self.hidden), np.arange(self.hidden), np.arange(self.outputs)]
-        layers = [network.py_func(flat, *self.padded) for flat in members]
+        members = np.arange(self.length).reshape(self.members, -1)
+        networks = [network.py_func(flat, *self.padded) for flat in members]
         return [
-            np.stack([layer[2 * k][np.ix_(units[k], units[k + 1])] for layer in layers])
-            if kind == "weight"
-            else np.stack([layer[2 * k + 1][units[k + 1]] for layer in layers])
+            (
+                np.stack([each[2 * k][np.ix_(units[k], units[k + 1])] for each in networks]),
+                np.stack([each[2 * k + 1][units[k + 1]] for each in networks]),
+            )
             for k in range(3)
-            for kind in ("weight", "bias")
         ]
 
 
@@ -458,7 +456,10 @@ class Sac:
         actor = Sizes(1, (observations,), settings.hidden_size, 2 * actions)
         critics = Sizes(2, (observations, actions), settings.hidden_size, 1)
         self.sizes = {"actor": actor, "critics": critics}
-        self.places = {name: np.concatenate([p.ravel() for p in s.places()]) for name, s in self.sizes.items()}
+        self.places = {
+            name: np.concatenate([places.ravel() for layer in sizes.places() for places in layer])
+            for name, sizes in self.sizes.items()
+        }
         """Of the networks' numbers in their padded vectors, in the order of files."""
         lengths = [actor.length] * 3 + [critics.length] * 3 + [1] * 3 + [critics.length]
         numbers = -(-sum(lengths) * np.dtype(dtype).itemsize // 8)
@@ -473,9 +474,10 @@ class Sac:
         self.agent = Agent(optimizers[0], optimizers[1], optimizers[2], vectors[9])
         rng = np.random.default_rng(settings.seed).spawn(1)[0]  # exploration has the seed itself
         for sizes, optimizer in ((actor, self.agent.actor), (critics, self.agent.critics)):
-            for k, places in enumerate(sizes.places()):
-                bound = 1.0 / math.sqrt(sizes.fan_in[k // 2])
-                optimizer.parameters[places] = rng.uniform(-bound, bound, places.shape)
+            for layer in sizes.places():
+                bound = 1.0 / math.sqrt(layer[0].shape[1])
+                for places in layer:
+                    optimizer.parameters[places] = rng.uniform(-bound, bound, places.shape)
         self.agent.targets[:] = self.agent.critics.parameters
         self.agent.entropy.parameters[:] = math.log(settings.initial_entropy_coefficient)
         s, kind = settings, np.dtype(dtype).type
