@@ -73,7 +73,7 @@ def main() -> int:
     site.take_site(options, model=site.MODEL, box=site.BENCH)
     if options.site and not options.base_gains:
         options.base_gains = site.base_gains(options.site)
-    from hydro_policy.pretraining.run import pretrain  # with torch, which takes seconds: not for --help or a slip
+    from hydro_policy.pretraining.run import pretrain  # it compiles: not for --help or a slip
 
     return pretrain(options)
 

@@ -59,5 +59,5 @@ def circumstances() -> str:
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
         cpu = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "torch", "numba"))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba"))
     return f"on {cpu}, Python {platform.python_version()}, {packages}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Acting policy: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
+"""Acting policy: the actor's perceptron in numpy (some ten microseconds a call), and its file.
 
 policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro"
 JSON with architecture, observation names, centers and scales, the bench's size that these follow from, and the range of
