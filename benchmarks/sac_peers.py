@@ -193,7 +193,7 @@ def examine(learner: Any) -> float:
         while not (over or terminated):
             action = learner.act(observation)
             observation, reward, terminated, over, _ = environment.step(action)
-            total += reward
+            total += float(reward)
     return total
 
 
