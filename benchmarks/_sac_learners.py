@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Four Soft Actor-Critics behind one face, with the paper's sizes and values: ours, stable-baselines3, SBX, skrl.
 
-`train`: so many environment steps, an update after each from `WARMUP` on; `update`: so many updates from what is in the
-buffer; `act`: the mean action. The task is `hydro_policy.env`: one bench on the learned model.
+`train`: so many environment steps, an update after each from `WARMUP` on, for ours from the product's `learning_starts`
+on; `update`: so many updates from what is in the buffer; `act`: the mean action. The task is `hydro_policy.env`: one
+bench on the learned model.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from torch import nn
 
 from hydro_core.signals import FloatArray
 from hydro_policy.env import ID
+from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac
 from hydro_policy.sac.settings import SacSettings
@@ -50,7 +52,7 @@ class Ours:
             row: FloatArray = np.concatenate((observation, following, action, (reward, float(terminated))))
             self.replay.extend(row[np.newaxis].astype(np.float32))
             observation = environment.reset()[0] if terminated or over else following
-            if step >= WARMUP:
+            if step >= TrainingSettings().learning_starts:
                 self.sac.learn(self.replay, 1)
                 self.policy.load_flat(self.sac.actor_parameters())
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Soft Actor-Critic without each of its choices: final returns over the same seeds, which settings are chosen on.
+"""Soft Actor-Critic with each of its choices changed: final returns over seeds that settings are chosen on.
 
-Each variant is trained on as many benches side by side as there are seeds; bench and agent of seed s are those of
-`sac_peers --seeds s`, its random numbers are not. The variants named `base` and `peers` are the settings before, and
-what stable-baselines3 has in their place. Needs gymnasium (`make bench-peers`):
+Each variant is trained on as many benches side by side as there are seeds; bench and initial agent of seed s are those
+of `sac_peers --seeds s`, its exploration is not. `base` are the settings before this ablation, by which learning starts
+after 500 steps; `peers` is what stable-baselines3 has in their place. Needs gymnasium (`make bench-peers`):
 
     python -m benchmarks.sac_ablation --variants base uniform_warmup --json ablation.json
 """
@@ -69,6 +69,12 @@ def normal_weights(gain: float) -> Callable[[Sac], None]:
     return change
 
 
+def he_and_small_actor(sac: Sac) -> None:
+    """Let networks begin by He et al., but the actor's mean near zero and its sigma near one."""
+    normal_weights(math.sqrt(2.0))(sac)
+    last_actor_layer(0.01)(sac)
+
+
 def zero_biases(sac: Sac) -> None:
     """Let all biases begin at zero."""
     for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
@@ -107,6 +113,8 @@ VARIANTS = {
     "learning_starts_1000": Variant(starts=1000),
     "learning_starts_1800": Variant(starts=1800),
     "uniform_1800": Variant(uniform=True, starts=1800),
+    "uniform_3600": Variant(uniform=True, starts=3600),
+    "uniform_1800_entropy_-1": Variant(uniform=True, starts=1800, sac={"target_entropy": -1.0}),
     "last_actor_layer_0.01": Variant(initial=last_actor_layer(0.01)),
     "log_std_-1": Variant(initial=log_std(-1.0)),
     "log_std_-2": Variant(initial=log_std(-2.0)),
@@ -114,6 +122,7 @@ VARIANTS = {
     "lecun": Variant(initial=normal_weights(1.0)),
     "he": Variant(initial=normal_weights(math.sqrt(2.0))),
     "he_uniform_warmup": Variant(initial=normal_weights(math.sqrt(2.0)), uniform=True),
+    "he_small_actor": Variant(initial=he_and_small_actor),
     "zero_critics": Variant(initial=zero_critics),
     "alpha_0.05": Variant(sac={"initial_entropy_coefficient": 0.05}),
     "alpha_0.5": Variant(sac={"initial_entropy_coefficient": 0.5}),

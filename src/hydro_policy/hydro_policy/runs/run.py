@@ -55,8 +55,9 @@ class TrainingSettings:
     """Episodes of the run (paper: 160)."""
     updates_per_step: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
     """Gradient updates owed per policy step; the learner catches up in pauses."""
-    learning_starts: Annotated[int, quantity("-", 1, 1e6)] = 500
-    """Policy steps before learning starts; they act with the initial, broad policy."""
+    learning_starts: Annotated[int, quantity("-", 1, 1e6)] = 1800
+    """Policy steps before learning starts, an episode; they act with the initial, broad policy. From less of one sine
+    (500 steps) critics prefer the lowest gains, which takes thousands of steps to unlearn (docs/reports/results.md)."""
     replay_capacity: Annotated[int, quantity("-", 65, 1e8)] = 288_000
     """Transitions remembered (the paper's whole training)."""
     seed: Annotated[int, quantity("-", 0, 9e15)] = 0
