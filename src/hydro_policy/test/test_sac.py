@@ -112,7 +112,7 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
 
 
 def test_linear_quadratic_regulator_is_learnt() -> None:
-    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, gamma 0.9: within 10 % of the Riccati optimum, by the median of three seeds."""
+    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, gamma 0.9: within 10 % of the Riccati optimum, median of three seeds."""
     b, q, r, gamma = 0.5, 1.0, 0.1, 0.9
     p = q
     for _ in range(500):  # discounted Riccati recursion
