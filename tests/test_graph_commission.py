@@ -25,6 +25,7 @@ from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError
 from hydro_policy.nodes import evaluate
 from hydro_policy.nodes.commissioning import NAMES, Site, comparison
 from hydro_policy.nodes.evaluation import box_mismatch, expected_box
+from hydro_policy.nodes.site_plant import EMULATED, SitePlant
 from hydro_policy.nodes.startup.options import take_site
 from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench
@@ -145,7 +146,8 @@ def test_a_controller_that_was_stopped_or_under_which_the_piston_stood_is_left_o
         "compensated": {"name": "compensated", "rmse": {"1 Hz": 212.0, "2 Hz": 180.0}, "trips": 0},
     }
     made = Record(amplitude=300.0, comparison=entries)
-    at = Site(folder=tmp_path, record=made, port="", arm="auto", policy=False, log=sys.stderr)
+    plant = SitePlant(tmp_path, EMULATED, rearm=True, log=sys.stderr)
+    at = Site(folder=tmp_path, record=made, plant=plant, policy=False, log=sys.stderr)
     with pytest.raises(GateError, match=r"completed .*: fixed \(15, 5\), fixed .*, compensated: .* piston stood"):
         comparison(at)
     entries["compensated"]["rmse"] = {"1 Hz": 190.0, "2 Hz": 180.0}

@@ -44,7 +44,7 @@ def allowed(kind: str, what: str, name: str) -> set[str]:
 
 
 def test_only_who_has_to_may_command_the_plant() -> None:
-    drivers = {"trainer", "evaluate", "collect"}
+    drivers = {"trainer", "evaluate", "commission", "collect"}
     assert allowed("topic", "publish", GAINS) == drivers
     assert allowed("topic", "publish", REFERENCE) == drivers
     assert allowed("topic", "publish", CORRECTION) == {"filter", "filtered_plant"}

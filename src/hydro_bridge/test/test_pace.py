@@ -73,6 +73,27 @@ def test_the_plant_is_never_a_window_ahead_of_a_peer(plant, window: int, answer:
     assert it.stands_at(stands)
 
 
+def test_a_box_that_was_on_before_goes_to_the_end_of_the_step_that_a_commander_answers() -> None:
+    pace = Pace(PaceSettings(), lambda _: None)
+    pace.answered("one", None, COMMANDS)
+    pace.publishes(25605, lambda: None)
+    assert not pace.pending
+    pace.publishes(25610, lambda: None)
+    assert pace.pending
+    pace.answered("one", 25610, COMMANDS)
+    assert not pace.pending
+
+
+def test_who_comes_while_the_plant_stands_still_gets_its_newest_sample(plant) -> None:
+    it = plant(peers="one")
+    it.pace.answered("one", None, COMMANDS)
+    assert it.begin().stands_at(0)
+    it.pace.answered("one", 0, COMMANDS)
+    assert it.stands_at(10) and not it.again
+    it.pace.answered("recorder", None, RECORDS)
+    wait(lambda: it.again == [10])
+
+
 def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready(plant) -> None:
     it = plant(peers="filter trainer").begin()
     it.pace.answered("filter", None, CORRECTS)

@@ -208,6 +208,7 @@ _OWN = {
     "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS, ANSWERED), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY)),
     "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
     "evaluate": _CONTROLLER,
+    "commission": _CONTROLLER,
     "collect": Rights(
         publishes=(GAINS, REFERENCE, ANSWERED),
         subscribes=(STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
@@ -246,6 +247,7 @@ for _name, _topics in {
     "dashboard": (STATE, LAW_STATE, CORRECTION),
     "trainer": (CORRECTION,),
     "evaluate": (CORRECTION,),
+    "commission": (CORRECTION,),
     "collect": (),
 }.items():
     RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)

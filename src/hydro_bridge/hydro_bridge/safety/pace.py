@@ -133,6 +133,7 @@ class Pace:
                 if self._unmet or self._newest is not None:  # else the plant may run in real time
                     self._log(f"under the plant's clock with {name}")
                 self._peers[name] = _Peer(window, self._answered_before(window))
+                self._sent = -inf  # a plant that stands still has published its newest sample before this one listened
             peer = self._peers[name]
             peer.window, peer.commands, peer.heard = window, commands, time.monotonic()
             if sequence is not None:
@@ -216,7 +217,14 @@ class Pace:
         """
         now = time.monotonic()
         with self._lock:
-            self._patience = _RESEND if self._newest is not None else _RESEND_FIRST
+            first = self._newest is None
+            self._patience = _RESEND_FIRST if first else _RESEND
+            if first:  # of a box that was on before this plant it is any sample, and a commander answers whole steps
+                for peer in self._peers.values():
+                    if peer.window == COMMANDS:
+                        peer.answered = (sequence - 1) // COMMANDS * COMMANDS
+                    else:
+                        peer.answered = sequence - peer.window
             self._newest, self._resend, self._began, self._sent = sequence, resend, now, now
             self._deadline = SAMPLE_PERIOD + (now if self._deadline == -inf else max(self._deadline, now - _CAUGHT_UP))
         self._check()

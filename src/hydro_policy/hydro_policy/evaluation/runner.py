@@ -12,6 +12,7 @@ hold-up   corrections, commands or samples came late, or the box heard nothing f
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Generic, TypeVar
 
@@ -55,6 +56,30 @@ class _Run:
     missed: int = 0
     """Samples that did not arrive."""
     rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+class Rest:
+    """The bench at rest for so many seconds, once all that `watch` requires is there; nothing is armed meanwhile."""
+
+    def __init__(self, seconds: float, watch: PlantSupervisor) -> None:
+        self.watch, self.override, self.finished = watch, watch.override, False
+        self._seconds, self._since = seconds, inf
+
+    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        """Take a sample; no gains go out."""
+        self.watch.on_sample(flags, now)
+        at_rest = self.watch.readiness.complete and not flags & Flag.ARMED
+        self._since = min(self._since, now) if at_rest else inf
+        self.finished = now - self._since >= self._seconds
+        return False
+
+    def on_correction(self, after: float, status: int) -> None:
+        """Pass the filter's status on."""
+        self.watch.on_correction(status)
+
+    def on_tick(self, now: float) -> None:
+        """Look after what is required."""
+        self.watch.readiness.look(now)
 
 
 P = TypeVar("P", bound=Plan)

@@ -16,10 +16,14 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from hydro_bridge.ros.companion import CompanionError
+from hydro_bridge.ros.node import running_ros
+from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import UserError, command, command_line, writable_folder
 from hydro_core.files import bench_file, site
 from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
-from hydro_policy.nodes.commissioning import GATES, NAMES, TRUTH, Gate, Site, start_emulator
+from hydro_policy.nodes.commissioning import GATES, NAMES, Gate, Site
+from hydro_policy.nodes.site_plant import EMULATED, TRUTH, SitePlant
+from hydro_sim.files.pairing import PairingError
 
 AGAIN = "gains"
 """Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
@@ -32,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--site", required=True, type=writable_folder, metavar="DIR", help="folder of this bench")
     plant = result.add_mutually_exclusive_group()
     plant.add_argument("--port", metavar="PATH", help="serial port of the box; a site keeps it")
-    plant.add_argument("--plant", choices=("emulator",), help="commission an emulated bench in its place")
+    plant.add_argument("--plant", choices=(EMULATED,), help="commission an emulated bench in its place")
     result.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; a site keeps it")
     result.add_argument(
         "--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of; a site keeps it"
@@ -68,13 +72,11 @@ def main() -> int:
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
     with ExitStack() as stack:
-        log = stack.enter_context((folder / LOG).open("a", encoding="utf-8"))
-        emulated = record.plant == "emulator"
-        port = str(folder / "port") if emulated else record.plant
-        arm = "auto" if (options.arm or ("auto" if emulated else "person")) == "auto" else "ask"
-        at = Site(folder=folder, record=record, port=port, arm=arm, policy=options.policy, log=log)
-        if emulated and any(gate.plant for gate in GATES[first:]):
-            start_emulator(stack, at)
+        log = stack.enter_context((folder / LOG).open("a", buffering=1, encoding="utf-8"))
+        stack.enter_context(running_ros())
+        rearm = options.arm == "auto" if options.arm else record.plant == EMULATED
+        plant = stack.enter_context(SitePlant(folder, record.plant, rearm=rearm, log=log))
+        at = Site(folder=folder, record=record, plant=plant, policy=options.policy, log=log)
         passed = all(_pass(at, gate) for gate in GATES[first:])
     print(f"\n{record.table().text()}\n")
     if record.comparison:
@@ -88,12 +90,12 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
     plant = options.plant or options.port or record.plant
     if not plant:
         raise UserError("which bench? Name its --port, or --plant emulator")
-    if "emulator" in (record.plant, plant) and record.plant not in ("", plant):
+    if EMULATED in (record.plant, plant) and record.plant not in ("", plant):
         raise UserError(f"{folder} is the site of {record.plant}, not of {plant}: name another --site")
-    if options.truth and plant != "emulator":
+    if options.truth and plant != EMULATED:
         raise UserError("--truth is of the emulated bench: it goes with --plant emulator")
     own = folder / site.BENCH
-    given = options.bench or (bench_file.shipped() if plant == "emulator" else None)
+    given = options.bench or (bench_file.shipped() if plant == EMULATED else None)
     if own.is_file():
         if options.bench and bench_file.digest(bench_file.read_numbers(options.bench)) != bench_file.digest(
             bench_file.read_numbers(own)
@@ -123,7 +125,7 @@ def _pass(at: Site, gate: Gate) -> bool:
         result.reason, result.status = gate.run(at), PASSED
     except GateSkipped as skipped:
         result.reason, result.status = str(skipped), SKIPPED
-    except GateError as error:
+    except (GateError, NotReadyError, CompanionError, PairingError) as error:
         result.reason, result.status = str(error), FAILED
     result.seconds = round(time.monotonic() - began, 1)
     result.files = digests(at.folder, gate.files)

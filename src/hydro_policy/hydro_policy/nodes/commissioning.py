@@ -13,28 +13,25 @@
     comparison  the best of them is adopted
 
 Everything moves under the compensated law without a filter until there is one of this bench: it tracks with 0.3 to 2.5
-times the valve's gain believed (safety.md). What runs are executables, as processes of a `Site`, whose JSON is read.
+times the valve's gain believed (safety.md). What moves are trials, run by `TrialRunner` on one plant (`SitePlant`); a
+gate reads their results and their recording. What only computes is a process of its own.
 """
 
 from __future__ import annotations
 
 import json
 import shutil
-import time
-from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, TypeVar
-
-import numpy as np
+from typing import IO, Any
 
 from hydro_bridge.bags.recording import objects, read_bag
 from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.bags.writer import code_version
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import BOX, BOX_LAW, DIAGNOSTICS, STATE
-from hydro_core.cli.console import UserError, print_above_progress
+from hydro_core.cli.console import print_above_progress
 from hydro_core.files import site
 from hydro_core.files.site import ANEW
 from hydro_core.signals import Flag, StateArray
@@ -42,29 +39,31 @@ from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import ScheduledMetric
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError, GateSkipped, Record, best, scored
+from hydro_policy.evaluation import report
+from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
+from hydro_policy.nodes.evaluation import require_matching_policy, show_results, write_page
+from hydro_policy.nodes.site_plant import SitePlant
+from hydro_policy.nodes.startup.companions import NO_FILTER
+from hydro_policy.runs.run import RunDirectory
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import Bench
 
-T = TypeVar("T")
-
-PATIENCE = 30.0
-"""s, for an executable that is asked to end: it disarms and completes its recording."""
-PORT_WITHIN = 60.0
-"""s, for the emulator's port, and for the first sample."""
+ENDS_WITHIN = 30.0
+"""s, for an executable that is asked to end."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """The folder of one bench, and how to run executables on it."""
+    """The folder of one bench, its plant, and what is known of it."""
 
     folder: Path
     record: Record
-    port: str
-    arm: str
-    """`auto` or `ask`, as `--rearm` of `evaluate`."""
+    plant: SitePlant
     policy: bool
     """Whether a policy is to be trained."""
     log: IO[str]
-    """Output of all executables."""
+    """Output of all processes."""
 
     @property
     def bench(self) -> str:
@@ -76,24 +75,25 @@ class Site:
         return self.folder / site.RECORDINGS / name
 
     def run(self, package: str, executable: str, *words: str, loud: bool = True) -> str:
-        """Run an executable to its end; returns its last line.
+        """Run an executable that needs the machine or the port for itself to its end; returns its last line.
 
         Its output goes into the log, and to the terminal if it is `loud`.
 
         Raises GateError: it did not end with status 0; the reason is its last line.
         """
+        self.plant.disconnect()
         self.log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
 
         def take(line: str) -> None:
-            self._keep(line)
+            self.log.write(line)
             if loud:
                 print_above_progress(line.rstrip("\n"))
 
-        running = Companion(package, executable, words, output=take, keys=True)
+        running = Companion(package, executable, words, output=take)
         try:
             status = running.process.wait()
         except BaseException:
-            running.stop(PATIENCE)
+            running.stop(ENDS_WITHIN)
             raise
         said = running.last_line
         running.stop()
@@ -101,56 +101,31 @@ class Site:
             raise GateError(f"{executable}: {said.removeprefix('error: ') or f'ended with status {status}'}")
         return said
 
-    def start(self, stack: ExitStack, package: str, executable: str, *words: str) -> Companion:
-        """Start an executable that `stack` ends."""
-        return stack.enter_context(Companion(package, executable, words, output=self._keep))
+    def compare(
+        self,
+        name: str,
+        settings: EvaluationSettings,
+        controllers: Sequence[Controller] = (),
+        *,
+        words: Sequence[str] = NO_FILTER,
+        learned: bool = False,
+    ) -> dict[str, Any]:
+        """Run the trials of a comparison with the compensated law; returns its JSON (`evaluation.report`).
 
-    def _keep(self, line: str) -> None:
-        """Add to the log, which is read while it grows."""
-        self.log.write(line)
-        self.log.flush()
-
-    def evaluate(self, name: str, *words: str, amplitude: float) -> dict[str, Any]:
-        """Run `evaluate` under the compensated law, recorded as recordings/NAME; returns its JSON.
-
-        Parameters
-        ----------
-        name
-            Of the recording and of the report.
-        words
-            Further options.
-        amplitude
-            Of the sines [N].
+        `name`: of recording and report. `words`: of the filter's command line. `learned`: see `SitePlant.compare`.
         """
-        for old in (self.recording(name), self.folder / site.REPORTS / name):
+        run = RunDirectory(self.folder / site.REPORTS / name)
+        for old in (self.recording(name), run.path):
             shutil.rmtree(old, ignore_errors=True)
-        base = (f"{value:g}" for value in self.record.base_gains)
-        self.run(
-            "hydro_policy", "evaluate", "--plant", "bench", "--port", self.port, "--bench", self.bench,
-            "--base-gains", *base, "--law", "compensated", "--rearm", self.arm, "--no-dashboard",
-            "--record", str(self.recording(name)),
-            "--runs", str(self.folder / site.REPORTS), "--name", name, *words,
-            "--ros-args", "-p", f"amplitude:={amplitude:.1f}",
-        )  # fmt: skip
-        return read_json(self.folder / site.REPORTS / name / "evaluation.json")
-
-
-TRUTH = "truth.yaml"
-"""What the emulated bench of a site is made of; where there is none, the emulator's own."""
-
-
-def start_emulator(stack: ExitStack, at: Site) -> None:
-    """Start the emulator on the site's port for as long as `stack` holds (raises UserError where it does not start)."""
-    port = Path(at.port)
-    port.unlink(missing_ok=True)  # of one that was killed
-    truth = at.folder / TRUTH
-    known = ["--truth", str(truth)] if truth.is_file() else []
-    emulator = at.start(stack, "hydro_sim", "emulator", "--link", at.port, "--bench", at.bench, *known)
-    end = time.monotonic() + PORT_WITHIN
-    while not port.exists():
-        if not emulator.running or time.monotonic() > end:
-            raise UserError(f"the emulator does not start: {emulator.last_line.removeprefix('error: ')}")
-        time.sleep(0.1)
+        run.path.mkdir(parents=True)
+        kp, ki = self.record.base_gains
+        self.plant.base_gains = kp, ki
+        results = self.plant.compare(controllers, settings, self.recording(name), words=words, learned=learned)
+        notes = {"plant": self.record.plant, "filter": " ".join(words), "bench": self.bench}
+        notes |= {"base gains": f"{kp:g} {ki:g}", "code_version": code_version()}
+        show_results(results, run, notes)
+        write_page(run, f"Evaluation {name}", notes, report.sections(results, run.tracking_plot))
+        return read_json(run.evaluation)
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -168,9 +143,9 @@ REST = 10.0
 REACH = 0.8
 """Largest amplitude over the force at which the compensated law cuts off: its a_0 is up to 1.25."""
 ATTEMPTS = 3
-TRAINING = ("--frequencies", "0.5", "1", "2", "--multisine", "--steps")
-HELD_OUT = ("--frequencies", "0.7", "1.5")
-COMPARED = ("--frequencies", "0.5", "1", "1.5", "2")
+TRAINING = EvaluationSettings(frequencies=(0.5, 1.0, 2.0), multisine=True, steps=True)
+HELD_OUT = EvaluationSettings(frequencies=(0.7, 1.5))
+COMPARED = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0))
 POLICY = "policy"
 """Folder of the pretrained policy."""
 WATCH = (
@@ -201,7 +176,7 @@ def link(at: Site) -> str:
     """See the module."""
     report = at.folder / site.REPORTS / "conformance.json"
     report.unlink(missing_ok=True)
-    words = ("--port", at.port, "--bench", at.bench, "--json", str(report))
+    words = ("--port", at.plant.free_port(), "--bench", at.bench, "--json", str(report))
     try:
         at.run("hydro_bridge", "conformance", *words, loud=False)
     except GateError:
@@ -212,13 +187,7 @@ def link(at: Site) -> str:
         raise GateError("the box does not keep the protocol: " + "; ".join(wrong))
     folder = at.recording(AT_REST)
     shutil.rmtree(folder, ignore_errors=True)
-    with ExitStack() as stack:
-        at.start(stack, "hydro_bridge", "recorder", "--realtime", "--out", str(folder))
-        at.start(stack, "hydro_bridge", "bridge", "--realtime", "--port", at.port, "--bench", at.bench)
-        end = time.monotonic() + REST + PORT_WITHIN
-        time.sleep(REST)
-        while not _lasts(folder, REST) and time.monotonic() < end:  # a busy machine starts them late
-            time.sleep(1.0)
+    at.plant.rest(folder, REST)
     states = _states(folder)
     status = {e.key: e.value for _, m in objects(folder, DIAGNOSTICS) for s in m.status for e in s.values
               if s.name == "bridge"}  # fmt: skip
@@ -250,7 +219,7 @@ def sensors(at: Site) -> str:
 def signs(at: Site) -> str:
     """See the module."""
     for share in (0.2, 0.5, 1.0):
-        _moved(at, "signs", "--frequencies", str(checks.SLOW), amplitude=share * at.record.amplitude)
+        _moved(at, "signs", EvaluationSettings(frequencies=(checks.SLOW,)), share)
         if not checks.held(_armed(at.recording("signs"))):
             break
     found = checks.signs(_armed(at.recording("signs")), Bench.load(at.bench))
@@ -261,9 +230,8 @@ def gains(at: Site) -> str:
     """See the module."""
     found = []
     for share in (0.5, 1.0):
-        amplitude = share * at.record.amplitude
-        rmse = _moved(at, "gains", "--frequencies", "1", amplitude=amplitude)
-        found.append(f"{rmse:.2f} N at {amplitude:.0f} N")
+        rmse = _moved(at, "gains", EvaluationSettings(frequencies=(1.0,)), share)
+        found.append(f"{rmse:.2f} N at {share * at.record.amplitude:.0f} N")
     checks.tracking(_armed(at.recording("gains")), 1.0)
     return f"the compensated law tracks 1 Hz with {', '.join(found)}"
 
@@ -271,8 +239,8 @@ def gains(at: Site) -> str:
 def excitation(at: Site) -> str:
     """See the module."""
     told = []
-    for name, words in (("training", TRAINING), ("held_out", HELD_OUT)):
-        _, worst = _whole(at, name, partial(_moved, at, name, *words, amplitude=at.record.amplitude))
+    for name, settings in (("training", TRAINING), ("held_out", HELD_OUT)):
+        worst = _whole(at, name, settings)
         told.append(f"{name} {100 * worst:.2g} %")
     return f"lost or commanded late: {', '.join(told)}"
 
@@ -327,11 +295,14 @@ def controllers(at: Site) -> str:
     kp, ki = at.record.base_gains
     top = at.record.certified_gains.get("paper", (kp, kp))[1]
     fixed = [(kp, ki), *((round(share * top), 3.0 * ki) for share in FIXED_SHARES if share * top > kp)]
-    chosen = [word for pair in fixed for word in ("--fixed", *(f"{value:g}" for value in pair))]
+    chosen: list[Controller] = [FixedGains(*pair, (kp, ki)) for pair in fixed]
     trained = at.folder / POLICY
-    chosen += ["--policy", str(trained)] if trained.is_dir() else []
-    chosen += ["--learned-residual", *COMPARED, *_filter(at)]
-    content = at.evaluate("controllers", *chosen, amplitude=at.record.amplitude)
+    if trained.is_dir():
+        require_matching_policy(trained, BoxIdentity.of_file(at.bench, (kp, ki)))
+        chosen.insert(0, policy_controller(trained))
+    words = ("--model", str(at.folder / site.MODEL), "--metric", str(at.folder / site.METRIC))
+    settings = replace(COMPARED, amplitude=at.record.amplitude)
+    content = at.compare("controllers", settings, chosen, words=words, learned=True)
     worst = checks.disturbed(content)
     if worst > checks.LOST_MAX:
         late = f"{100 * worst:.1f} % of the samples were lost or commanded late"
@@ -383,27 +354,26 @@ GATES = (
 NAMES = tuple(gate.name for gate in GATES)
 
 
-def _filter(at: Site) -> tuple[str, str]:
-    """Return the option that starts this site's filter."""
-    return "--filter", f"--model {at.folder / site.MODEL} --metric {at.folder / site.METRIC}"
+def _moved(at: Site, name: str, settings: EvaluationSettings, share: float = 1.0) -> float:
+    """Move by this share of the amplitude under the compensated law without a filter; returns the largest RMSE [N].
 
-
-def _moved(at: Site, name: str, *words: str, amplitude: float) -> float:
-    """Move under the compensated law without a filter; returns the largest RMSE [N] (raises GateError at a stop)."""
-    content = at.evaluate(name, *words, "--filter", "none", amplitude=amplitude)
+    Raises GateError: it was stopped.
+    """
+    amplitude = share * at.record.amplitude
+    content = at.compare(name, replace(settings, amplitude=amplitude))
     for run in content["runs"]:
         if run["stopped"]:
             raise GateError(f"stopped at {run['case']}, {amplitude:.0f} N: {run['stopped']}")
     return max(float(run["rmse"]) for run in content["runs"])
 
 
-def _whole(at: Site, name: str, run: Callable[[], T]) -> tuple[T, float]:
-    """Run until few samples of its recording were lost or commanded late; returns its result and their share."""
+def _whole(at: Site, name: str, settings: EvaluationSettings) -> float:
+    """Move until few samples of the recording were lost or commanded late; returns their share."""
     for _ in range(ATTEMPTS):
-        result = run()
+        _moved(at, name, settings)
         worst = checks.unusable(_armed(at.recording(name)))
         if worst <= checks.LOST_MAX:
-            return result, worst
+            return worst
     raise GateError(f"{100 * worst:.1f} % of {name} were lost or commanded late, {ATTEMPTS} times: end other work")
 
 
@@ -412,14 +382,6 @@ def _states(folder: Path) -> StateArray:
         return read_bag(folder, (STATE,)).state
     except RecordingError as error:
         raise GateError(str(error)) from None
-
-
-def _lasts(folder: Path, seconds: float) -> bool:
-    """Return whether a recording, which may not have ended, has samples of so many seconds."""
-    try:
-        return float(np.ptp(read_bag(folder, (STATE,)).state["time"])) >= seconds
-    except (RecordingError, ValueError):  # no sample yet
-        return False
 
 
 def _armed(folder: Path) -> StateArray:

@@ -26,7 +26,6 @@ from hydro_bridge.ros.node import declare_parameters, leave_graph, refuse_unknow
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_bridge.serial.protocol import BoxLaw
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import UserError
 from hydro_core.files.atomic import write_whole
@@ -309,7 +308,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             watch = node.supervisor(rearm=may_rearm(options), after=watch)
         results = evaluate_on(
             node, controllers, watch, settings=settings,
-            law=None if options.law == "paper" else node.law, cell=load_cell(options), learned=options.learned_residual,
+            compensated=options.law != "paper", cell=load_cell(options), learned=options.learned_residual,
         )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
@@ -376,19 +375,20 @@ def evaluate_on(
     watch: PlantSupervisor,
     *,
     settings: EvaluationSettings | None = None,
-    law: BoxLaw | None = None,
+    compensated: bool = True,
     cell: LoadCell | None = None,
     learned: bool = False,
 ) -> TrialRunner[Comparison]:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
-    With `law`, the box's compensated law is compared, too; with `cell`, for the force in front of that; if `learned`,
-    also with the learned residual.
+    Where `compensated`, the box's compensated law is compared, too, if it has one; with `cell`, for the force in front
+    of that; if `learned`, also with the learned residual.
     """
-    estimator = resized(CompensatorSettings(), NOMINAL, node.size)
-    compensation = None if law is None else LiveCompensation(law, estimator, cell, Network.load())
+    if compensated and node.law is not None and node.compensation is None:
+        estimator = resized(CompensatorSettings(), NOMINAL, node.size)
+        node.compensate(LiveCompensation(node.law, estimator, cell, Network.load()))
+    compensation = node.compensation if compensated else None
     if compensation is not None:
-        node.compensate(compensation)
         controllers = [*controllers, Compensated(compensation, node.override.base)]
         if learned and cell is None:
             controllers.append(Compensated(compensation, node.override.base, learned=True))

@@ -458,8 +458,8 @@ def drive(
         watch = node.supervisor(rearm=rearm, after=watch)
     else:
         node.say(LEFT_OUT)
-    law, cell = node.law if rearm else None, load_cell(options)
-    results = evaluate_on(node, controllers, watch, law=law, cell=cell, learned=cell is None)
+    cell = load_cell(options)
+    results = evaluate_on(node, controllers, watch, compensated=rearm, cell=cell, learned=cell is None)
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots

@@ -122,6 +122,8 @@ class GraphNode(Node):
         """Description of the plant's box, once received."""
         self.law: BoxLaw | None = None
         """The box's compensated law, once received; None: not yet, or it has none."""
+        self.compensation: LiveCompensation | None = None
+        """Estimator that follows the box's compensated law; see `compensate`."""
         self.load_force: Path | None = None
         """File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one."""
         self._laws_told = False
@@ -265,7 +267,8 @@ class GraphNode(Node):
             self._corrections = self._mailbox.subscribe(CORRECTION, GRAPH[CORRECTION][0], GRAPH[STATE][1])
 
     def compensate(self, compensation: LiveCompensation) -> None:
-        """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it."""
+        """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it. Call once."""
+        self.compensation = compensation
 
         def take(message: Any) -> None:
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)

@@ -179,7 +179,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     peers = [options.controller] if options.controller else []
     scheduling = ["--realtime"] if options.real_time else []
     if options.recording is not None:
-        started.append(("hydro_bridge", "recorder", [*scheduling, *_recorder_arguments(options, options.recording)]))
+        started.append(("hydro_bridge", "recorder", [*scheduling, *recorder_arguments(options, options.recording)]))
         peers.append("recorder")
     guard = guard_parameters(gains, options.filter)
     if peers and not options.real_time:
@@ -217,7 +217,8 @@ def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) 
     return [*(parameters or ["--ros-args"]), "-p", f"box.base_kp:={float(kp)}", "-p", f"box.base_ki:={float(ki)}"]
 
 
-def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
+def recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
+    """Return the command line of the recorder: metadata, digests of all weights involved, and the bench file."""
     digests = weights(options.plant, options.bench, options.policies, options.model)
     if options.filter != NO_FILTER:
         choice, _ = requested_filter(options.filter, options.bench)
