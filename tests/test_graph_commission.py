@@ -23,9 +23,9 @@ from hydro_core.errors import UserError
 from hydro_core.files import site
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
-from hydro_policy.nodes.commissioning import NAMES, Site, comparison
+from hydro_policy.nodes.commissioning import NAMES, comparison
 from hydro_policy.nodes.evaluation import box_mismatch, expected_box
-from hydro_policy.nodes.site_plant import EMULATED, SitePlant
+from hydro_policy.nodes.site_runs import Site
 from hydro_policy.nodes.startup.options import take_site
 from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench
@@ -146,8 +146,7 @@ def test_a_controller_that_was_stopped_or_under_which_the_piston_stood_is_left_o
         "compensated": {"name": "compensated", "rmse": {"1 Hz": 212.0, "2 Hz": 180.0}, "trips": 0},
     }
     made = Record(amplitude=300.0, comparison=entries)
-    plant = SitePlant(tmp_path, EMULATED, rearm=True, log=sys.stderr)
-    at = Site(folder=tmp_path, record=made, plant=plant, policy=False, log=sys.stderr)
+    at = Site(tmp_path, made, rearm=True, policy=False, log=sys.stderr)
     with pytest.raises(GateError, match=r"completed .*: fixed \(15, 5\), fixed .*, compensated: .* piston stood"):
         comparison(at)
     entries["compensated"]["rmse"] = {"1 Hz": 190.0, "2 Hz": 180.0}

@@ -32,7 +32,7 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.sac import actor_parameters
-from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.sessions.plan import TrainingPlan, training
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings
@@ -139,16 +139,17 @@ def _first(store: Store, authority: str, seed: int) -> Result:
     start, episodes = simulated(store, authority, seed), store.size.bench_episodes
     session, graph = train(bench(store), start, episodes, max(episodes // EXAMS, 1), seed)
     came = actor_parameters(start.agent)
-    best, last = (came if found is None else found for found in (session.run.best, session.run.good))
-    told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.run.gave_up or "")}
-    told |= {key: [float(exam[key]) for exam in session.progress.exams] for key in ("score", "error")}
+    run, progress = session.plan.run, session.plan.progress
+    best, last = (came if found is None else found for found in (run.best, run.good))
+    told = {"episodes": progress.episode, "trips": graph.trips, "ended": str(run.gave_up or "")}
+    told |= {key: [float(exam[key]) for exam in progress.exams] for key in ("score", "error")}
     told |= {"last": _rmse(store, _controller(start, last), seed)["rmse"]}
     return {**_rmse(store, _controller(start, best), seed), **told}
 
 
 def train(
     plant: Plant, start: InitialAgent, episodes: int, every: int, seed: int, corrector: Corrector | None = None
-) -> tuple[TrainingSession, Listening]:
+) -> tuple[TrialRunner[TrainingPlan], Listening]:
     """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice.
 
     A run that trips again and again ends after a minute for each episode, and ten more where there are examinations.
@@ -159,7 +160,8 @@ def train(
     guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
-    session = TrainingSession(settings, learner, PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)]))
+    watch = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
+    session = training(TrainingPlan(settings, learner, graph), watch)
     graph.run(session, 60.0 * episodes + (600.0 if every else 0.0), learner)
     return session, graph
 
@@ -185,4 +187,4 @@ def _chatter(store: Store, chosen: str, seed: int) -> Result:
     start = simulated(store, "paper", seed)
     made = None if chosen == "none" else corrector(store, chosen, seed)
     session, graph = train(bench(store), start, CHATTER_EPISODES, 0, seed, made)
-    return {"chatter": graph.chatter, "trips": graph.trips, "episodes": session.progress.episode}
+    return {"chatter": graph.chatter, "trips": graph.trips, "episodes": session.plan.progress.episode}

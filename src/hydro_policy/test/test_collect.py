@@ -45,7 +45,7 @@ def test_a_schedule_goes_on_behind_a_trip_and_ends_after_three_in_a_row() -> Non
     for each in (tripped, tripped, done, tripped, tripped):
         plan.add(each)
     assert plan.trial is not None and not plan.ended
-    assert (plan.played, plan.past, plan.trips, plan.in_a_row) == (1.0, 5.0, 4, 2)
+    assert (plan.played, plan.done, plan.trips, plan.in_a_row) == (1.0, 5.0, 4, 2)
     plan.add(tripped)
     assert plan.trial is None and "3 times in a row" in plan.ended
 

@@ -15,15 +15,14 @@ from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.runner import Phase, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.plan import TrainingPlan, training
 from hydro_policy.sessions.run_state import LEAD
-from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH, PlantSupervisor
@@ -44,11 +43,11 @@ def settings(*, episodes: int = 2, top: float = 75.0, **more: object) -> Trainin
     return TrainingSettings(episodes=episodes, learning_starts=50, replay_capacity=4000, **values)  # type: ignore[arg-type]
 
 
-def start(chosen: TrainingSettings) -> tuple[OfflineGraph, InlineLearner, TrainingSession]:
+def start(chosen: TrainingSettings) -> tuple[OfflineGraph, InlineLearner, TrialRunner[TrainingPlan]]:
     guard = GuardSettings(delta_kp_max=chosen.task.gains.delta_kp_max)
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, guard=guard), InlineLearner(chosen)
     watch = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
-    return graph, learner, TrainingSession(chosen, learner, watch)
+    return graph, learner, training(TrainingPlan(chosen, learner, graph), watch)
 
 
 def step(error: float = 0.0, current: np.ndarray | None = None) -> Step:
@@ -56,38 +55,38 @@ def step(error: float = 0.0, current: np.ndarray | None = None) -> Step:
     return Step(np.zeros(14), np.full(10, error), np.zeros(10), values, True, 0)
 
 
-def assert_acts_by(session: TrainingSession, parameters: np.ndarray) -> None:
+def assert_acts_by(session: TrialRunner[TrainingPlan], parameters: np.ndarray) -> None:
     wanted = Policy(SacSettings())
     wanted.load_flat(parameters)
-    for own, other in zip(session.policy.weights, wanted.weights, strict=True):
+    for own, other in zip(session.plan.policy.weights, wanted.weights, strict=True):
         np.testing.assert_array_equal(own, other)
 
 
 def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_from_it() -> None:
     graph, learner, session = start(settings())
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.run.gave_up
-    exams = session.run.record.of("exam")
+    assert session.finished and not session.plan.run.gave_up
+    exams = session.plan.run.record.of("exam")
     assert [exam["episode"] for exam in exams] == [0, 1, 2]
-    assert learner.replay.produced == session.progress.total_steps == 300
-    assert len(session.progress.reference_rmse) == 4, "the fixed gains are examined once"
+    assert learner.replay.produced == session.plan.progress.total_steps == 300
+    assert len(session.plan.progress.reference_rmse) == 4, "the fixed gains are examined once"
     for exam in exams:
-        ratios = np.array(exam["rmse"]) / session.progress.reference_rmse
+        ratios = np.array(exam["rmse"]) / session.plan.progress.reference_rmse
         assert exam["score"] == pytest.approx(ratios.mean()) and exam["beaten"] == (ratios < 1).sum()
-    assert session.progress.best_score == min(exam["score"] for exam in exams)
+    assert session.plan.progress.best_score == min(exam["score"] for exam in exams)
     assert exams[0]["best"]
 
 
 def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_policy_acts_again() -> None:
     """With K_p up to 300 the middle of the range, where training starts, is unstable."""
     graph, learner, session = start(settings(top=285.0, exam=ExamSettings(every=0)))
-    started = session.learner.snapshot()
+    started = session.plan.learner.snapshot()
     graph.run(session, 12.0, learner)
-    stops = session.run.record.of("stop")
+    stops = session.plan.run.record.of("stop")
     assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
-    assert "4 rollbacks in a row" in session.run.gave_up
+    assert "4 rollbacks in a row" in session.plan.run.gave_up
     assert all("error of" in stop["reason"] or "chattering" in stop["reason"] for stop in stops), "not the box"
-    assert f"rolled back to the last good one ({session.policy.digest()})" in stops[-1]["sentence"]
+    assert f"rolled back to the last good one ({session.plan.policy.digest()})" in stops[-1]["sentence"]
     assert graph.references[-1].waveform is Waveform.HOLD and graph.gains_published[-1][:2] == (0.0, 0.0)
     rows, _ = learner.replay.stored()
     assert (rows[:, -1] == 1).sum() == 4 and (rows[rows[:, -1] == 1, -2] == -1000.0).all()
@@ -99,9 +98,9 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     graph, learner, session = start(chosen)
     graph.run(session, 13.5 + 2.0 * LEAD, learner)
     assert session.phase is Phase.TRAINING
-    good = session.run.good
+    good = session.plan.run.good
     sample = np.zeros(14)
-    session._stop("a test says so", sample)
+    session._stop(session.plan.trial, "a test says so", sample)
     assert session.phase is Phase.PAUSED
     assert_acts_by(session, good)
     np.testing.assert_array_equal(actor_parameters(learner.snapshot()), good)
@@ -110,9 +109,9 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     assert session.phase is Phase.PAUSED, "calm first"
     assert {g[:2] for g in graph.gains_published[-80:]} == {(0.0, 0.0)}
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.run.gave_up and session.progress.rollbacks >= 1
+    assert session.finished and not session.plan.run.gave_up and session.plan.progress.rollbacks >= 1
     assert learner.updates >= updates, "the updates stay counted"
-    assert session.run.rollbacks_in_a_row == 0, "an accepted policy ends the row"
+    assert session.plan.run.rollbacks_in_a_row == 0, "an accepted policy ends the row"
 
 
 def test_monitor_tells_chatter_from_noise_and_from_jumps_and_a_cycle_from_one_sick_sample() -> None:
@@ -161,14 +160,14 @@ def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_
     graph.run(session, 0.5, learner)
     assert {g[:2] for g in graph.gains_published[began:]} == {(25.0, 2.0)} and len(graph.gains_published) > began + 45
     assert learner.replay.produced == produced + 1, "the step that it interrupted was still the policy's"
-    assert session.current.overridden_steps >= 45 and session.override.description == "K_p 40, K_i 7"
+    assert session.plan.explorer.current.overridden_steps >= 45 and session.override.description == "K_p 40, K_i 7"
     graph.run(session, 0.1, learner)
     assert session.override.description == "no"
     assert (25.0, 2.0) not in {g[:2] for g in graph.gains_published[-8:]}
     rows, _ = learner.replay.stored()
     after = rows[produced + 1]
     np.testing.assert_allclose(after[11:13], GainRange().action(25.0, 2.0), atol=1e-6)  # what acted before it
-    assert "override" not in json.dumps(session.state())
+    assert "override" not in json.dumps(session.plan.state())
 
 
 @pytest.mark.parametrize(
@@ -211,8 +210,8 @@ def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_i
     assert held == [FALLBACK] * 8 and learner.replay.produced <= before + 1
     assert graph.sentences[said] == MISMATCH
     graph.run(session, 3.0, learner)
-    assert session.finished and FITS in graph.sentences and session.progress.rollbacks == 0
-    assert session.current.overridden_steps == pytest.approx(50, abs=2)
+    assert session.finished and FITS in graph.sentences and session.plan.progress.rollbacks == 0
+    assert session.plan.explorer.current.overridden_steps == pytest.approx(50, abs=2)
 
 
 def test_what_the_box_did_under_other_gains_and_the_return_from_them_are_not_charged_to_the_policy() -> None:
@@ -263,9 +262,9 @@ def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy()
         session.override.hold(20.0, 5.0, 0.0, graph.time)
         session.on_sample(sequence, np.zeros(14), tripped, graph.time)
         assert session.phase is Phase.PAUSED and session.watch.calming
-        assert session.progress.rollbacks == session.run.rollbacks_in_a_row == 0
+        assert session.plan.progress.rollbacks == session.plan.run.rollbacks_in_a_row == 0
         session.override.release()
         while phase is Phase.EVALUATING and session.phase is not Phase.TRAINING:
             graph.run(session, 0.1, learner)
-    assert len(session.run.record.of("exam")) == 1, "the examination began again and came to its end"
-    assert not session.run.record.of("stop")
+    assert len(session.plan.run.record.of("exam")) == 1, "the examination began again and came to its end"
+    assert not session.plan.run.record.of("stop")

@@ -13,12 +13,11 @@ import pytest
 from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.report import best
-from hydro_policy.evaluation.runner import REPEATS, SILENCE, TrialRunner
+from hydro_policy.evaluation.runner import REPEATS, SILENCE, Phase, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sessions.episode import Phase
-from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.sessions.plan import TrainingPlan, training
 from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
@@ -42,7 +41,7 @@ def short(**task: float) -> TrainingSettings:
 def start(settings: TrainingSettings, *, config: BoxConfig | None = None, record: RunRecord | None = None):
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=config), InlineLearner(settings)
     supervisor = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
-    return graph, learner, TrainingSession(settings, learner, supervisor, record=record)
+    return graph, learner, training(TrainingPlan(settings, learner, graph, record=record), supervisor)
 
 
 def evaluation(*gains: tuple[float, float], **settings: float) -> tuple[OfflineGraph, TrialRunner[Comparison]]:
@@ -56,8 +55,8 @@ def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> N
     settings = short()
     graph, learner, session = start(settings)
     graph.run(session, 10.0, learner)
-    assert session.phase is Phase.FINISHED and session.progress.episode == 2
-    assert session.progress.total_steps == learner.replay.produced == 300
+    assert session.phase is Phase.FINISHED and session.plan.progress.episode == 2
+    assert session.plan.progress.total_steps == learner.replay.produced == 300
     rows, _ = learner.replay.stored()
     observations, following, actions, rewards, terminated = np.split(rows, np.cumsum([13, 13, 2, 1]), axis=1)
     assert not terminated.any(), "an episode's end is a truncation"
@@ -66,7 +65,7 @@ def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> N
     applied = np.array([settings.task.gains.gains(a) for a in actions])
     np.testing.assert_allclose(applied, np.array(graph.gains_published)[:300, :2], atol=1e-4)
     assert (rewards < 0).all()
-    assert [h["whole_steps"] for h in session.progress.history] == [150, 150]
+    assert [h["whole_steps"] for h in session.plan.progress.history] == [150, 150]
     for signal in graph.references:
         assert signal.waveform is Waveform.SINE
         assert 200 <= signal.amplitude <= 300 and 0.5 <= signal.frequency <= 2.0
@@ -76,9 +75,9 @@ def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> N
 def test_curves_and_losses_of_a_run_are_in_its_event_files(tmp_path: Path) -> None:
     graph, learner, session = start(short(), record=RunRecord(tmp_path / "run.json"))
     graph.run(session, 10.0, learner)
-    session.run.record.flush()
+    session.plan.run.record.flush()
     (path,) = (tmp_path / "tensorboard").iterdir()
-    for value in (one["force_rmse"] for one in session.progress.history):
+    for value in (one["force_rmse"] for one in session.plan.progress.history):
         assert b"episode/force_rmse" + b"\x15" + struct.pack("<f", value) in path.read_bytes(), "tag and number"
     assert b"episode/critics_loss" in path.read_bytes()
 

@@ -63,8 +63,6 @@ class Companion:
     output
         Takes each line of its output; standard error by default, so that a progress bar or a table on standard output
         stays intact.
-    keys
-        Whether it reads this program's standard input, by which a person arms; it gets none by default.
     """
 
     def __init__(
@@ -75,7 +73,6 @@ class Companion:
         *,
         name: str = "",
         output: Callable[[str], object] | None = None,
-        keys: bool = False,
     ) -> None:
         self.name = name or executable
         self._output = output or partial(print, end="", file=sys.stderr, flush=True)
@@ -83,7 +80,7 @@ class Companion:
         parent = os.getpid()
         self.process = subprocess.Popen(
             [str(executable_path(package, executable)), *arguments],
-            stdin=None if keys else subprocess.DEVNULL,
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

@@ -18,7 +18,7 @@ import numpy as np
 from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
 from hydro_policy.evaluation.controllers import FixedGains
-from hydro_policy.evaluation.trial import Trial
+from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.task.cases import EvaluationSettings, Score, relative_scores
 from hydro_policy.task.mdp import GainRange
 
@@ -132,7 +132,7 @@ class GridSearch:
         return [(p, i) for p, i in pairs if limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max]
 
 
-class GridPlan:
+class GridPlan(Plan):
     """The trials of a search, a pair of gains after the other: one on each reference, until one is stopped.
 
     `settings`: the grid. `evaluation`: references and lengths. `base`: base gains of the box, K_p [1/s], K_i [1/s^2].
@@ -142,10 +142,10 @@ class GridPlan:
         self.search, self.evaluation, self._base = GridSearch(settings), evaluation, base
         self._pair = self.search.next()
         self._rmse: list[float] = []
-        self.trial = self._due()
-        """See `Plan`."""
 
-    def _due(self) -> Trial | None:
+    @property
+    def trial(self) -> Trial | None:
+        """See `Plan`."""
         if self._pair is None:
             return None
         case = self.evaluation.cases[len(self._rmse)]
@@ -153,16 +153,17 @@ class GridPlan:
         controller = FixedGains(*self._pair, self._base)
         return Trial(controller=controller, case=case, settle=self.evaluation.settle, measure=measure)
 
-    def add(self, score: Score) -> None:
+    def add(self, score: Score) -> str:
         """See `Plan`. A trial in which the machine was held up tells nothing for its gains."""
         assert self._pair is not None
+        self.done += 1
         cases = len(self.evaluation.cases)
         useless = bool(score.stopped) or score.spoilt
         self._rmse = [np.inf] * cases if useless else [*self._rmse, score.rmse]
         if len(self._rmse) == cases:
             self.search.tell(self._pair, self._rmse)
             self._pair, self._rmse = self.search.next(), []
-        self.trial = self._due()
+        return ""
 
     @property
     def best(self) -> FixedGains:

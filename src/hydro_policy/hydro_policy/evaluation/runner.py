@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The runner of trials: makes a plan's trials one after another on a live plant, without ROS.
 
-trial     a new reference, seconds to settle, then those over which e = f_r - f_l counts
-failure   the box trips, or the monitor requests a stop: the trial counts as stopped, and a second of calm follows. If
-          the plant is lost, or a person takes the gains, the trial is begun again
+trial     a new reference, seconds to settle, then those over which e = f_r - f_l counts; or an episode, whose
+          controller learns (`exploration`), of so many policy steps
+failure   the box trips, or the monitor requests a stop: the trial counts as stopped, and a second of calm follows
+pause     the plant is lost, disarmed, or a person takes the gains: the trial is begun again. An episode goes on under a
+          person's gains
 unheld    the box trips at once under base gains, several times: all trials under this force law count as stopped
 hold-up   corrections, commands or samples came late, or the box heard nothing for so long that it tripped: the trial is
           begun again, `REPEATS` times at most
@@ -12,6 +14,7 @@ hold-up   corrections, commands or samples came late, or the box heard nothing f
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import IntEnum
 from math import inf
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -21,11 +24,12 @@ import numpy as np
 from hydro_core.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import FALLBACK, TRIALS, UNHELD, PlantSupervisor
 from hydro_policy.task.cases import SPOILT, Score, Trace, score
-from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, StepClock, held
+from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, held
 from hydro_sim.files import load_force
 
 REPEATS = 2
@@ -33,6 +37,7 @@ REPEATS = 2
 
 SILENCE = "the box heard nothing for too long and tripped: the machine was held up"
 
+BUSY = "if the machine is busy, close other programs"
 REPLACED = 0.5
 """The same above which a run tells nothing of its controller."""
 
@@ -56,6 +61,8 @@ class _Run:
     missed: int = 0
     """Samples that did not arrive."""
     rows: list[tuple[float, ...]] = field(default_factory=list)
+    clock: StepClock = field(default_factory=StepClock)
+    """Of its own steps: the one in which it begins is not whole."""
 
 
 class Rest:
@@ -80,6 +87,16 @@ class Rest:
     def on_tick(self, now: float) -> None:
         """Look after what is required."""
         self.watch.readiness.look(now)
+
+
+class Phase(IntEnum):
+    """Values of `TrainingStatus.phase`."""
+
+    WAITING = 0
+    TRAINING = 1
+    EVALUATING = 2
+    PAUSED = 3
+    FINISHED = 4
 
 
 P = TypeVar("P", bound=Plan)
@@ -116,17 +133,23 @@ class TrialRunner(Generic[P]):
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
+        self.clock = StepClock()
         self._wrong_law, self._law_trials = False, 0
         self._outputs, self._felt = watch.outputs, felt
         self._repeats = 0
-        self._clock = StepClock()
         self._run: _Run | None = None
-        self._steps = 0
+        self._phase = Phase.WAITING
+        self._steps, self._step_ended = 0, False
 
     @property
     def finished(self) -> bool:
         """Whether all trials are made."""
         return self.plan.trial is None
+
+    @property
+    def phase(self) -> Phase:
+        """What is going on."""
+        return Phase.FINISHED if self.finished else self._phase
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Take a sample [14]; True if gains went out."""
@@ -135,27 +158,61 @@ class TrialRunner(Generic[P]):
             self._follow_law(trial, self.compensation, sequence, sample, flags, now)
         if (trial := self.plan.trial) is None:
             return False
+        step = self.clock.add(sequence, sample, flags, self._base(trial.controller))
+        step_ended, self._step_ended = self._step_ended, step is not None and bool(flags & Flag.ARMED)
+        if self.plan.training and (step is not None or not flags & Flag.ARMED):
+            self.plan.wait(exact=bool(flags & Flag.PACED))
         if not flags & Flag.ARMED:
+            run = self._run
             if flags & Flag.TRIPPED:
-                self._on_trip(flags)
-            self._run = None
+                self._on_trip(flags, sample)
+            self._pause(run, self.watch.condition)
             return False
         held = self.override.gains(now)
         if held is not None:
-            self._run = None
-            return self._publish(self._in_law(held)) if sequence % SAMPLES_PER_STEP == 0 else False
+            return self._hold(trial, self._in_law(held), sequence, step)
         if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
-            self._run = None  # restarted once the filter fits
             self.watch.acted(now)
             compensated = self.compensation is not None and self.compensation.acting is Law.COMPENSATED
             gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
-            return self._publish(gains) if sequence % SAMPLES_PER_STEP == 0 else False
+            return self._hold(trial, gains, sequence, step)
         if self._run is None:
             if not self.watch.may_begin(now):
-                return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))
+                self._step_ended = False
+                return self.watch.calming and self._hold(trial, (0.0, 0.0), sequence, step)
+            step_begins = step is not None if isinstance(trial.controller, Explorer) else step_ended
+            if self.plan.training and not step_begins:
+                return False
             self._run = self._begin(trial, sequence)
+        elif isinstance(self._run.trial.controller, Explorer) and self.watch.unready(now):
+            return False  # a person has held the gains: the plant is disarmed, and the episode is begun again
         self.watch.acted(now)
-        return self._advance(self._run, sequence, sample, flags)
+        return self._advance(self._run, sequence, sample, flags, step)
+
+    def _hold(self, trial: Trial, gains: tuple[float, float], sequence: int, step: Step | None) -> bool:
+        """Send gains that are not the controller's: an episode goes on, any other trial is begun again once it may."""
+        if isinstance(trial.controller, Explorer):
+            if step is not None:
+                trial.controller.hold(gains, step, under_way=self._run is not None)
+                if self.monitor is not None:
+                    self.monitor.reset()  # it assesses policies
+            return step is not None
+        self._run = None
+        return sequence % SAMPLES_PER_STEP == 0 and self._publish(gains)
+
+    def _pause(self, run: _Run | None, why: str) -> None:
+        """Leave the trial that was under way, which is begun again; nothing if there was none."""
+        self._run = None
+        if run is None:
+            return
+        again, self._phase = self.plan.trial is run.trial, Phase.PAUSED  # else it has been stopped, too
+        where, explorer = run.trial.name, run.trial.controller
+        if isinstance(explorer, Explorer):
+            where = f"{run.trial.case.name} at step {explorer.current.steps}"
+            explorer.forget()
+        self.plan.pause()
+        if again:
+            self._outputs.say(f"paused in {where}: {why}; it starts again once the plant is armed", warning=True)
 
     def _follow_law(
         self, trial: Trial, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int, now: float
@@ -197,9 +254,10 @@ class TrialRunner(Generic[P]):
     def on_tick(self, now: float) -> None:
         """Handle a tick, some twenty times a second."""
         self.watch.on_tick(now)
-        if self.watch.lost and self._run is not None:
-            self._run = None
-            self._outputs.say("no samples arrived: this run is started again", warning=True)
+        if self.watch.lost:
+            self._pause(self._run, "no samples")
+        if warning := self.plan.look_after():
+            self._outputs.say(warning, warning=True)
 
     def on_correction(self, after: float, status: int) -> None:
         """Take the filter's result of a sample: M_c [1/s] under its correction, and the status."""
@@ -208,36 +266,55 @@ class TrialRunner(Generic[P]):
             self.monitor.on_correction(after, status)
 
     def _begin(self, trial: Trial, sequence: int) -> _Run:
+        self.plan.begin(trial)
+        self._phase = Phase.TRAINING if isinstance(trial.controller, Explorer) else Phase.EVALUATING
         trial.controller.reset()
         compensated = trial.controller.law.law is not Law.PAPER
         frozen = self.compensation is not None and self.compensation.frozen and compensated
         if frozen and FROZEN not in self.warnings:
             self.warnings.append(FROZEN)
-        self._clock = StepClock()  # the step in progress is not this run's
         if self.monitor is not None:
             self.monitor.reset()
         self._outputs.reference(trial.case.signal)
         return _Run(trial, sequence, sequence - 1)
 
-    def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> bool:
+    def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int, step: Step | None) -> bool:
+        trial, explorer = run.trial, run.trial.controller
+        if isinstance(explorer, Explorer):
+            if step is None:
+                return False
+            reason = None if self.monitor is None else self.monitor.add(step)
+            if reason is not None:
+                self._stop(trial, reason, sample)
+            else:
+                explorer.act(step)
+            if explorer.finished and self._run is run:
+                self._end(run)
+        else:
+            self._measure(run, sequence, sample, flags)
+        due = self.plan.trial
+        if self._run is None and due is not None and isinstance(due.controller, Explorer) and not self.watch.calming:
+            self._run = self._begin(due, sequence)  # its first step is the next one
+        return step is not None
+
+    def _measure(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> None:
         trial = run.trial
         before = (run.last - run.first) % 2**32
         run.missed, run.last = run.missed + (sequence - run.last - 1) % 2**32, sequence
         time = (sequence - run.first) * SAMPLE_PERIOD - trial.settle
         if time >= 0.0 and trial.judged:
             run.rows.append((time, sequence, *sample, flags))
-        step = self._clock.add(sequence, sample, flags, self._base(trial.controller))
+        step = run.clock.add(sequence, sample, flags, self._base(trial.controller))
         reason = self.monitor.add(step) if step is not None and self.monitor is not None else None
         if reason is not None:
             self._publish((0.0, 0.0))
-            self._stop(trial, reason)
+            self._stop(trial, reason, sample)
         elif sequence % SAMPLES_PER_STEP == 0:
             self._publish(trial.controller.gains(sample))
         if (signal := trial.case.due(before, (sequence - run.first) % 2**32)) is not None:
             self._outputs.reference(signal)
         if self._run is run and time >= 0.0 and time + SAMPLE_PERIOD >= trial.measure - 1e-9:
             self._end(run)
-        return sequence % SAMPLES_PER_STEP == 0
 
     def _publish(self, gains: tuple[float, float]) -> bool:
         self._outputs.gains(*gains, self._steps)
@@ -247,16 +324,22 @@ class TrialRunner(Generic[P]):
     def _end(self, run: _Run) -> None:
         trial, self._run = run.trial, None
         controller, case = trial.controller, trial.case
-        trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
         if not trial.judged:
-            self._add(Score(controller=controller.name, case=case.name, frequency=trace.frequency, repeat=trial.repeat))
+            frequency = case.signal.frequency
+            self._add(Score(controller=controller.name, case=case.name, frequency=frequency, repeat=trial.repeat))
             return
+        trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
         bits = held(flags, k_p, k_i, self._base(controller))
         if _own(controller) == self._base(controller):
             bits = np.zeros_like(bits)  # base gains replace none but themselves
         share = float(np.mean(bits != 0))
-        late = self._late(controller, share) or _missed(run)
+        missed, late = run.missed / (run.last - run.first + 1), ""
+        if share > SPOILT:
+            what = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
+            late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: {BUSY}"
+        elif missed > SPOILT:  # an adapting law learns nothing from these
+            late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY}"
         if late and share <= REPLACED and self._again(trial, late):
             return
         if reason := self._replaced(controller, trace, share):
@@ -265,13 +348,15 @@ class TrialRunner(Generic[P]):
         if late:
             self._warn(f"{trace.controller} at {trace.case}: {late}")
         felt = None if self._felt is None else load_force.read(self._felt, trace.states["sequence"])
-        self.traces.append(trace)
+        if not self.plan.training:
+            self.traces.append(trace)
         self._add(score(trace, trial.repeat, int(np.count_nonzero(bits)), felt))
 
-    def _add(self, done: Score) -> None:
+    def _add(self, done: Score) -> str:
         self._repeats = 0
-        self.scores.append(done)
-        self.plan.add(done)
+        if not self.plan.training:
+            self.scores.append(done)
+        return self.plan.add(done)
 
     def _again(self, trial: Trial, why: str) -> bool:
         """Let a trial begin again that the machine spoilt; False where it has been repeated often enough."""
@@ -281,38 +366,33 @@ class TrialRunner(Generic[P]):
         self._outputs.say(f"{trial.controller.name} at {trial.case.name} is started again: {why}", warning=True)
         return True
 
-    def _stop(self, trial: Trial, reason: str) -> None:
+    def _stop(self, trial: Trial, reason: str, sample: FloatArray) -> None:
+        if isinstance(trial.controller, Explorer):
+            trial.controller.terminate(sample)
+            trial.controller.hold((0.0, 0.0))
         self._leave_out(trial, reason)
         self.watch.calm()
-        self._run = None
+        self._run, self._phase = None, Phase.PAUSED
 
     def _leave_out(self, trial: Trial, reason: str) -> None:
         """Score a trial as stopped."""
-        self._add(trial.stopped(reason))
-        self._outputs.say(f"{trial.controller.name} at {trial.case.name}: {reason}", warning=True)
+        told = self._add(trial.stopped(reason)) or f"{trial.controller.name} at {trial.case.name}: {reason}"
+        self._outputs.say(told, warning=True)
 
-    def _on_trip(self, flags: int) -> None:
+    def _on_trip(self, flags: int, sample: FloatArray) -> None:
         """Attribute a trip to the run, or to nobody under gains held by a person, or where the machine was held up."""
-        silent = not flags & FAULTS
-        if self._run is not None and not (silent and self._again(self._run.trial, SILENCE)):
-            self._stop(self._run.trial, SILENCE if silent else self.watch.condition)
-        elif self.watch.trips >= TRIALS and (trial := self.plan.trial) is not None:
+        silent, run = not flags & FAULTS, None if self.override.active else self._run
+        if run is not None and not (silent and (self.plan.training or self._again(run.trial, SILENCE))):
+            self._stop(run.trial, SILENCE if silent else self.watch.condition, sample)
+        elif self.watch.trips >= TRIALS and not self.plan.training and (trial := self.plan.trial) is not None:
             self.watch.trips = 0
             self._give_up_law(trial.controller.law.law, UNHELD)
-        elif not self.watch.calming:
+        elif not self.watch.calming and (self.override.active or not self.plan.training):
             self.watch.calm()
 
     def _base(self, controller: Controller) -> tuple[float, float] | None:
         """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
-
-    def _late(self, controller: Controller, share: float) -> str:
-        """Return that base gains replaced the controller's for too long for a fair comparison; empty if not."""
-        if share <= SPOILT:
-            return ""
-        late = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
-        held_up = f"base gains in {100 * share:.0f} % of the samples, {late} came late"
-        return f"{held_up}: if the machine is busy, close other programs"
 
     def _replaced(self, controller: Controller, trace: Trace, share: float) -> str:
         """Return why a run tells nothing of its controller: other gains acted; empty if its own did."""
@@ -335,11 +415,3 @@ class TrialRunner(Generic[P]):
 def _own(controller: Controller) -> tuple[float | None, float | None]:
     """Return the fixed gains of a controller; None of one whose gains change."""
     return getattr(controller, "proportional", None), getattr(controller, "integral", None)
-
-
-def _missed(run: _Run) -> str:
-    """Return that samples did not arrive, from which an adapting law learns nothing; empty if few of them."""
-    share = run.missed / (run.last - run.first + 1)
-    if share <= SPOILT:
-        return ""
-    return f"{100 * share:.0f} % of the samples did not arrive: if the machine is busy, close other programs"

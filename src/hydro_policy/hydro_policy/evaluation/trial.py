@@ -7,9 +7,9 @@ A trial is one controller over one reference: seconds to settle, then seconds th
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.task.cases import Case, EvaluationSettings, Score
@@ -29,6 +29,11 @@ class Trial:
     judged: bool = True
     """Whether it is scored, and made again where the machine was held up; otherwise only its end is told."""
 
+    @property
+    def name(self) -> str:
+        """For sentences: `fixed (90, 15) at 2 Hz`."""
+        return f"{self.controller.name} at {self.case.name}"
+
     def stopped(self, why: str) -> Score:
         """Return the score of this trial, stopped."""
         return Score(
@@ -37,18 +42,43 @@ class Trial:
         )  # fmt: skip
 
 
-class Plan(Protocol):
-    """Trials in the order in which they are made."""
+class Plan(ABC):
+    """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`."""
+
+    training: bool = False
+    """Whether its trials follow each other by policy steps, and nobody keeps their samples."""
+    total: float = 0.0
+    """Trials, or s of them, for a progress bar; 0: not known."""
+    done: float = 0.0
+    """How many of them are over."""
 
     @property
+    @abstractmethod
     def trial(self) -> Trial | None:
         """The trial that is due; None: no more."""
 
-    def add(self, score: Score) -> None:
-        """Take the score of the trial that was due."""
+    @abstractmethod
+    def add(self, score: Score) -> str:
+        """Take the score of the trial that was due; returns what to tell the user of a stop, if more is known here."""
+
+    def begin(self, trial: Trial) -> None:
+        """Prepare the trial that was due, which begins now, or begins again."""
+        return
+
+    def pause(self) -> None:
+        """Take it that the plant was disarmed, or lost, during a trial."""
+        return
+
+    def wait(self, *, exact: bool) -> None:
+        """Prepare a policy step of a training; `exact`: the plant goes by its own clock and waits meanwhile."""
+        return
+
+    def look_after(self) -> str:
+        """Look after what is computed meanwhile, some twenty times a second; returns a warning, if there is one."""
+        return ""
 
 
-class Comparison:
+class Comparison(Plan):
     """All controllers over all cases. Controllers follow each other closely, so that drift affects all alike.
 
     Those of the compensated law are last, since the plant is disarmed for another law.
@@ -66,12 +96,13 @@ class Comparison:
     def __init__(self, settings: EvaluationSettings, controllers: Sequence[Controller], lead: float = 0.0) -> None:
         if not controllers:
             raise ValueError("an evaluation needs a controller")
-        self.settings, self.controllers, self.done = settings, controllers, 0
+        self.settings, self.controllers = settings, controllers
         order = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
         if lead:
             order.sort(key=lambda run: controllers.index(run[2]))
         order.sort(key=lambda run: run[2].law.law)
         self.trials: list[Trial] = []
+        self.total = len(order)
         for repeat, case, controller in order:
             first = not self.trials or self.trials[-1].controller is not controller
             self.trials.append(
@@ -85,11 +116,12 @@ class Comparison:
     @property
     def trial(self) -> Trial | None:
         """See `Plan`."""
-        return self.trials[self.done] if self.done < len(self.trials) else None
+        return self.trials[round(self.done)] if self.done < len(self.trials) else None
 
-    def add(self, score: Score) -> None:
+    def add(self, score: Score) -> str:
         """See `Plan`."""
         self.done += 1
+        return ""
 
     @property
     def seconds(self) -> float:

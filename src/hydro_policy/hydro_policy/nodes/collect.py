@@ -19,18 +19,17 @@ from shutil import rmtree
 from tempfile import TemporaryDirectory
 
 import yaml
-from tqdm import tqdm
 
 from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros
-from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_core.cli.console import UserError, command, number, progress, writable, writable_folder
+from hydro_core.cli.console import UserError, command, number, writable, writable_folder
 from hydro_core.process.endings import undisturbed
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.runner import TrialRunner
-from hydro_policy.evaluation.trial import Trial
+from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.graph.progress import TrialProgress
 from hydro_policy.task.cases import Case, Score
 from hydro_sim.box.box import EMULATED_BOX
 from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
@@ -48,7 +47,7 @@ TRIPPED = 3
 """Exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there."""
 
 
-class SchedulePlan:
+class SchedulePlan(Plan):
     """A schedule's segments, each a trial that is not judged, until too many in a row have tripped the plant.
 
     `schedule`: segments with total gains. `base`: base gains of the box, K_p [1/s] and K_i [1/s^2].
@@ -60,9 +59,9 @@ class SchedulePlan:
                   measure=one.seconds, judged=False)
             for one in schedule
         ]  # fmt: skip
-        self.seconds = sum(one.seconds for one in schedule)
-        self.played = self.past = 0.0
-        """s of the segments that were played to their end, and of all that are over."""
+        self.total = sum(one.seconds for one in schedule)
+        self.played = 0.0
+        """s of the segments that were played to their end."""
         self.trips = self.in_a_row = 0
 
     @property
@@ -76,13 +75,14 @@ class SchedulePlan:
         many = self.in_a_row >= TRIPS_IN_A_ROW
         return f"the plant tripped {self.in_a_row} times in a row: it is left disarmed" if many else ""
 
-    def add(self, score: Score) -> None:
+    def add(self, score: Score) -> str:
         """See `hydro_policy.evaluation.trial.Plan`."""
         self.trips += bool(score.stopped)
         self.in_a_row = self.in_a_row + 1 if score.stopped else 0
         seconds = self._left.pop(0).measure
-        self.past += seconds
+        self.done += seconds
         self.played += 0.0 if score.stopped else seconds
+        return ""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -124,7 +124,15 @@ def main() -> int:
         parser().error("--seconds and --seed draw a schedule: --schedule FILE has its own")
     options.seconds, options.seed = options.seconds or SECONDS, 1 if options.seed is None else options.seed
     bench = Bench.load(options.bench) if options.bench else None
-    schedule = playable(options, (bench.size if bench else NOMINAL).force)
+    if options.schedule:
+        schedule = load_schedule(options.schedule)
+        for index, segment in enumerate(schedule):
+            if segment.delta_u:
+                why = "only the emulator records corrections"
+                raise UserError(f"segments[{index}].delta_u is {segment.delta_u:g} A: {why}")
+    else:
+        force = (bench.size if bench else NOMINAL).force
+        schedule = draw(options.seconds, options.seed, Range.of_force(force))
     if options.write_schedule:
         save_schedule(schedule, options.write_schedule)
         print(f"{options.write_schedule}: {len(schedule)} segments, {sum(s.seconds for s in schedule):g} s")
@@ -143,22 +151,6 @@ def main() -> int:
     return 0
 
 
-def playable(options: argparse.Namespace, force: float) -> Sequence[Segment]:
-    """Return the schedule of the command line, drawn for a bench of this force [N] if it names none.
-
-    Raises UserError: it has corrections, which are the filter's; only the emulator records others.
-    """
-    if not options.schedule:
-        return draw(options.seconds, options.seed, Range.of_force(force))
-    schedule = load_schedule(options.schedule)
-    for index, segment in enumerate(schedule):
-        if segment.delta_u:
-            raise UserError(
-                f"segments[{index}].delta_u is {segment.delta_u:g} A: only the emulator records corrections"
-            )
-    return schedule
-
-
 def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
     """Record while the schedule plays; returns it as it ended.
 
@@ -171,24 +163,37 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         refuse_unknown_parameters(node)
         if not node.wait_for_plant() or node.box is None:
             raise UserError("interrupted before anything was recorded")
-        box, believed = node.box, believed_bench(node.box, bench)
+        box = node.box
+        if bench is None:
+            bench = Bench.from_mapping(yaml.safe_load(box.bench)) if box.bench else Bench.nominal()
+        elif box.bench_digest not in ("", bench.digest):
+            told = f"--bench is bench {bench.digest}, the box believes {BoxIdentity.of_box(box).description}"
+            raise PairingError(f"{told}: name the bench.yaml of this box, or none")
         plan, plant = SchedulePlan(schedule, box.base_gains), "sim" if box.plant == "sim" else box.info.name
         rearm = options.rearm == "auto" if options.rearm else plant in ("sim", EMULATED_BOX)
         node.box_fault = lambda other: (
             "" if other.base_gains == box.base_gains else "another box with other base gains has been connected"
         )
         start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
-        recorder = start_recorder(stack, options, schedule, believed, plant)
+        scratch = Path(stack.enter_context(TemporaryDirectory()))
+        save_schedule(schedule, scratch / "schedule.yaml")
+        (scratch / "bench.yaml").write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
+        words = ["--out", str(options.out), "--metadata", f"plant={plant or 'unknown'}"]
+        words += [] if options.schedule else [f"seed={options.seed}"]
+        words += ["--attach", str(scratch / "schedule.yaml"), str(scratch / "bench.yaml")]
+        recorder = stack.enter_context(Companion("hydro_bridge", "recorder", words))
         node.watch_companions([recorder], options.out, "the plant is disarmed")
         stack.callback(node.disarm, still=True)
         stack.callback(quiet.enter_context, undisturbed())  # a second Ctrl-C waits
         runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
-        bar: tqdm[None] = stack.enter_context(progress(total=round(plan.seconds), label="collecting", unit="s"))
+        bar = stack.enter_context(TrialProgress(runner, "collecting"))
 
         def tick() -> None:
-            bar.update(int(plan.past) - bar.n)
+            bar.tick()
             if not recorder.running:  # nothing moves unrecorded
-                why = why_ended(recorder, options.out)
+                status, why = recorder.process.returncode, recorder.last_line.removeprefix("error: ")
+                if status != 2:  # else it could not use `out`
+                    why = f"the recorder ended (exit status {status}); {options.out} holds what came before"
                 node.fail(UserError(f"the recorder has ended, so the plant was disarmed: {why}"))
 
         if not rearm:
@@ -220,36 +225,3 @@ def still_bench(node: GraphNode) -> Requirement:
     name = "a second of the still bench"
     missing = f"{name} was not recorded: somebody arms it again and again"
     return Requirement(name=name, ready=recorded, hint="it is recorded first", within=600.0, missing=missing)
-
-
-def believed_bench(box: KnownBox, asked: Bench | None) -> Bench:
-    """Return the bench.yaml to store in the recording: the requested one, or else the one that the box believes.
-
-    Raises PairingError: the box believes another one than requested.
-    """
-    if asked is None:
-        return Bench.from_mapping(yaml.safe_load(box.bench)) if box.bench else Bench.nominal()
-    if box.bench_digest not in ("", asked.digest):
-        told = f"--bench is bench {asked.digest}, the box believes {BoxIdentity.of_box(box).description}"
-        raise PairingError(f"{told}: name the bench.yaml of this box, or none")
-    return asked
-
-
-def start_recorder(
-    stack: ExitStack, options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench, plant: str
-) -> Companion:
-    """Start the recorder, with schedule and bench file attached, for as long as `stack` holds."""
-    scratch = Path(stack.enter_context(TemporaryDirectory()))
-    save_schedule(schedule, scratch / "schedule.yaml")
-    (scratch / "bench.yaml").write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
-    drawn = [] if options.schedule else [f"seed={options.seed}"]
-    words = ["--out", str(options.out), "--metadata", f"plant={plant or 'unknown'}", *drawn]
-    attached = [*words, "--attach", str(scratch / "schedule.yaml"), str(scratch / "bench.yaml")]
-    return stack.enter_context(Companion("hydro_bridge", "recorder", attached))
-
-
-def why_ended(recorder: Companion, out: Path) -> str:
-    """Return why a recorder has ended."""
-    if recorder.process.returncode == 2:  # it could not use `out`
-        return recorder.last_line.removeprefix("error: ")
-    return f"the recorder ended (exit status {recorder.process.returncode}); {out} holds what came before"

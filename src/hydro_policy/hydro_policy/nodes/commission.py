@@ -21,8 +21,8 @@ from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import UserError, command, command_line, writable_folder
 from hydro_core.files import bench_file, site
 from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
-from hydro_policy.nodes.commissioning import GATES, NAMES, Gate, Site
-from hydro_policy.nodes.site_plant import EMULATED, TRUTH, SitePlant
+from hydro_policy.nodes.commissioning import GATES, NAMES, Gate
+from hydro_policy.nodes.site_runs import EMULATED, TRUTH, Site
 from hydro_sim.files.pairing import PairingError
 
 AGAIN = "gains"
@@ -75,8 +75,7 @@ def main() -> int:
         log = stack.enter_context((folder / LOG).open("a", buffering=1, encoding="utf-8"))
         stack.enter_context(running_ros())
         rearm = options.arm == "auto" if options.arm else record.plant == EMULATED
-        plant = stack.enter_context(SitePlant(folder, record.plant, rearm=rearm, log=log))
-        at = Site(folder=folder, record=record, plant=plant, policy=options.policy, log=log)
+        at = stack.enter_context(Site(folder, record, rearm=rearm, policy=options.policy, log=log))
         passed = all(_pass(at, gate) for gate in GATES[first:])
     print(f"\n{record.table().text()}\n")
     if record.comparison:

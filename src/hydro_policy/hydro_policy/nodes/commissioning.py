@@ -13,129 +13,34 @@
     comparison  the best of them is adopted
 
 Everything moves under the compensated law without a filter until there is one of this bench: it tracks with 0.3 to 2.5
-times the valve's gain believed (safety.md). What moves are trials, run by `TrialRunner` on one plant (`SitePlant`); a
+times the valve's gain believed (safety.md). What moves are trials, run by `TrialRunner` on one plant (`site_runs`); a
 gate reads their results and their recording. What only computes is a process of its own.
 """
 
 from __future__ import annotations
 
-import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from hydro_bridge.bags.recording import objects, read_bag
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.bags.writer import code_version
-from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import BOX, BOX_LAW, DIAGNOSTICS, STATE
-from hydro_core.cli.console import print_above_progress
 from hydro_core.files import site
 from hydro_core.files.site import ANEW
 from hydro_core.signals import Flag, StateArray
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import ScheduledMetric
 from hydro_policy.commissioning import checks
-from hydro_policy.commissioning.record import GateError, GateSkipped, Record, best, scored
-from hydro_policy.evaluation import report
-from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
-from hydro_policy.nodes.evaluation import require_matching_policy, show_results, write_page
-from hydro_policy.nodes.site_plant import SitePlant
-from hydro_policy.nodes.startup.companions import NO_FILTER
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.commissioning.record import GateError, GateSkipped, best, scored
+from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
+from hydro_policy.nodes.evaluation import require_matching_policy
+from hydro_policy.nodes.site_runs import Site, read_json
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import Bench
-
-ENDS_WITHIN = 30.0
-"""s, for an executable that is asked to end."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Site:
-    """The folder of one bench, its plant, and what is known of it."""
-
-    folder: Path
-    record: Record
-    plant: SitePlant
-    policy: bool
-    """Whether a policy is to be trained."""
-    log: IO[str]
-    """Output of all processes."""
-
-    @property
-    def bench(self) -> str:
-        """File of what the box believes."""
-        return str(self.folder / site.BENCH)
-
-    def recording(self, name: str) -> Path:
-        """Return the folder of a recording."""
-        return self.folder / site.RECORDINGS / name
-
-    def run(self, package: str, executable: str, *words: str, loud: bool = True) -> str:
-        """Run an executable that needs the machine or the port for itself to its end; returns its last line.
-
-        Its output goes into the log, and to the terminal if it is `loud`.
-
-        Raises GateError: it did not end with status 0; the reason is its last line.
-        """
-        self.plant.disconnect()
-        self.log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
-
-        def take(line: str) -> None:
-            self.log.write(line)
-            if loud:
-                print_above_progress(line.rstrip("\n"))
-
-        running = Companion(package, executable, words, output=take)
-        try:
-            status = running.process.wait()
-        except BaseException:
-            running.stop(ENDS_WITHIN)
-            raise
-        said = running.last_line
-        running.stop()
-        if status:
-            raise GateError(f"{executable}: {said.removeprefix('error: ') or f'ended with status {status}'}")
-        return said
-
-    def compare(
-        self,
-        name: str,
-        settings: EvaluationSettings,
-        controllers: Sequence[Controller] = (),
-        *,
-        words: Sequence[str] = NO_FILTER,
-        learned: bool = False,
-    ) -> dict[str, Any]:
-        """Run the trials of a comparison with the compensated law; returns its JSON (`evaluation.report`).
-
-        `name`: of recording and report. `words`: of the filter's command line. `learned`: see `SitePlant.compare`.
-        """
-        run = RunDirectory(self.folder / site.REPORTS / name)
-        for old in (self.recording(name), run.path):
-            shutil.rmtree(old, ignore_errors=True)
-        run.path.mkdir(parents=True)
-        kp, ki = self.record.base_gains
-        self.plant.base_gains = kp, ki
-        results = self.plant.compare(controllers, settings, self.recording(name), words=words, learned=learned)
-        notes = {"plant": self.record.plant, "filter": " ".join(words), "bench": self.bench}
-        notes |= {"base gains": f"{kp:g} {ki:g}", "code_version": code_version()}
-        show_results(results, run, notes)
-        write_page(run, f"Evaluation {name}", notes, report.sections(results, run.tracking_plot))
-        return read_json(run.evaluation)
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a result (raises GateError where there is none)."""
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise GateError(f"{path} cannot be read: {error}") from None
-    return content
-
 
 AT_REST = "rest"
 REST = 10.0
@@ -164,8 +69,6 @@ class Gate:
     run: Callable[[Site], str]
     files: tuple[str, ...]
     """Files and folders of the site that it reads and writes."""
-    plant: bool = True
-    """Whether it needs the plant."""
 
 
 def _recorded(*names: str) -> tuple[str, ...]:
@@ -176,7 +79,7 @@ def link(at: Site) -> str:
     """See the module."""
     report = at.folder / site.REPORTS / "conformance.json"
     report.unlink(missing_ok=True)
-    words = ("--port", at.plant.free_port(), "--bench", at.bench, "--json", str(report))
+    words = ("--port", at.free_port(), "--bench", str(at.bench), "--json", str(report))
     try:
         at.run("hydro_bridge", "conformance", *words, loud=False)
     except GateError:
@@ -185,9 +88,8 @@ def link(at: Site) -> str:
     wrong = [f"{row['case']}: {row['found']}" for row in read_json(report)["rows"] if row["result"] == "FAIL"]
     if wrong:
         raise GateError("the box does not keep the protocol: " + "; ".join(wrong))
+    at.rest(AT_REST, REST)
     folder = at.recording(AT_REST)
-    shutil.rmtree(folder, ignore_errors=True)
-    at.plant.rest(folder, REST)
     states = _states(folder)
     status = {e.key: e.value for _, m in objects(folder, DIAGNOSTICS) for s in m.status for e in s.values
               if s.name == "bridge"}  # fmt: skip
@@ -249,7 +151,7 @@ def diagnosis(at: Site) -> str:
     """See the module."""
     out = at.folder / site.REPORTS / "diagnosis"
     training, held_out = (str(at.recording(name)) for name in ("training", "held_out"))
-    words = (training, "--holdout", held_out, "--bench", at.bench, "--out", str(out), "--quiet")
+    words = (training, "--holdout", held_out, "--bench", str(at.bench), "--out", str(out), "--quiet")
     at.run("hydro_diagnosis", "diagnose", *words)
     report = read_json(out / "report.json")
     at.record.causes = report["effects"]
@@ -266,7 +168,7 @@ def metric(at: Site) -> str:
     """See the module."""
     out = at.folder / site.METRIC
     held_out = at.recording("held_out")
-    words = ("--model", str(at.folder / site.MODEL), "--bench", at.bench, "--out", str(out))
+    words = ("--model", str(at.folder / site.MODEL), "--bench", str(at.bench), "--out", str(out))
     said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", "both")
     found = ScheduledMetric.load(out)
     if reason := found.unfit(out.name):
@@ -296,13 +198,14 @@ def controllers(at: Site) -> str:
     top = at.record.certified_gains.get("paper", (kp, kp))[1]
     fixed = [(kp, ki), *((round(share * top), 3.0 * ki) for share in FIXED_SHARES if share * top > kp)]
     chosen: list[Controller] = [FixedGains(*pair, (kp, ki)) for pair in fixed]
-    trained = at.folder / POLICY
+    trained, policies = at.folder / POLICY, list[Path]()
     if trained.is_dir():
         require_matching_policy(trained, BoxIdentity.of_file(at.bench, (kp, ki)))
         chosen.insert(0, policy_controller(trained))
+        policies.append(policy_file(trained))
     words = ("--model", str(at.folder / site.MODEL), "--metric", str(at.folder / site.METRIC))
     settings = replace(COMPARED, amplitude=at.record.amplitude)
-    content = at.compare("controllers", settings, chosen, words=words, learned=True)
+    content = at.compare("controllers", settings, chosen, words=words, learned=True, policies=policies)
     worst = checks.disturbed(content)
     if worst > checks.LOST_MAX:
         late = f"{100 * worst:.1f} % of the samples were lost or commanded late"
@@ -341,15 +244,15 @@ def comparison(at: Site) -> str:
 
 GATES = (
     Gate(name="link", run=link, files=(site.BENCH, *_recorded(AT_REST))),
-    Gate(name="sensors", run=sensors, files=(site.BENCH, *_recorded(AT_REST)), plant=False),
+    Gate(name="sensors", run=sensors, files=(site.BENCH, *_recorded(AT_REST))),
     Gate(name="signs", run=signs, files=(site.BENCH, *_recorded("signs"))),
     Gate(name="gains", run=gains, files=(site.BENCH, *_recorded("gains"))),
     Gate(name="excitation", run=excitation, files=_recorded("training", "held_out")),
-    Gate(name="diagnosis", run=diagnosis, files=(*_recorded("training", "held_out"), site.MODEL), plant=False),
-    Gate(name="metric", run=metric, files=(site.BENCH, site.MODEL, site.METRIC, *_recorded("held_out")), plant=False),
-    Gate(name="policy", run=policy, files=(site.MODEL, POLICY), plant=False),
+    Gate(name="diagnosis", run=diagnosis, files=(*_recorded("training", "held_out"), site.MODEL)),
+    Gate(name="metric", run=metric, files=(site.BENCH, site.MODEL, site.METRIC, *_recorded("held_out"))),
+    Gate(name="policy", run=policy, files=(site.MODEL, POLICY)),
     Gate(name="controllers", run=controllers, files=(site.MODEL, site.METRIC, *_recorded("controllers"))),
-    Gate(name="comparison", run=comparison, files=(f"{site.REPORTS}/controllers/evaluation.json",), plant=False),
+    Gate(name="comparison", run=comparison, files=(f"{site.REPORTS}/controllers/evaluation.json",)),
 )
 NAMES = tuple(gate.name for gate in GATES)
 

@@ -40,15 +40,8 @@ from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.nodes.graph.progress import EvaluationProgress
-from hydro_policy.nodes.startup.companions import (
-    LOAD_FORCE,
-    NO_FILTER,
-    describe_policy,
-    guard_range,
-    protection_gap,
-    start_companions,
-)
+from hydro_policy.nodes.graph.progress import TrialProgress
+from hydro_policy.nodes.startup.companions import NO_FILTER, describe_policy, guard_range, start_plant
 from hydro_policy.nodes.startup.options import load_cell, may_rearm, plant_options, unless_said
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
@@ -57,7 +50,7 @@ from hydro_policy.supervision.plant_supervisor import PlantSupervisor, correctio
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched, read_provenance
+from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched, read_provenance
 from hydro_sim.model.bench import NOMINAL
 
 if TYPE_CHECKING:  # evaluate does without
@@ -110,20 +103,6 @@ def require_matching_policy(path: Path, box: BoxIdentity) -> None:
     """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
     file = policy_file(path)
     raise_if_mismatched(mismatch(f"the policy {path.name}", read_provenance(file), box, PRETRAIN))
-
-
-def require_same_box(run: Path, made: MadeFor | None, box: BoxIdentity) -> None:
-    """Raise PairingError if a run was started on another box; a run of unknown provenance is accepted."""
-    if made is not None:
-        raise_if_mismatched(
-            mismatch(f"the run {run.name}", made, box, "go on with it on its own box, or begin one here")
-        )
-
-
-def training_provenance(box: BoxIdentity) -> MadeFor:
-    """Return the provenance of a policy or run trained on this box."""
-    kp, ki = box.base_gains or (None, None)
-    return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
 
 
 def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Controller]:
@@ -236,13 +215,13 @@ def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections
 def evaluate(options: argparse.Namespace) -> int:
     """Run the evaluation of the command line; returns the exit status."""
     make_controllers(options, expected_box(options))  # invalid input is refused before anything is created
+    evaluation_settings(options)
     if load_cell(options) and options.learned_residual:
         raise UserError(
             "--learned-residual makes the measured force follow, --load-cell the force in front of it: one of them"
         )
     if options.law == "paper" and options.learned_residual:
         raise UserError("--learned-residual is part of the compensated law: leave out --law paper")
-    evaluation_settings(options)
     if options.record and options.plant == "external":
         record = f"ros2 run hydro_bridge recorder --out {options.record}"
         raise UserError(f"--record is of no use where the plant runs already: start `{record}` beside it")
@@ -257,10 +236,9 @@ def evaluate(options: argparse.Namespace) -> int:
 
 def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
     """Run the evaluation with its results in `run`; returns the exit status."""
-    box = expected_box(options)
-    settings = evaluation_settings(options)
+    box, cell, unfiltered = expected_box(options), load_cell(options), options.filter.split() == list(NO_FILTER)
+    controllers, settings = make_controllers(options, box), evaluation_settings(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
-    wanted = guard_range(required_gain_range(make_controllers(options, box), grid, box.base_gains))
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("evaluate")
         stack.callback(leave_graph, node)
@@ -269,8 +247,15 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         stack.enter_context(remove_rejected(run, node))
         node.box_fault = partial(box_mismatch, box)
         if options.plant != "external":
-            start_plant(stack, node, options, wanted, run)
-            if options.law == "compensated" and options.filter.split() != list(NO_FILTER):
+            recording = Path(options.record) if options.record else run.bag if options.keeps_bag else None
+            plant = plant_options(
+                options, recording=recording, seed=options.seed, policies=tuple(map(policy_file, options.policy)),
+                controller="evaluate",
+            )  # fmt: skip
+            wanted = guard_range(required_gain_range(controllers, grid, box.base_gains))
+            folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
+            start_plant(stack, node, plant, wanted, folder, page=options.dashboard)
+            if options.law == "compensated" and not unfiltered:
                 # the plant's flags tell nothing of the filter under a law that needs none
                 node.requirements.append(corrections(lambda: node.corrected))
         stack.callback(node.disarm)
@@ -280,24 +265,22 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         if options.plant == "external":  # only now it is known whether the graph has a page
             start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
         if options.law != "paper" and node.law is None:
-            if options.law == "compensated" or options.load_cell:
+            if options.law == "compensated" or cell:
                 raise NotReadyError(NOT_OFFERED)
             node.say(f"{NOT_OFFERED}; the paper's law alone is compared")
         box = BoxIdentity.of_box(node.box)
         settings = unless_said(node, settings, resized(settings, NOMINAL, node.size))
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
-        node.override = GainOverride(
-            guard_range(required_gain_range(controllers, grid, box.base_gains)),
-            node.override.say,
-            box.base_gains or BASE,
-        )
+        reach = guard_range(required_gain_range(controllers, grid, box.base_gains))
+        node.override = GainOverride(reach, node.override.say, box.base_gains or BASE)
         for path in options.policy:
             node.say(describe_policy(policy_file(path)))
-        if not may_rearm(options):
+        rearm = may_rearm(options)
+        if not rearm:
             node.listen_for_enter()
-        watch = node.supervisor(rearm=may_rearm(options))
-        if options.filter.split() != list(NO_FILTER):  # one that runs all the same may be of the bench as it was
+        watch = node.supervisor(rearm=rearm)
+        if not unfiltered:  # one that runs all the same may be of the bench as it was
             node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
         if grid is not None:
             before = search_on(node, grid, settings, watch)
@@ -305,10 +288,10 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
                 return 130
             if before.search.found:
                 controllers.append(before.best)
-            watch = node.supervisor(rearm=may_rearm(options), after=watch)
+            watch = node.supervisor(rearm=rearm, after=watch)
         results = evaluate_on(
-            node, controllers, watch, settings=settings,
-            compensated=options.law != "paper", cell=load_cell(options), learned=options.learned_residual,
+            node, controllers, watch, settings=settings, compensated=options.law != "paper", cell=cell,
+            learned=options.learned_residual,
         )  # fmt: skip
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
@@ -322,31 +305,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
     return 0 if results.finished else 130
 
 
-def start_plant(
-    stack: ExitStack,
-    node: GraphNode,
-    options: argparse.Namespace,
-    wanted: GainRange,
-    run: RunDirectory,
-) -> None:
-    """Start the plant and its companions; raises PairingError before anything runs if the filter does not fit."""
-    start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
-    folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
-    policies = tuple(map(policy_file, options.policy))
-    recording = Path(options.record) if options.record else run.bag if options.keeps_bag else None
-    plant = plant_options(options, recording=recording, seed=options.seed, policies=policies, controller="evaluate")
-    if sentence := protection_gap(wanted, plant.filter, plant.bench):
-        node.say(sentence, warning=True)
-    node.watch_companions(start_companions(stack, plant, wanted, folder, node.announcer.keep), recording)
-    node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
-
-
-def search_on(
-    node: GraphNode,
-    grid: GridSettings,
-    settings: EvaluationSettings,
-    watch: PlantSupervisor,
-) -> GridPlan:
+def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, watch: PlantSupervisor) -> GridPlan:
     """Search the best fixed gains on the plant by short trials; after a signal it is not at its end."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     plan = GridPlan(grid, short, node.override.base)
@@ -355,13 +314,15 @@ def search_on(
 
     def tick() -> None:
         nonlocal told
+        bar.tick()
         for pair, rmse in list(plan.search.tried.items())[told:]:
             cells = " ".join(f"{value:.1f}" for value in rmse)
             node.say(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
             told += 1
 
-    node.run_session(runner, tick)
-    tick()
+    with TrialProgress(runner, "searching fixed gains") as bar:
+        node.run_session(runner, tick)
+        tick()
     if runner.finished and not plan.search.found:
         node.say("the grid found no gains: even the lowest were stopped (see above)", warning=True)
     if plan.search.tried:
@@ -394,9 +355,6 @@ def evaluate_on(
             controllers.append(Compensated(compensation, node.override.base, learned=True))
     plan = Comparison(settings or EvaluationSettings(amplitude=node.size.force), controllers)
     session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force)
-    bar = EvaluationProgress(session)
-    try:
+    with TrialProgress(session, "evaluating") as bar:
         node.run_session(session, bar.tick)
-    finally:
-        bar.close()
     return session

@@ -18,13 +18,7 @@ from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, resto
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run import RunDirectory
 
-DEMO = {
-    "plant": "emulator",
-    "configuration": "wide",
-    "episodes": 6,
-    "exam_every": 3,
-    "evaluate": True,
-}
+DEMO = {"plant": "emulator", "configuration": "wide", "episodes": 6, "exam_every": 3, "evaluate": True}
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
 
 EPILOG = """\

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions, which control a plant step by step, without ROS: training, episodes, exploration, state of a run.
+"""Training without ROS: the plan of its trials, and the state of a run.
 
 May import all of this package but `pretraining` and `nodes`.
 """

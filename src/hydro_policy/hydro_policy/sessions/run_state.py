@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from hydro_core.signals import FloatArray
+from hydro_policy.evaluation.exploration import EpisodeRecord
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.sac import actor_parameters
-from hydro_policy.sessions.episode import EpisodeRecord
 from hydro_policy.task.cases import ExamSettings, Score
 
 CHANCE = 0.025
@@ -105,6 +105,11 @@ class RunState:
     def trained(self) -> bool:
         """Whether all episodes are done."""
         return self.progress.episode >= self.settings.episodes
+
+    @property
+    def improved(self) -> bool:
+        """Whether a policy trained here scored better than the initial one, by more than noise."""
+        return any(exam["best"] and exam["episode"] > 0 for exam in self.progress.exams)
 
     @property
     def exam_due(self) -> bool:
@@ -217,11 +222,6 @@ def significantly_better(score: float, best: float, errors: Sequence[float], bes
     pooled = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
     noise = math.hypot(max(errors[-1], pooled), max(best_error, pooled))
     return score < best - NormalDist().inv_cdf(1.0 - CHANCE / max(len(errors) - 1, 1)) * noise
-
-
-def stop_reason(scores: Sequence[Score]) -> str:
-    """Return why the policy was stopped; empty if it was not."""
-    return next((score.stopped for score in scores if score.controller == EXAMINED and score.stopped), "")
 
 
 def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[float]:

@@ -353,7 +353,7 @@ class PlantSupervisor:
 
 
 class Session(Protocol):
-    """Controls a plant: a `TrialRunner` or a `TrainingSession`."""
+    """Controls a plant: a `TrialRunner`, or `Rest`."""
 
     watch: PlantSupervisor
     override: GainOverride

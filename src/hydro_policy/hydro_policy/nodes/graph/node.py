@@ -285,9 +285,11 @@ class GraphNode(Node):
         """Publish the policy's result of each step on /hydro/policy from now on."""
         self._steps = create_publisher(self, POLICY)
 
-    def listen_for_enter(self) -> None:
-        """Let Enter on the terminal arm the plant."""
-        self._keys = typed_lines()
+    def listen_for_enter(self, typed: queue.SimpleQueue[str] | None = None) -> None:
+        """Let Enter on the terminal arm the plant from now on; `typed`: lines of a terminal that is read already."""
+        self._keys = typed_lines() if typed is None else typed
+        while not self._keys.empty():
+            self._keys.get()
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""

@@ -14,14 +14,11 @@ from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.topics import TRAINING, create_publisher
 from hydro_core.cli.console import progress
 from hydro_msgs.msg import TrainingStatus
-from hydro_policy.evaluation.runner import TrialRunner
-from hydro_policy.evaluation.trial import Comparison
+from hydro_policy.evaluation.runner import Phase, TrialRunner
 from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.sessions.episode import Phase
 
 if TYPE_CHECKING:  # evaluate does without
-    from hydro_policy.learner_process.supervisor import LearnerSupervisor
-    from hydro_policy.sessions.training import TrainingSession
+    from hydro_policy.sessions.plan import TrainingPlan
 
 _REDRAW = 4  # ticks of 50 ms
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
@@ -29,15 +26,16 @@ _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix
 
 
 class TrainingProgress:
-    """Progress bar, topic and diagnostics of one training session."""
+    """Progress bar, topic and diagnostics of one training."""
 
-    def __init__(self, node: GraphNode, session: TrainingSession, learner: LearnerSupervisor) -> None:
-        self._node, self._session, self._learner = node, session, learner
+    def __init__(self, node: GraphNode, session: TrialRunner[TrainingPlan]) -> None:
+        self._node, self._session, self._plan, self._learner = node, session, session.plan, session.plan.learner
         self.phase: Callable[[], Phase] = lambda: session.phase
-        steps = session.settings.task.steps_per_episode
-        self._bar: tqdm[None] = progress(total=session.settings.episodes * steps, label="waiting", bar_format=_BAR)
-        self._ticks, self._told = 0, session.progress.episode
-        self._examined = len(session.progress.exams)
+        self._steps = self._plan.settings.task.steps_per_episode
+        total = self._plan.settings.episodes * self._steps
+        self._bar: tqdm[None] = progress(total=total, label="waiting", bar_format=_BAR)
+        self._ticks, self._told = 0, self._plan.progress.episode
+        self._examined = len(self._plan.progress.exams)
         self._message = TrainingStatus()
         self._publisher = create_publisher(node, TRAINING)
         node.create_timer(0.5, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -45,12 +43,12 @@ class TrainingProgress:
 
     def tick(self) -> None:
         """Redraw at intervals, and print a line for each finished episode."""
-        progress = self._session.progress
+        progress = self._plan.progress
         while self._told < progress.episode:
-            self._node.say(_episode_line(progress.history[self._told], self._session.settings.episodes))
+            self._node.say(_episode_line(progress.history[self._told], self._plan.settings.episodes))
             self._told += 1
         while self._examined < len(progress.exams):
-            self._node.say(_exam_line(progress.exams[self._examined], self._session))
+            self._node.say(_exam_line(progress.exams[self._examined], self._plan))
             self._examined += 1
         self._ticks += 1
         if self._ticks % _REDRAW == 0:
@@ -64,12 +62,11 @@ class TrainingProgress:
 
     def publish(self) -> None:
         """Publish TrainingStatus."""
-        session, message = self._session, self._message
+        current, progress, message = self._plan.explorer.current, self._plan.progress, self._message
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.phase = int(self.phase())
-        message.episode, message.step = session.current.episode, session.current.steps
-        message.episode_return = session.progress.last_return
-        message.force_rmse = session.progress.last_rmse
+        message.episode, message.step = current.episode, current.steps
+        message.episode_return, message.force_rmse = progress.last_return, progress.last_rmse
         message.entropy_coefficient = self._learner.entropy_coefficient
         losses = self._learner.losses
         message.critic_loss, message.actor_loss, message.temperature_loss = losses
@@ -78,14 +75,13 @@ class TrainingProgress:
         self._publisher.publish(message)
 
     def _redraw(self) -> None:
-        session, bar = self._session, self._bar
-        steps = session.settings.task.steps_per_episode
-        under_way = session.current.steps if session.phase is Phase.TRAINING else 0
-        bar.n = min(session.progress.episode * steps + under_way, bar.total or 0)
+        session, plan, bar = self._session, self._plan, self._bar
+        under_way = plan.explorer.current.steps if session.phase is Phase.TRAINING else 0
+        bar.n = min(plan.progress.episode * self._steps + under_way, bar.total or 0)
         now = session.watch.summary
         doing, state = session.phase.name.lower(), "" if now == "armed" else f" ({now})"
-        if (exam := session.exam) is not None and not exam.finished:
-            doing = f"examining, {len(exam.scores) + 1} of {len(exam.plan)}"
+        if plan.exam is not None:
+            doing = f"examining, {len(plan.scores) + 1} of {len(plan.exam)}"
         bar.set_description_str(now if session.phase is Phase.WAITING else f"{doing}{state}", refresh=False)
         bar.set_postfix_str(self._figures(), refresh=False)
         bar.refresh()
@@ -94,7 +90,7 @@ class TrainingProgress:
         held = f"OVERRIDDEN {self._session.override.description}" if self._session.override.active else ""
         if self._session.phase is not Phase.TRAINING:
             return held
-        now, done = self._session.current, self._session.progress
+        now, done = self._plan.explorer.current, self._plan.progress
         rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
         learner = f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"
         error = f"RMSE {rmse:.1f} N" if math.isfinite(rmse) else ""  # none before the first samples
@@ -102,27 +98,28 @@ class TrainingProgress:
         return ", ".join(filter(None, (held, f"return {now.episode_return:.0f}", error, learner, latency)))
 
     def _status(self) -> Status:
-        session, node, learner = self._session, self._node, self._learner
-        phase = self.phase()
+        session, plan, node, learner = self._session, self._plan, self._node, self._learner
+        phase, done, monitor = self.phase(), plan.progress, session.monitor
+        assert monitor is not None  # a training has one
         overridden = session.override.active
         fine = phase not in (Phase.PAUSED, Phase.WAITING) and learner.alive and not overridden
         values = {
-            "episode": session.current.episode,
+            "episode": plan.explorer.current.episode,
             "lost samples": session.clock.lost,
-            "interruptions": session.progress.interruptions,
-            "rollbacks": session.progress.rollbacks,
-            "examination": _exam_line(exams[-1], session) if (exams := session.progress.exams) else "none yet",
-            "last stop": session.run.last_stop or "none",
+            "interruptions": done.interruptions,
+            "rollbacks": done.rollbacks,
+            "examination": _exam_line(done.exams[-1], plan) if done.exams else "none yet",
+            "last stop": plan.run.last_stop or "none",
             "override": session.override.description,
-            "policy": f"blake2b {session.explorer.policy.digest()}",
-            "best score": session.progress.best_score,
-            "error peak [N]": session.monitor.peak,
-            "chatter [A/s]": session.monitor.chatter,
-            "certificate violations": session.monitor.violations,
+            "policy": f"blake2b {plan.policy.digest()}",
+            "best score": done.best_score,
+            "error peak [N]": monitor.peak,
+            "chatter [A/s]": monitor.chatter,
+            "certificate violations": monitor.violations,
             "learner restarts": learner.restarts,
             "updates": learner.updates,
             "transitions": learner.replay.produced,
-            "inference": session.explorer.inference.sentence(),
+            "inference": plan.explorer.inference.sentence(),
             "response": node.timing.response.sentence(),
             "state to gains": node.timing.age.sentence(),
             "jitter": node.timing.jitter.sentence(),
@@ -133,34 +130,36 @@ class TrainingProgress:
         return Status(level=Level.OK if fine else Level.WARN, message=message, values=values)
 
 
-class EvaluationProgress:
-    """Progress bar of one evaluation."""
+class TrialProgress:
+    """Progress bar of a plan's trials; use as context manager."""
 
-    def __init__(self, session: TrialRunner[Comparison]) -> None:
-        self._session = session
-        form = _BAR.replace("{elapsed}", "{elapsed}<{remaining}")
-        self._bar: tqdm[None] = progress(total=len(session.plan), label="evaluating", bar_format=form)
+    def __init__(self, session: TrialRunner[Any], label: str) -> None:
+        self._session, self._label = session, label
+        form = _BAR.replace("{elapsed}", "{elapsed}<{remaining}") if session.plan.total else None
+        self._bar: tqdm[None] = progress(total=session.plan.total or None, label=label, bar_format=form)
+
+    def __enter__(self) -> TrialProgress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.tick()
+        self._bar.close()
 
     def tick(self) -> None:
         """Redraw."""
         session = self._session
-        self._bar.n = len(session.scores)
+        self._bar.n = round(session.plan.done)
         if (trial := session.plan.trial) is not None:
             state = "" if (now := session.watch.summary) == "armed" else f" ({now})"
             held = f"OVERRIDDEN {session.override.description}, " if session.override.active else ""
-            self._bar.set_description_str(f"evaluating{state}", refresh=False)
-            self._bar.set_postfix_str(f"{held}{trial.controller.name} at {trial.case.name}", refresh=False)
+            self._bar.set_description_str(f"{self._label}{state}", refresh=False)
+            self._bar.set_postfix_str(f"{held}{trial.name}", refresh=False)
         self._bar.refresh()
 
-    def close(self) -> None:
-        """Take the bar away."""
-        self.tick()
-        self._bar.close()
 
-
-def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
+def _exam_line(result: dict[str, Any], plan: TrainingPlan) -> str:
     """Return an examination's result: RMSE at each sine, and relative to the fixed gains."""
-    settings = session.settings.exam
+    settings = plan.settings.exam
     rmse = " ".join(f"{value:.1f}" for value in result["rmse"])
     fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
     error = f" +- {result['error']:.3f}" if result.get("error") else ""

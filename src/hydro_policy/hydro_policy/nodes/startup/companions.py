@@ -16,17 +16,18 @@ bench file, and digests of all weights involved.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.companion import Companion, start_page
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_core.files import bench_file
 from hydro_policy.nodes.graph.announcements import companion_output
+from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.learned_bench import shipped
@@ -98,16 +99,6 @@ def guard_parameters(gains: GainRange, words: Sequence[str]) -> list[str]:
     return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
 
 
-def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
-    """Return why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
-    if tuple(words) == NO_FILTER:
-        return ""
-    _, settings = requested_filter(words, bench)
-    wide = guard_range(gains).delta_kp_max > GuardSettings().delta_kp_max
-    bypassed = "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
-    return bypassed if wide and settings.bypass else ""
-
-
 PLANTS = ("sim", "emulator", "bench", "external")
 LOAD_FORCE = "load_force"
 """File, in the folder of the companions, of the last forces on the emulated load (`evaluation.load_force`)."""
@@ -154,20 +145,34 @@ class PlantOptions:
         return self.plant == "bench" or self.pace == "real"
 
 
-def start_companions(
-    stack: ExitStack, options: PlantOptions, gains: GainRange, folder: Path, keep: Callable[[str], None]
-) -> list[Companion]:
-    """Start the companions in order; `stack` stops them in reverse, so that the recorder sees everything.
+def start_plant(
+    stack: ExitStack, node: GraphNode, options: PlantOptions, gains: GainRange, folder: Path, *, page: bool
+) -> str:
+    """Start page, plant and companions, which `node` watches; returns what the filter leaves uncovered (safety.md).
 
-    `keep` takes each line of their output.
+    `stack` stops them in reverse order, so that the recorder sees everything. `gains`: range that the guard has to
+    pass. `folder`: of port and pipes of an emulator, and of its load force.
 
-    Raises CompanionError: a companion cannot be started: the packages are not built or sourced.
+    Raises PairingError before anything runs: the filter does not fit; CompanionError: the packages are not built or
+    sourced.
     """
-    output = companion_output(keep)
-    return [
+    start_page(stack, node, wanted=page, keep=node.announcer.keep)
+    if options.plant == "external":
+        return ""
+    uncovered = ""
+    if options.filter != NO_FILTER:
+        _, settings = requested_filter(options.filter, options.bench)
+        if settings.bypass and guard_range(gains).delta_kp_max > GuardSettings().delta_kp_max:
+            uncovered = "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
+            node.say(uncovered, warning=True)
+    output = companion_output(node.announcer.keep)
+    started = [
         stack.enter_context(Companion(package, executable, arguments, output=output))
         for package, executable, arguments in commands(options, gains, folder)
     ]
+    node.watch_companions(started, options.recording)
+    node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
+    return uncovered
 
 
 def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:
@@ -187,8 +192,10 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "sim":
         words = [*bench, *(["--model", str(options.model)] if options.model else []), *scheduling]
         words += ["--seed", str(options.seed), "--pace", options.pace]
-        plant = _plant("hydro_sim", "sim", [*words, *_with_base_gains(guard, options.base_gains)], options)
-        return [*started, plant]
+        if options.base_gains is not None:
+            kp, ki = map(float, options.base_gains)
+            guard = [*(guard or ["--ros-args"]), "-p", f"box.base_kp:={kp}", "-p", f"box.base_ki:={ki}"]
+        return [*started, _plant("hydro_sim", "sim", [*words, *guard], options)]
     port = options.port
     if options.plant == "emulator":
         port = port or str(folder / "port")
@@ -207,14 +214,6 @@ def _plant(package: str, node: str, words: list[str], options: PlantOptions) -> 
         return package, node, words
     asked = shlex.join([*(["--bench", str(options.bench)] if options.bench else []), *options.filter])
     return "hydro_filter", "filtered_plant", [node, f"--filter={asked}", *words]
-
-
-def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) -> list[str]:
-    """Return the ROS parameters of a simulation, with its box's base gains if given."""
-    if base_gains is None:
-        return parameters
-    kp, ki = base_gains
-    return [*(parameters or ["--ros-args"]), "-p", f"box.base_kp:={float(kp)}", "-p", f"box.base_ki:={float(ki)}"]
 
 
 def recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:

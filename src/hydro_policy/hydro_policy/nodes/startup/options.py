@@ -120,7 +120,11 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
 def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
     """Return the plant options as stored in YAML, with absolute paths."""
     words = {name: getattr(options, name) for name in _PLANT_WORDS}
-    return {name: _absolute(value) for name, value in words.items() if value}
+    return {
+        name: value if isinstance(value, list) else str(Path(value).absolute() if os.path.exists(value) else value)
+        for name, value in words.items()
+        if value
+    }
 
 
 def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mapping[str, Any]) -> None:
@@ -131,12 +135,6 @@ def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any]
     result.set_defaults(
         **{n: Path(v) if n in ("truth", "bench", "load_cell", "model") else v for n, v in words.items()}
     )
-
-
-def _absolute(value: str | Path | list[float]) -> str | list[float]:
-    if isinstance(value, list):  # gains
-        return value
-    return str(Path(value).absolute()) if os.path.exists(value) else str(value)
 
 
 def take_site(options: argparse.Namespace) -> None:

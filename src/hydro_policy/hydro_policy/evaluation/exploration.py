@@ -1,35 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An episode: exploration, a hundred times a second, and statistics."""
+"""Exploration: the controller of a training episode, a hundred times a second, and the episode's statistics."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import FloatArray
+from hydro_core.signals import FloatArray, LawCommand, ReferenceSignal
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import ReplayBuffer
 from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, Step, observe, rewards
 
+if TYPE_CHECKING:  # evaluate does without
+    from hydro_policy.sac.sac import ReplayBuffer
+
+EXPLORING = "exploring policy"
 SETTLING_STEPS = 50
 """Initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s."""
-
-
-class Phase(IntEnum):
-    """Values of `TrainingStatus.phase`."""
-
-    WAITING = 0
-    TRAINING = 1
-    EVALUATING = 2
-    PAUSED = 3
-    FINISHED = 4
 
 
 @dataclass(kw_only=True)
@@ -82,52 +76,103 @@ class EpisodeRecord:
 
 
 class Explorer:
-    """Draws actions from the policy, publishes gains, and appends transitions to the replay buffer.
+    """Controller that learns: it acts by policy steps, and appends their transitions to the replay buffer.
 
-    `settings`: settings of the run. `replay`: replay buffer of the transitions. `outputs`: the graph.
+    An episode goes on under gains that a person holds, which are not learnt from. Its end is a truncation: the next
+    state's value is bootstrapped. Only a trip by the box or a stop by the monitor is a termination.
+
+    Parameters
+    ----------
+    settings
+        Settings of the run.
+    replay
+        Of the transitions.
+    outputs
+        The graph.
+    new_weights, wake
+        Return the actor's parameters if they are newer; tell the learner of a transition.
     """
 
-    def __init__(self, settings: TrainingSettings, replay: ReplayBuffer, outputs: Outputs) -> None:
-        self.task = settings.task
+    name = EXPLORING
+    law = LawCommand()
+
+    def __init__(
+        self,
+        settings: TrainingSettings,
+        replay: ReplayBuffer,
+        outputs: Outputs,
+        new_weights: Callable[[], FloatArray | None],
+        wake: Callable[[], None],
+    ) -> None:
+        self.task, self.reach = settings.task, settings.task.gains
         self.policy = Policy(settings.sac, settings.task.size)
         self.rng = np.random.default_rng(settings.seed)
         self.inference = Latency()  # observe, act, map to gains
         self.published = 0
         """Number of gains sent so far, from any source: the message's step."""
-        self._replay, self._outputs = replay, outputs
+        self.total_steps = 0
+        """Of all episodes."""
+        self.current = EpisodeRecord(episode=0)
+        """The present episode, or the last one."""
+        self._replay, self._outputs, self._new_weights, self._wake = replay, outputs, new_weights, wake
         self._observation: FloatArray | None = None
         self._action: FloatArray = np.zeros(ACTIONS)
         self._mean: FloatArray = np.zeros(ACTIONS)  # mean of the drawn action
 
-    def step(self, step: Step) -> float | None:
-        """Act, then store the transition, so that gains leave at once; returns the last action's reward."""
-        before, taken, observation = self._observation, self._action, self._act(step)
-        if observation is None:
-            return None
-        reward = math.nan
-        if before is not None:
-            reward = float(rewards.tracking(self.task, step.error, step.error_rate))
-            if step.whole:
-                self._remember(before, taken, reward, observation, terminated=False)
-        self._tell(reward)
-        return None if before is None else reward
+    @property
+    def finished(self) -> bool:
+        """Whether the episode has all its steps."""
+        return self.current.steps >= self.task.steps_per_episode
 
-    def hold(self, gains: tuple[float, float], step: Step | None = None) -> float | None:
+    def reset(self) -> None:
+        """See `Controller`: an episode goes on where the one before it ended."""
+
+    def begin(self, episode: int, signal: ReferenceSignal) -> None:
+        """Begin an episode, or begin it again."""
+        self.current = EpisodeRecord(episode=episode, amplitude=signal.amplitude, frequency=signal.frequency)
+
+    def act(self, step: Step) -> None:
+        """Act on a step under the newest policy, then store the transition, so that gains leave at once."""
+        parameters = self._new_weights()
+        if parameters is not None:
+            self.policy.load_flat(parameters)
+        before, taken, observation = self._observation, self._action, self._act(step)
+        if observation is not None:
+            reward = math.nan
+            if before is not None:
+                reward = float(rewards.tracking(self.task, step.error, step.error_rate))
+                if step.whole:
+                    self._remember(before, taken, reward, observation, terminated=False)
+            self._tell(reward)
+            if before is not None:
+                self._count(step, reward)
+        self._wake()
+
+    def hold(self, gains: tuple[float, float], step: Step | None = None, *, under_way: bool = False) -> None:
         """Publish these gain changes instead of the policy's; the transitions that follow are not stored.
 
-        The step that they end is still the policy's and is stored: pass it. Returns its reward.
+        The step that they end is still the policy's and is stored. `under_way`: whether it is one of an episode.
         """
         before, taken = self._observation, self._action
-        reward = None
         if before is not None and step is not None:
             reward = float(rewards.tracking(self.task, step.error, step.error_rate))
             after = observe(step.sample, taken, self.task.size)
             if step.whole and np.isfinite(after).all():
                 self._remember(before, taken, reward, after, terminated=False)
+            if under_way:
+                self._count(step, reward)
+        self.current.overridden_steps += under_way
         self._publish(gains)
         self._observation = None
         self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # previous action in the policy's observation
-        return reward
+
+    def _count(self, step: Step, reward: float) -> None:
+        self.current.add(step, reward)
+        self.total_steps += 1
+
+    def gains(self, sample: FloatArray) -> tuple[float, float]:
+        """See `Controller`: those of the last action."""
+        return self.task.gains.gains(self._action)
 
     def terminate(self, sample: FloatArray) -> None:
         """Store the last action's transition as terminal, with the penalty: its result had to be stopped."""

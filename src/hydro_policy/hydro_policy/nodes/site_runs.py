@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a commissioning runs on a site: trials and executables.
+
+Trials are made on one plant: the emulator, if it is emulated, a bridge, and the node that commands. The emulator runs
+until the end; the bridge, with the filter in its process, and the node until another filter is needed, or the port, or
+the machine. Each motion has a recording of its own, and leaves the plant disarmed.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from hydro_bridge.bags.writer import code_version
+from hydro_bridge.ros.companion import Companion, RecorderWatch
+from hydro_bridge.ros.node import leave_graph
+from hydro_bridge.safety.guard import NOT_OFFERED
+from hydro_bridge.safety.readiness import NotReadyError, Requirement
+from hydro_core.cli.console import UserError, print_above_progress, typed_lines
+from hydro_core.files import site
+from hydro_core.process.endings import undisturbed
+from hydro_policy.commissioning.record import GateError, Record
+from hydro_policy.evaluation import report
+from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.evaluation.runner import Rest
+from hydro_policy.nodes.evaluation import box_mismatch, evaluate_on, required_gain_range, show_results, write_page
+from hydro_policy.nodes.graph.announcements import CompanionWatch, companion_output
+from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.startup.companions import NO_FILTER, PlantOptions, commands, guard_range, recorder_arguments
+from hydro_policy.runs.run import RunDirectory
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import corrections
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import GainRange
+from hydro_sim.files.pairing import BoxIdentity
+
+TRUTH = "truth.yaml"
+"""What the emulated bench of a site is made of; where there is none, the emulator's own."""
+EMULATED = "emulator"
+PORT_WITHIN = 60.0
+"""s, for the emulator's port."""
+ENDS_WITHIN = 30.0
+"""s, for a recorder to complete its recording."""
+
+
+class Site:
+    """The folder of one bench, and what runs on it; use as context manager.
+
+    Parameters
+    ----------
+    folder
+        Of the site.
+    record
+        What is known of it; its plant is the serial port of the box, or `EMULATED`.
+    rearm
+        Whether the plant is armed without a person.
+    policy
+        Whether a policy is to be trained.
+    log
+        Takes what all processes say, warnings of which are also shown.
+    """
+
+    def __init__(self, folder: Path, record: Record, *, rearm: bool, policy: bool, log: IO[str]) -> None:
+        self.folder, self.record, self.policy, self.bench = folder, record, policy, folder / site.BENCH
+        self._rearm, self._log = rearm, log
+        self._typed = None if rearm else typed_lines()
+        self._port = str(folder / "port") if record.plant == EMULATED else record.plant
+        self._emulator: Companion | None = None
+        self._bridge: Companion | None = None
+        self._node: GraphNode | None = None
+        self._serves: list[tuple[str, str, list[str]]] = []  # command line of the bridge
+        self._stack, self._connection = ExitStack(), ExitStack()
+
+    def __enter__(self) -> Site:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        with self._stack:
+            self._disconnect()
+
+    def recording(self, name: str) -> Path:
+        """Return the folder of a recording."""
+        return self.folder / site.RECORDINGS / name
+
+    def run(self, package: str, executable: str, *words: str, loud: bool = True) -> str:
+        """Run an executable that needs the machine or the port for itself to its end; returns its last line.
+
+        Its output goes into the log, and to the terminal if it is `loud`.
+
+        Raises GateError: it did not end with status 0; the reason is its last line.
+        """
+        self._disconnect()
+        self._log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
+
+        def take(line: str) -> None:
+            self._log.write(line)
+            if loud:
+                print_above_progress(line.rstrip("\n"))
+
+        with Companion(package, executable, words, output=take) as running:
+            status = running.process.wait()
+        said = running.last_line
+        if status:
+            raise GateError(f"{executable}: {said.removeprefix('error: ') or f'ended with status {status}'}")
+        return said
+
+    def free_port(self) -> str:
+        """Return the port, which nothing of ours uses; an emulated one appears at the first call.
+
+        Raises UserError: the emulator does not start.
+        """
+        self._disconnect()
+        if self.record.plant != EMULATED or self._emulator is not None:
+            return self._port
+        port, truth = Path(self._port), self.folder / TRUTH
+        port.unlink(missing_ok=True)  # of one that was killed
+        words = ["--link", self._port, "--bench", str(self.bench)]
+        words += ["--truth", str(truth)] if truth.is_file() else []
+        self._emulator = self._stack.enter_context(Companion("hydro_sim", "emulator", words, output=self._log.write))
+        end = time.monotonic() + PORT_WITHIN
+        while not port.exists():
+            if not self._emulator.running or time.monotonic() > end:
+                reason = self._emulator.last_line.removeprefix("error: ")
+                raise UserError(f"the emulator does not start: {reason}")
+            time.sleep(0.1)
+        return self._port
+
+    def rest(self, name: str, seconds: float) -> None:
+        """Record so many seconds at rest as recordings/NAME.
+
+        Raises NotReadyError, CompanionError: as `GraphNode.run_session`; KeyboardInterrupt: a signal arrived.
+        """
+        with self._recorded(name, required_gain_range([])) as (node, recorder):
+            watch = node.supervisor(recorder, rearm=False, filtered=False)
+            if not node.run_session(Rest(seconds, watch), lambda: None):
+                raise KeyboardInterrupt
+
+    def compare(
+        self, name: str, settings: EvaluationSettings, controllers: Sequence[Controller] = (), *,
+        words: Sequence[str] = NO_FILTER, learned: bool = False, policies: Sequence[Path] = (),
+    ) -> dict[str, Any]:  # fmt: skip
+        """Run the trials of a comparison with the compensated law; returns its JSON (`evaluation.report`).
+
+        Parameters
+        ----------
+        name
+            Of recording and report.
+        settings, controllers
+            References and lengths; controllers besides that law.
+        words
+            Of the filter's command line.
+        learned
+            Whether that law is also run with the learned residual.
+        policies
+            Files whose digests the recording keeps.
+
+        Raises NotReadyError: the box has not that law; and as `rest`.
+        """
+        run = RunDirectory(self.folder / site.REPORTS / name)
+        shutil.rmtree(run.path, ignore_errors=True)
+        run.path.mkdir(parents=True)
+        with self._recorded(name, required_gain_range(controllers), words, policies) as (node, recorder):
+            if node.law is None:
+                raise NotReadyError(NOT_OFFERED)
+            if self._typed is not None:
+                node.listen_for_enter(self._typed)
+            filtered = tuple(words) != NO_FILTER
+            needed = (corrections(lambda: node.corrected),) if filtered else ()
+            watch = node.supervisor(recorder, *needed, rearm=self._rearm, filtered=filtered)
+            results = evaluate_on(node, controllers, watch, settings=settings, learned=learned)
+            if not results.finished:
+                raise KeyboardInterrupt
+        gains = "{:g} {:g}".format(*self.record.base_gains)
+        notes = {"plant": self.record.plant, "filter": " ".join(words), "bench": str(self.bench), "base gains": gains}
+        notes["code_version"] = code_version()
+        show_results(results, run, notes)
+        write_page(run, f"Evaluation {name}", notes, report.sections(results, run.tracking_plot))
+        return read_json(run.evaluation)
+
+    def _disconnect(self) -> None:
+        self._connection.close()
+        self._bridge, self._node, self._serves = None, None, []
+
+    def _connected(self, options: PlantOptions, reach: GainRange) -> GraphNode:
+        """Return the node that commands this plant, behind a bridge with this filter, for this range of gains."""
+        serves = commands(options, reach, self.folder)
+        if self._node is not None and serves == self._serves:
+            return self._node
+        self.free_port()
+        node = GraphNode("commission")
+        self._connection.callback(leave_graph, node)
+        node.announcer.log = self._log
+        for package, executable, arguments in serves:
+            output = companion_output(node.announcer.keep)
+            self._bridge = self._connection.enter_context(Companion(package, executable, arguments, output=output))
+        node.companions = self._watched()
+        kp, ki = self.record.base_gains or (None, None)
+        base = None if kp is None or ki is None else (kp, ki)  # not told before the first recording
+        node.box_fault = partial(box_mismatch, BoxIdentity.of_file(self.bench, base))
+        if not node.wait_for_plant(law=True) or node.box is None:
+            raise KeyboardInterrupt
+        node.override = GainOverride(guard_range(reach), node.override.say, node.box.base_gains)
+        if options.filter != NO_FILTER:
+            node.listen_to_corrections()
+        self._node, self._serves = node, serves
+        return node
+
+    def _watched(self, *others: Companion) -> CompanionWatch:
+        return CompanionWatch([one for one in (self._emulator, self._bridge, *others) if one is not None])
+
+    @contextmanager
+    def _recorded(
+        self, name: str, reach: GainRange, words: Sequence[str] = NO_FILTER, policies: Sequence[Path] = ()
+    ) -> Iterator[tuple[GraphNode, Requirement]]:
+        """Give the node, and the requirement of its recorder; the plant is left disarmed, before the recording ends."""
+        options = PlantOptions(
+            plant="bench", port=self._port, bench=self.bench, filter=tuple(words), policies=tuple(policies)
+        )
+        node, folder = self._connected(options, reach), self.recording(name)
+        shutil.rmtree(folder, ignore_errors=True)
+        with ExitStack() as quiet, ExitStack() as stack:
+            arguments = ["--realtime", *recorder_arguments(options, folder)]
+            output = companion_output(node.announcer.keep)
+            recorder = Companion("hydro_bridge", "recorder", arguments, output=output)
+            stack.callback(recorder.stop, ENDS_WITHIN)
+            node.companions = self._watched(recorder)
+            stack.callback(node.disarm)
+            stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C waits
+            yield node, RecorderWatch(node, folder, recorder).requirement
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a result (raises GateError where there is none)."""
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise GateError(f"{path} cannot be read: {error}") from None
+    return content
