@@ -16,13 +16,13 @@ from scipy.ndimage import gaussian_filter1d
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import completed
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.curves import ForceCurve, Motion, Terms, motions, splines
+from hydro_diagnosis.curves import ForceCurve, Motion, Point, Terms, motions, splines
 from hydro_diagnosis.effects.kernels import splined
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.shapes import Fitted, missing_sign, named
+from hydro_diagnosis.shapes import Fitted, missing_sign, named, simplest, sure
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
@@ -93,6 +93,21 @@ def test_the_simplest_shape_is_named_whatever_the_size_of_the_machine(
                      (truth.get(one, 0.0) for one in ("dry", "viscous", "constant", "rise")), strict=True))  # fmt: skip
     for k, name in enumerate(names):
         assert found.low[k] <= scale * right[name] <= found.high[k], name
+
+
+def points(*of: tuple[float, float, float]) -> list[Point]:
+    return [Point(at=at, force=force, error=error, strokes=5) for at, force, error in of]
+
+
+def test_one_number_that_misses_few_points_grossly_does_not_stand() -> None:
+    # eha_loaded of benchmarks.real_recordings: a load that acts one way
+    loaded = points((-0.0131, -1995.0, 12.0), (0.0127, 6569.0, 8.9), (0.0179, 6953.0, 29.0))
+    names = frozenset({"dry", "viscous", "constant", "stribeck", "directional"})
+    found = sure(loaded, simplest(loaded, 0.0137, allowed=names), 0.0137)
+    assert found.shape.names == ["dry", "constant"] and not found.missed
+    assert all(low >= 0.0 for low in found.low)
+    alike = points((-0.0131, -4200.0, 12.0), (0.0127, 4100.0, 8.9), (0.0179, 4500.0, 29.0))
+    assert sure(alike, simplest(alike, 0.0137, allowed=names), 0.0137).shape.names == ["dry"]
 
 
 def elastic(level: float, rise: float, *, sharp: bool) -> Law:
