@@ -21,6 +21,7 @@ from hydro_diagnosis.effects.kernels import splined
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.shapes import Fitted, missing_sign, named, simplest, sure
 from hydro_sim.model.bench import Bench
@@ -200,6 +201,26 @@ def test_segments_that_follow_on_each_other_are_one_motion() -> None:
     (segment,) = checked(strokes(rubbing()), BENCH).segments
     parts = [segment.cut(0, 12_000), segment.cut(12_000, 20_000), segment.cut(24_000, 40_000)]
     assert [len(one.models) for one in motions(Problem(parts, BENCH).models)] == [2, 1]
+
+
+@pytest.mark.parametrize("dry", [0.0, 40.0])
+def test_a_load_cell_at_the_rod_is_part_of_the_balance_of_two_pressures(tmp_path: Path, dry: float) -> None:
+    """A load that no spring makes was refused: without it the machine's own force was missing from the motion."""
+    area, ratio = 2e-3, 0.6
+    for seed in (0, 1):
+        table = strokes(rubbing(dry), seed=seed, noise=0.0, seconds=25.0)
+        rng, driving = np.random.default_rng(seed + 7), table.columns.pop("hydraulic_force")
+        load = 800.0 + 2000.0 * np.sin(2.0 * np.pi * 0.27 * table.time + seed)
+        into_b = 2e6 + 1e6 * np.sin(2.0 * np.pi * 0.11 * table.time)
+        pressures = {"pressure_a": (driving + load) / area + ratio * into_b, "pressure_b": into_b}
+        noisy = {name: one + 300.0 * rng.standard_normal(len(one)) for name, one in pressures.items()}
+        table.columns.update(noisy, load_force=load + 0.5 * rng.standard_normal(len(load)))
+        pd.DataFrame({"time": table.time, **table.columns}).to_csv(tmp_path / f"{seed}.csv", index=False)
+    bench = {"moving_mass": 1.0, "piston_area": area, "area_ratio": ratio}
+    report = diagnose([tmp_path / "0.csv"], holdout=[tmp_path / "1.csv"], bench=bench).report
+    assert report.checked == ["motion"] and any("at the rod" in note for note in report.data_quality)
+    sizes = {one.id: [two.value for two in one.parameters.values()] for one in report.effects}
+    assert sizes == ({"friction_coulomb": [pytest.approx(dry, rel=0.02)]} if dry else {})
 
 
 def test_a_rough_recording_gets_its_names_its_share_and_its_curve(tmp_path: Path) -> None:
