@@ -98,12 +98,12 @@ STRETCH = 2e-4
 """CPU [s] of a segment, however short, in a block."""
 COLUMN = 5e-8
 """CPU [s] of a sample's response to one column of a screen."""
-LEAST = 40.0
+LEAST = 36.0
 """Default budget [s] of search and laws, for up to 60 s at 1 kHz; beyond, in proportion to the samples. What follows
 takes a quarter of it at most.
 """
-SEARCH = 0.5
-"""Share of it that the search for names may take: laws need as long again."""
+SEARCH = 0.6
+"""Share of it that the search for names may take; the rest is for laws."""
 
 
 @dataclass

@@ -21,7 +21,7 @@ Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
 SAME = 0.05
 """Share of the box's period by which a logger's may differ and still be the box's."""
-BETWEEN = 5
+BETWEEN = 10
 """Samples from one row of a slow logger to the next at most: its splines bend no faster."""
 _SMOOTH = (*MEASURED, "valve_current")
 """Channels that are interpolated by splines; all others by straight lines."""
