@@ -77,6 +77,9 @@ def _placed(
     }
     for key, values in columns.items():
         channels[key][at] = values
+    held = step / SAMPLE_PERIOD  # of the box's milliseconds, in each of which the current is another
+    if "valve_current" in columns and spacing > 1 and held > 1.5:
+        channels["valve_current"] = CubicSpline(at, columns["valve_current"])(even + 0.5 * (held - 1.0) / held)
     return Segment(name, start, step, channels, spacing, measured, thinner)
 
 
