@@ -5,7 +5,8 @@ A number that is not given has a stand-in that no residual reads and that passes
 written. Viscous friction and spring have none: where they are not given, there are none.
 
 A force that only the pressures tell brings the motion equation in where the mass is known; a force cell always does.
-Viscous friction and spring are in the motion equation where the bench has them.
+Viscous friction and spring are in the motion equation where the bench has them. Without a spring a load cell measures
+what the rod gives away, and is in the motion equation: m x_p'' = f_h - f_l - friction.
 """
 
 from __future__ import annotations
@@ -179,10 +180,21 @@ CONNECTIONS = (
 )  # fmt: skip
 
 
+def at_the_rod(channels: Collection[str], bench: Bench) -> bool:
+    """Return whether the load cell is part of the motion's balance: a force drives, and no spring makes the load's."""
+    driven = {"hydraulic_force"} <= set(channels) or {"pressure_a", "pressure_b"} <= set(channels)
+    return {"load_force", "piston_position"} <= set(channels) and driven and not has_spring(bench)
+
+
 def connected(channels: Collection[str], bench: Bench) -> tuple[Connection, ...]:
     """Equations that these channels bring in."""
+    measured = at_the_rod(channels, bench)
     return tuple(
-        one for one in CONNECTIONS if one.channels <= set(channels) and (not one.if_known or knows(bench, one.if_known))
+        one
+        for one in CONNECTIONS
+        if one.channels <= set(channels)
+        and (not one.if_known or knows(bench, one.if_known))
+        and not (measured and one.block == LOAD)
     )
 
 
@@ -239,6 +251,8 @@ def left_out(channels: Collection[str], bench: Bench) -> list[str]:
         for one in CONNECTIONS
         if one.if_known and one.channels <= set(channels) and one.block not in blocks
     ]
+    if at_the_rod(channels, bench) and MOTION in blocks:
+        notes.append("load_force is part of the motion's balance, as measured at the rod: the bench file has no spring")
     absent = [name for name in ("viscous_friction", "spring_stiffness") if name in bench.absent]
     if absent and MOTION in blocks:
         words = " and no ".join(name.replace("_", " ") for name in absent)

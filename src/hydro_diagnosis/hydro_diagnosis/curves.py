@@ -109,19 +109,16 @@ class Motion:
         first = models[0]
         self.models = list(models)
         bench, step = first.base, first.step * first.spacing
-        channels = {
-            name: np.concatenate([one.channels[name][one.segment.phase :: one.spacing] for one in models])
-            for name in first.channels
-        }
-        raw = channels.get("hydraulic_force")
-        if raw is None:
-            raw = bench.piston_area * (channels["pressure_a"] - bench.area_ratio * channels["pressure_b"])
+        place, raw = (
+            np.concatenate([part[one.segment.phase :: one.spacing] for one, part in zip(models, parts, strict=True)])
+            for parts in ([one.channels["piston_position"] for one in models], [one.driving_force for one in models])
+        )
         self.recording = first.segment.recording
         self.mass = bench.moving_mass
-        self.band = band(channels["piston_position"], step)
+        self.band = band(place, step)
         every = max(int(1.0 / (RATE * self.band * step)), 1)
         self.step = step * every
-        position, force = (self._passed(one, step)[::every] for one in (channels["piston_position"], raw))
+        position, force = (self._passed(one, step)[::every] for one in (place, raw))
         self.position, self.measured = position, force
         self.velocity = np.gradient(position, self.step)
         self.acceleration = np.gradient(self.velocity, self.step)

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.fit import Fit, fit, without_one
 from hydro_diagnosis.estimation.intervals import Interval, is_significant, without_insignificant
 from hydro_diagnosis.estimation.problem import CHANNELS, NOTICEABLE, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
@@ -61,6 +61,8 @@ def judged(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tupl
     `holdout`: what was held out; `found`: the search's fit; `nothing`: that without claims.
     """
     while True:
+        if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < NEARLY_ALL:
+            found = _but(problem, found, _suspects(problem, found))  # fewer claims explain no more
         kept, bounds = without_insignificant(problem, found)
         kept = _standing(problem, holdout, kept, nothing)
         if len(kept.claims) == len(found.claims):
@@ -87,9 +89,9 @@ def _harmless(problem: Problem, holdout: Problem, found: Fit) -> Fit:
     """The fit without the name that makes what was held out worse by most, beyond chance."""
     unseen = holdout.weighed(found.claims)
     before = unseen.deviance(unseen.residual(found.claims))
-    others = [fit(problem, found.but(claim)) for claim in found.removable]
+    others = [without_one(problem, found, claim) for claim in found.removable]
     harm = [before - unseen.deviance(unseen.residual(fewer.claims)) for fewer in others]
-    return others[int(np.argmax(harm))] if max(harm, default=0.0) > CHANCE else found
+    return fit(problem, others[int(np.argmax(harm))].claims) if max(harm, default=0.0) > CHANCE else found
 
 
 def coincidence(claims: Sequence[Claim]) -> bool:
@@ -108,7 +110,13 @@ def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
     left = any(claim.effect.label in suspects for claim in fewer.claims)
     if left and explained_share(problem, fewer, nothing) >= NEARLY_ALL:
         return fewer
-    return fit(problem, tuple(claim for claim in fewer.claims if claim.effect.label not in suspects))
+    return _but(problem, fewer, suspects)
+
+
+def _but(problem: Problem, found: Fit, labels: set[str]) -> Fit:
+    """The fit without claims of these labels."""
+    kept = tuple(claim for claim in found.claims if claim.effect.label not in labels)
+    return fit(problem, kept) if len(kept) < len(found.claims) else found
 
 
 def _suspects(problem: Problem, found: Fit) -> set[str]:
@@ -148,12 +156,12 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str
         open_ = [one for one in current.removable if one.effect.label in suspects]
         if not open_ or len(current.judged) == 1:
             return current
-        smaller = [fit(problem, current.but(claim)) for claim in open_]
+        smaller = [without_one(problem, current, claim) for claim in open_]
         remains = float(np.sum(np.square(current.residual[rows])))
         losses = [float(np.sum(np.square(one.residual[rows]))) - remains for one in smaller]
         if min(losses) > MINOR * gap:
             return current
-        current = smaller[int(np.argmin(losses))]
+        current = fit(problem, smaller[int(np.argmin(losses))].claims)
 
 
 def assessed(

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names as shapes of the curve of the missing force, and their sizes.
 
-From the simplest shape on: another name joins if a point is missed, and if with it none is, or the points' evidence
-(BIC, their discrepancy estimated) is for it. A point is missed by more than two standard errors and more than `MATTERS`
-of the largest force.
+The simplest shape that misses no point, of half as many numbers as points. Where there is none, another name joins as
+long as the points' evidence (BIC, their discrepancy estimated) is for it. A point is missed by more than two standard
+errors and more than `MATTERS` of the largest force. Where one number is all that few points have room for and misses
+one grossly, it is a number either way: dry friction and a constant force.
 
 Sizes are by generalised least squares on the points; their intervals hold the errors between strokes and a discrepancy
 of the shape, estimated from what it misses, whose errors at neighbouring speeds are alike (Kennedy and O'Hagan 2001).
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.special import stdtrit
@@ -24,6 +26,8 @@ MATTERS = 0.05
 """Share of the largest force that matters to a person."""
 SURE = 2.0
 """Standard errors by which a point is missed, and beyond which it counts less for the sizes (Huber 1964)."""
+GROSS = 2.0
+"""Times what is uncertain or matters by which a point is missed grossly: then a name that would not miss it stands."""
 ROUNDS = 8
 """Rounds of weighing and fitting."""
 CONFIDENCE = 0.975
@@ -68,6 +72,11 @@ class Shape:
             *(["constant"] if self.constant else []), *(["stribeck"] if self.stribeck else []),
         ]  # fmt: skip
 
+    @property
+    def numbers(self) -> int:
+        """How many numbers it has, the speed over which a rise fades among them."""
+        return len(self.names) + bool(self.stribeck)
+
     def without(self, name: str) -> Shape:
         """The shape without a name, or with one number of it instead of two."""
         if name == "viscous":
@@ -102,6 +111,8 @@ class Fitted:
     squares: float
     """Weighted squares that are left at the points."""
     missed: int
+    worst: float
+    """Largest miss, over what is uncertain or matters there."""
 
     def force(self, speed: FloatArray, direction: FloatArray | None = None) -> FloatArray:
         """N at speeds [m/s], and directions behind their memory."""
@@ -140,6 +151,7 @@ def fitted(points: Sequence[Point], shape: Shape, top: float) -> Fitted:
     moves = inverse * weight
     errors = np.sqrt(np.maximum(np.diag(moves @ covariance @ moves.T), 0.0))
     reach = errors * float(stdtrit(max(free, 1), CONFIDENCE))
+    missing = np.abs(off) / np.maximum(matters, SURE * error)
     return Fitted(
         shape=shape,
         values=values,
@@ -147,7 +159,8 @@ def fitted(points: Sequence[Point], shape: Shape, top: float) -> Fitted:
         low=values - reach,
         high=values + reach,
         squares=float(np.sum(np.where(far > 1.0, SURE**2 * (2.0 * far - 1.0), np.square(off * plain)))),
-        missed=int(np.count_nonzero(np.abs(off) > np.maximum(matters, SURE * error))),
+        missed=int(np.count_nonzero(missing > 1.0)),
+        worst=float(np.max(missing)),
     )
 
 
@@ -159,19 +172,35 @@ def simplest(
     `viscous`: friction [N s/m] of the bench file, below which the sum cannot be nothing; `allowed`: names, and
     `directional` for viscous friction of two numbers.
     """
+    room = max(len(points) // 2, 1)
+
+    def possible(one: Fitted) -> bool:
+        return (_physical(one, viscous) and set(one.shape.names) <= allowed
+                and (one.shape.viscous < 2 or "directional" in allowed))  # fmt: skip
+
+    whole = [one for one in (fitted(points, shape, top) for shape in _shapes(top) if shape.numbers <= room)
+             if not one.missed and possible(one)]  # fmt: skip
+    if whole:
+        return min(whole, key=lambda one: (one.shape.numbers, one.squares))
     current = fitted(points, Shape(), top)
-    while current.missed:
+    while True:
         tried = [fitted(points, shape, top) for shape in current.shape.richer(top)]
-        room = max(len(points) // 2, 1)
-        possible = [one for one in tried if len(one.values) <= room and _physical(one, viscous)
-                    and set(one.shape.names) <= allowed
-                    and (one.shape.viscous < 2 or "directional" in allowed)]  # fmt: skip
-        best = min(possible, key=lambda one: (one.missed > 0, one.squares), default=current)
+        best = min((one for one in tried if len(one.values) <= room and possible(one)),
+                   key=lambda one: one.squares, default=current)  # fmt: skip
         price = (len(best.values) - len(current.values)) * np.log(len(points))
-        if best is current or (best.missed and len(points) * np.log(best.squares / current.squares) > -price):
+        if best is current or len(points) * np.log(best.squares / current.squares) > -price:
             break
         current = best
-    return current
+    either_way = fitted(points, Shape(dry=True, constant=True), top)
+    alone = current.worst > GROSS and room == 1 and len(points) > 2
+    return either_way if alone and not either_way.missed and possible(either_way) else current
+
+
+def _shapes(top: float) -> Iterator[Shape]:
+    """All shapes; `top`: top speed [m/s]."""
+    for dry, viscous, constant in product((False, True), range(3), (False, True)):
+        for share in (0.0, *STRIBECK) if dry else (0.0,):
+            yield Shape(dry, viscous, constant, share * top)
 
 
 def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
@@ -182,6 +211,10 @@ def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
         if not unsure:
             break
         fewer = [fitted(points, found.shape.without(name), top) for name in sorted(unsure)]
+        fewer = [one for one in fewer if found.missed or one.worst < GROSS]
+        if not fewer:  # without it a point is missed grossly: it is needed, and what it may be ends at nothing
+            low = np.where(found.values > 0.0, np.maximum(found.low, 0.0), found.low)
+            return replace(found, low=low, high=np.where(found.values < 0.0, np.minimum(found.high, 0.0), found.high))
         found = _spanning(min(fewer, key=lambda one: one.squares), found)
     return found
 

@@ -259,8 +259,10 @@ def held_out(
     """
     models = unseen.models
     equations = equation_errors(unseen, claims)
-    if not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
+    rod = any(model.at_the_rod for model in models)
+    if rod or not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
         why = "a forward simulation needs current, position and both pressures, and the moving mass"
+        why = "a forward simulation needs a law of the load, which was measured here" if rod else why
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
     horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True, known=known)

@@ -16,13 +16,14 @@ from scipy.ndimage import gaussian_filter1d
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import completed
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.curves import ForceCurve, Motion, Terms, motions, splines
+from hydro_diagnosis.curves import ForceCurve, Motion, Point, Terms, motions, splines
 from hydro_diagnosis.effects.kernels import splined
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.shapes import Fitted, missing_sign, named
+from hydro_diagnosis.shapes import Fitted, missing_sign, named, simplest, sure
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
@@ -93,6 +94,21 @@ def test_the_simplest_shape_is_named_whatever_the_size_of_the_machine(
                      (truth.get(one, 0.0) for one in ("dry", "viscous", "constant", "rise")), strict=True))  # fmt: skip
     for k, name in enumerate(names):
         assert found.low[k] <= scale * right[name] <= found.high[k], name
+
+
+def points(*of: tuple[float, float, float]) -> list[Point]:
+    return [Point(at=at, force=force, error=error, strokes=5) for at, force, error in of]
+
+
+def test_one_number_that_misses_few_points_grossly_does_not_stand() -> None:
+    # eha_loaded of benchmarks.real_recordings: a load that acts one way
+    loaded = points((-0.0131, -1995.0, 12.0), (0.0127, 6569.0, 8.9), (0.0179, 6953.0, 29.0))
+    names = frozenset({"dry", "viscous", "constant", "stribeck", "directional"})
+    found = sure(loaded, simplest(loaded, 0.0137, allowed=names), 0.0137)
+    assert found.shape.names == ["dry", "constant"] and not found.missed
+    assert all(low >= 0.0 for low in found.low)
+    alike = points((-0.0131, -4200.0, 12.0), (0.0127, 4100.0, 8.9), (0.0179, 4500.0, 29.0))
+    assert sure(alike, simplest(alike, 0.0137, allowed=names), 0.0137).shape.names == ["dry"]
 
 
 def elastic(level: float, rise: float, *, sharp: bool) -> Law:
@@ -185,6 +201,26 @@ def test_segments_that_follow_on_each_other_are_one_motion() -> None:
     (segment,) = checked(strokes(rubbing()), BENCH).segments
     parts = [segment.cut(0, 12_000), segment.cut(12_000, 20_000), segment.cut(24_000, 40_000)]
     assert [len(one.models) for one in motions(Problem(parts, BENCH).models)] == [2, 1]
+
+
+@pytest.mark.parametrize("dry", [0.0, 40.0])
+def test_a_load_cell_at_the_rod_is_part_of_the_balance_of_two_pressures(tmp_path: Path, dry: float) -> None:
+    """A load that no spring makes was refused: without it the machine's own force was missing from the motion."""
+    area, ratio = 2e-3, 0.6
+    for seed in (0, 1):
+        table = strokes(rubbing(dry), seed=seed, noise=0.0, seconds=25.0)
+        rng, driving = np.random.default_rng(seed + 7), table.columns.pop("hydraulic_force")
+        load = 800.0 + 2000.0 * np.sin(2.0 * np.pi * 0.27 * table.time + seed)
+        into_b = 2e6 + 1e6 * np.sin(2.0 * np.pi * 0.11 * table.time)
+        pressures = {"pressure_a": (driving + load) / area + ratio * into_b, "pressure_b": into_b}
+        noisy = {name: one + 300.0 * rng.standard_normal(len(one)) for name, one in pressures.items()}
+        table.columns.update(noisy, load_force=load + 0.5 * rng.standard_normal(len(load)))
+        pd.DataFrame({"time": table.time, **table.columns}).to_csv(tmp_path / f"{seed}.csv", index=False)
+    bench = {"moving_mass": 1.0, "piston_area": area, "area_ratio": ratio}
+    report = diagnose([tmp_path / "0.csv"], holdout=[tmp_path / "1.csv"], bench=bench).report
+    assert report.checked == ["motion"] and any("at the rod" in note for note in report.data_quality)
+    sizes = {one.id: [two.value for two in one.parameters.values()] for one in report.effects}
+    assert sizes == ({"friction_coulomb": [pytest.approx(dry, rel=0.02)]} if dry else {})
 
 
 def test_a_rough_recording_gets_its_names_its_share_and_its_curve(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import yaml
 
 from hydro_core.files import bench_file
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
+from hydro_diagnosis.effects.base import Machine, sized
 from hydro_diagnosis.effects.bench_values import TankPressure
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.effects.fluid import EntrainedAir
@@ -37,6 +38,13 @@ from tests.segments import apart, claim, driven, problem_in
 
 BENCH = Bench.nominal()
 ADAPTED = [effect.adapted(BENCH) for effect in CANDIDATES]
+
+
+def test_a_rise_towards_standstill_is_gone_at_the_top_speed() -> None:
+    stribeck = next(one for one in ADAPTED if one.id == "friction_stribeck")
+    found = sized(stribeck, Machine(force=100.0, speed=0.6, stroke=0.05))
+    velocity = next(one for one in found.parameters if one.name == "velocity")
+    assert np.exp(-np.square(0.6 / velocity.high)) == pytest.approx(0.05, abs=1e-3)  # else it passes for dry friction
 
 
 def values_at(effect: Effect, which: str) -> dict[str, float]:

@@ -21,7 +21,7 @@ from hydro_diagnosis.curves import splines
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import SHORTEST, Fit
-from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, COLUMN, FOLDS, Problem
 from hydro_diagnosis.model.responses import Responses
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
@@ -93,7 +93,7 @@ class Screen:
         for term in self._terms:
             many = len(term.columns)
             shown = problem.joined([way.of(term.columns) for way in ways], many)
-            problem.budget.spend(problem.samples * many)
+            problem.budget.spend(COLUMN * problem.samples * many)
             term.square = np.zeros((FOLDS, len(CHANNELS), many, many))
             for channel, responses in shown.items():
                 thinned = responses[:, :: self._every].astype(np.float32)[:, self._order[channel]]

@@ -256,6 +256,10 @@ class Effect:
         return reading
 
 
+FADED = 3.0**-0.5
+"""Speed over which a rise towards standstill fades, over the top speed, at which 5 % of it are left there: exp(-3)."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Machine:
     """How large the machine is that was recorded: numbers of its claims are of that order."""
@@ -271,10 +275,10 @@ class Machine:
         """Largest size that a claim in a unit may have; 0 where the machine does not tell."""
         slow = 0.02 * self.speed
         sizes = {
-            "N": self.force, "N s/m": self.force / slow, "m/s": self.speed,
+            "N": self.force, "N s/m": self.force / slow, "m/s": FADED * self.speed,
             "N/m": self.force / (1e-3 * self.stroke), "kg": self.force * self.stroke / slow**2,
         }  # fmt: skip
-        return 3.0 * sizes.get(unit, 0.0)
+        return sizes.get(unit, 0.0) * (1.0 if unit == "m/s" else 3.0)
 
 
 def sized(effect: Effect, machine: Machine) -> Effect:

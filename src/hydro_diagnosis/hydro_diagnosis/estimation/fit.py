@@ -194,6 +194,8 @@ def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
 def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
     """The fit with another claim, the slopes of its parameters computed and those of `found` taken over."""
     claims = (*found.claims, claim)
+    if problem.estimated:
+        return fit(problem, claims, tolerance=tolerance)  # which takes no slopes
     own = jacobian(problem, claims, problem.residual(claims), found.free)
     return fit(problem, claims, tolerance=tolerance, slopes=np.column_stack([found.jacobian, own]))
 

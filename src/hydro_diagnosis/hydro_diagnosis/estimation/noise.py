@@ -17,6 +17,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.signal import lfilter
 from scipy.special import ndtr
 
+from hydro_diagnosis.bench_numbers import at_the_rod
 from hydro_diagnosis.effects.base import Claim, FloatArray, Pair
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import BLOCK, OBSERVER_MEMORY, SegmentModel
@@ -86,8 +87,9 @@ def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> d
     area = bench.piston_area
     by_pressure = hypot(area * sensors.get("pressure_a", 0.0), bench.area_ratio * area * sensors.get("pressure_b", 0.0))
     cell = sensors.get("hydraulic_force", by_pressure)
+    load = sensors.get("load_force", 0.0) if at_the_rod(sensors, bench) else 0.0
     noise = {
-        "motion": hypot(cell * TOTAL_NOISE_GAIN, inertia, damping, spring),
+        "motion": hypot(cell * TOTAL_NOISE_GAIN, load * TOTAL_NOISE_GAIN, inertia, damping, spring),
         "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
         "hydraulic": hypot(cell, by_pressure) / (BLOCK / step) ** 0.5,
     }

@@ -29,9 +29,10 @@ from hydro_diagnosis.effects.base import (
     Claim,
     Effect,
     FloatArray,
+    acting,
 )
 from hydro_diagnosis.estimation.noise import SegmentNoise, mass_attenuation, sensor_noise
-from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
+from hydro_diagnosis.model.segment_model import BLOCKS, LAG_ITERATIONS, SegmentModel
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
@@ -87,19 +88,27 @@ class Layout:
         return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
-SECOND = 5e7
-"""Work that an AMD EPYC core did in a second, in samples of one equation; `benchmarks.real_recordings` has the CPU of
-each rig beside its work.
+COST = {PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9}
+"""CPU [s] that a sample of each block takes on an AMD EPYC core, without claims that are of another kind;
+`benchmarks.real_recordings` has the CPU of each rig beside its work.
 """
-CALL = 13000
-"""Work [samples] of an evaluation that does not grow with the recordings."""
-LEAST = 60.0
-"""Default budget [s], for up to 60 s at 1 kHz; beyond, in proportion to the samples."""
+CALL = 8e-4
+"""CPU [s] of an evaluation and of its part in a fit that does not grow with the samples of a block."""
+STRETCH = 2e-4
+"""CPU [s] of a segment, however short, in a block."""
+COLUMN = 5e-8
+"""CPU [s] of a sample's response to one column of a screen."""
+LEAST = 30.0
+"""Default budget [s] of search and laws, for up to 60 s at 1 kHz; beyond, in proportion to the samples. What follows
+takes a quarter of it at most.
+"""
+SEARCH = 0.6
+"""Share of it that the search for names may take; the rest is for laws."""
 
 
 @dataclass
 class Budget:
-    """Work done and allowed, in seconds of CPU by `SECOND`."""
+    """Work done and allowed, in seconds of CPU as counted by kind of work: the same on every machine, in every run."""
 
     seconds: float | None = None
     """Allowed; None until it is known how much is recorded."""
@@ -108,18 +117,22 @@ class Budget:
     """Evaluations of all residuals: the measure of a search's effort."""
 
     def allow(self, samples: int) -> None:
-        """Set what is allowed by default for so many recorded samples, unless it was chosen."""
+        """Set what is allowed by default for so many samples, unless it was chosen."""
         if self.seconds is None:
-            self.seconds = max(LEAST, 1e-3 * samples)
+            self.seconds = LEAST * max(1.0, samples / 6e4)
 
-    def spend(self, samples: float, calls: int = 1) -> None:
-        """Count work of so many samples of an equation, `calls` times."""
-        self.spent += calls * (CALL + samples) / SECOND
+    def spend(self, seconds: float) -> None:
+        """Count work."""
+        self.spent += seconds
+
+    def beyond(self, share: float) -> bool:
+        """Whether more than a share of it is spent."""
+        return self.seconds is not None and self.spent > share * self.seconds
 
     @property
     def exhausted(self) -> bool:
         """Whether no further search may begin."""
-        return self.seconds is not None and self.spent > self.seconds
+        return self.beyond(1.0)
 
 
 ResidualParts = dict[tuple[str, int], FloatArray]
@@ -194,7 +207,9 @@ class Problem:
         self._cache = BoundedCache(_CACHE)
         thinner = [segment.thinner or segment for segment in segments]
         lacking = like is None and any(segment.thinner for segment in segments)
-        self.thinner = Problem(thinner, bench, baseline, self.sensor_noise, self) if lacking else None
+        self.thinner = (
+            Problem(thinner, bench, baseline, self.sensor_noise, self, budget=self.budget) if lacking else None
+        )
         """The same problem from half of the rows where rows are missing; None where none are."""
         self._weigh(())
 
@@ -225,7 +240,8 @@ class Problem:
 
     def on(self, segments: Sequence[Segment]) -> Problem:
         """Return the same problem for other segments, with the sensors' noise as it was measured here."""
-        return Problem(segments, self.bench, self.baseline, noise=self.sensor_noise, estimated=self.estimated)
+        return Problem(segments, self.bench, self.baseline, noise=self.sensor_noise, estimated=self.estimated,
+                       budget=self.budget)  # fmt: skip
 
     def estimating(self, numbers: Sequence[Claim]) -> Problem:
         """Return the problem with these start values of the numbers that every fit estimates; all else is shared."""
@@ -282,7 +298,7 @@ class Problem:
     def count(self, evaluations: int) -> None:
         """Count evaluations, also those that a cache has spared: a search's effort is the same."""
         self.budget.evaluations += evaluations
-        self.budget.spend(self.samples * len(self.blocks), evaluations)
+        self.budget.spend(evaluations * CALL)
 
     def joined(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
         """By channel: responses of its residuals, over their deviation, to so many terms; shape (terms, residuals).
@@ -315,7 +331,14 @@ class Problem:
 
     def _of_block(self, block: str, claims: Sequence[Claim]) -> list[dict[str, FloatArray]]:
         there = tuple(claim for claim in claims if block in claim.effect.blocks)
-        return self._cache.under(block, there, lambda some: [one.residuals(block, some) for one in self.models])
+
+        def computed(some: Sequence[Claim]) -> list[dict[str, FloatArray]]:
+            late = block == PRESSURE and any(claim.effect.lagged for claim in some)
+            times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "unmeasure"))
+            self.budget.spend(times * (COST[block] * self.samples + STRETCH * len(self.models)))
+            return [one.residuals(block, some) for one in self.models]
+
+        return self._cache.under(block, there, computed)
 
     # -- what residuals hold -------------------------------------------------------------------------------------------
 

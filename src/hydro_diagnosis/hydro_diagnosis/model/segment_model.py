@@ -21,6 +21,7 @@ import numpy.typing as npt
 from scipy.ndimage import correlate1d
 from scipy.signal import lfilter
 
+from hydro_diagnosis.bench_numbers import at_the_rod
 from hydro_diagnosis.effects.base import (
     HYDRAULIC,
     LOAD,
@@ -92,6 +93,8 @@ class SegmentModel:
         self.channels = channels
         self.has_position = "piston_position" in channels
         self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
+        self.at_the_rod = at_the_rod(channels, bench)
+        """Whether the load's force in the motion equation is what its cell measured."""
         self.settle = min(round(SETTLE / self.step), len(segment) // 4)
         end = len(segment) - TAIL * self.spacing
         self.rows: npt.NDArray[np.int64] | slice = (
@@ -388,25 +391,35 @@ class SegmentModel:
         return self.measured_force(claims) - self.kept(shown)
 
     def measured_force(self, claims: Sequence[Claim]) -> FloatArray:
-        """Hydraulic force [N] of the cell, or else of the pressures, decimated."""
+        """Hydraulic force [N] of the cell, or else of the pressures, less the load's at the rod, decimated."""
         if "hydraulic_force" in self.channels:
             return self._cell_force
         bench = self.bench(claims)
         p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
-        return self.kept_smooth(bench.piston_area * (p_a - bench.area_ratio * p_b))
+        return self.kept_smooth(bench.piston_area * (p_a - bench.area_ratio * p_b) - self._given_away)
 
     @cached_property
     def _cell_force(self) -> FloatArray:
-        return self.kept_smooth(self.channels["hydraulic_force"])
+        return self.kept_smooth(self.channels["hydraulic_force"] - self._given_away)
+
+    @property
+    def _given_away(self) -> FloatArray | float:
+        return self.channels["load_force"] if self.at_the_rod else 0.0
+
+    @property
+    def driving_force(self) -> FloatArray:
+        """Force [N] that moves the piston by the cells, or else by the pressures, as recorded, shape (n,)."""
+        force = self.channels.get("hydraulic_force")
+        if force is None:
+            p_a, p_b = self.channels["pressure_a"], self.channels["pressure_b"]
+            force = self.base.piston_area * (p_a - self.base.area_ratio * p_b)
+        return force - self._given_away
 
     @cached_property
     def _lines_arc(self) -> FloatArray:
         """N, decimated: what straight lines between the samples of f_h exceed them by."""
-        bench, channels = self.base, self.channels
-        force = channels.get("hydraulic_force")
-        if force is None:
-            force = bench.piston_area * (channels["pressure_a"] - bench.area_ratio * channels["pressure_b"])
-        return self.kept_smooth(correlate1d(force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest"))
+        bent = correlate1d(self.driving_force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest")
+        return self.kept_smooth(bent)
 
     def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated."""

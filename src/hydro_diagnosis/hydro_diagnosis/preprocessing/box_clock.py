@@ -21,6 +21,8 @@ Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
 SAME = 0.05
 """Share of the box's period by which a logger's may differ and still be the box's."""
+BETWEEN = 10
+"""Samples from one row of a slow logger to the next at most: its splines bend no faster."""
 _SMOOTH = (*MEASURED, "valve_current")
 """Channels that are interpolated by splines; all others by straight lines."""
 
@@ -49,7 +51,7 @@ def on_box_clock(
         columns = {key: values[at] for key, values in columns.items()}
         start, rows = start + rows[0] * step, rows - rows[0]
     step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < SAME * SAMPLE_PERIOD else step
-    spacing, count = max(round(step / SAMPLE_PERIOD), 1), int(rows[-1]) + 1
+    spacing, count = min(max(round(step / SAMPLE_PERIOD), 1), BETWEEN), int(rows[-1]) + 1
     whole = len(rows) == count
     if whole and step == SAMPLE_PERIOD and not shaken:
         return Segment(name, start, step, {key: np.asarray(one, np.float64) for key, one in columns.items()})
@@ -75,6 +77,9 @@ def _placed(
     }
     for key, values in columns.items():
         channels[key][at] = values
+    held = step / SAMPLE_PERIOD  # of the box's milliseconds, in each of which the current is another
+    if "valve_current" in columns and spacing > 1 and held > 1.5:
+        channels["valve_current"] = CubicSpline(at, columns["valve_current"])(even + 0.5 * (held - 1.0) / held)
     return Segment(name, start, step, channels, spacing, measured, thinner)
 
 

@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_diagnosis.bench_numbers import knows
+from hydro_diagnosis.bench_numbers import has_spring, knows
 from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.preprocessing.smoothing import white_noise
@@ -176,7 +176,7 @@ def _load_moves(
     columns: Mapping[str, FloatArray], begin: int, end: int, step: float, bench: Bench, least: float
 ) -> bool:
     """Return whether the load's force changes by what the spring does over `least` [m], and beyond the noise."""
-    if "load_force" not in columns:
+    if "load_force" not in columns or not has_spring(bench):
         return False
     settled = columns["load_force"][begin + round(LOAD_SETTLES / step) : end]
     means = settled[: len(settled) // AVERAGED * AVERAGED].reshape(-1, AVERAGED).mean(axis=1)

@@ -27,7 +27,7 @@ from hydro_diagnosis.estimation.fit import (
     without_one,
 )
 from hydro_diagnosis.estimation.intervals import all_significant
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -223,7 +223,7 @@ class Search:
         None where something remains. Beside causes that are not found yet a number would leave what it was given as.
         """
         outcome = Search(self.problem.estimating(()), self.library, self.settings, self.progress).run()
-        if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.exhausted:
+        if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.beyond(SEARCH):
             return None
         least = outcome.fit.score
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
@@ -263,7 +263,8 @@ class Search:
         """Return candidates for a further claim; none if the search must end, for the reason in `Outcome.cut_short`."""
         if self._exhausted:
             effort = f"its effort of {self.settings.effort} evaluations"
-            outcome.cut_short = f"{'the budget of work' if self.problem.budget.exhausted else effort} was spent"
+            spent = self.problem.budget.beyond(SEARCH)
+            outcome.cut_short = f"{'its part of the budget of work' if spent else effort} was spent"
             return []
         ranked = self._ranked(outcome.problem, outcome.fit)
         if ranked and len(outcome.fit.judged) >= self.settings.most:
@@ -277,7 +278,7 @@ class Search:
         return self._exhausted_at(self.settings.effort)
 
     def _exhausted_at(self, effort: float) -> bool:
-        return self.problem.budget.evaluations - self._begun > effort or self.problem.budget.exhausted
+        return self.problem.budget.evaluations - self._begun > effort or self.problem.budget.beyond(SEARCH)
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""

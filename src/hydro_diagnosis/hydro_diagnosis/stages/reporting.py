@@ -18,7 +18,7 @@ from hydro_diagnosis.effects.base import HYDRAULIC, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Layout, Problem
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
@@ -239,7 +239,7 @@ def _notes(
 ) -> tuple[str, ...]:
     """Return notes on limits of the verdict."""
     assessment, cut_short, budget = found.assessment, "", found.problem.budget
-    if budget.exhausted:
+    if budget.exhausted or (budget.beyond(SEARCH) and found.outcome.cut_short):
         cut_short = (
             f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: this is the best answer until "
             "then; --seconds sets another"
