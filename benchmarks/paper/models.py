@@ -31,7 +31,7 @@ import numpy as np
 import torch
 
 from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store, truth
-from hydro_core.signals import SAMPLE_PERIOD, FloatArray, matrix
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, to_matrix
 from hydro_sim.emulator.offline import Recording, record_offline
 from hydro_sim.excitation import draw
 from hydro_sim.files import recordings
@@ -70,7 +70,7 @@ def data(bench: str) -> Data:
 def held_out(bench: str) -> list[Scored]:
     """What every model is judged by."""
     recording = record(bench, 60.0, 21)
-    truth = matrix(recording.noise_free)
+    truth = to_matrix(recording.noise_free)
     runs = recordings.runs("held out", recording.states)
     return [Scored(run=run, truth=truth[run.first : run.first + len(run)]) for run in runs]
 

@@ -84,7 +84,7 @@ def usable(bag: Path) -> bool:
 def record(cases: Sequence[Case], folder: Path, **where: Any) -> None:
     """Record the missing runs of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side."""
     left = {case.name: (case, folder / case.name) for case in cases if missing(folder / case.name)}
-    jobs.complete(_record, left, **where, label="recording", unit="case")
+    jobs.run_all(_record, left, **where, label="recording", unit="case")
 
 
 def _record(case: Case, folder: Path) -> None:

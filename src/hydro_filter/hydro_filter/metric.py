@@ -33,7 +33,7 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 
-from hydro_core.files.tensors import LARGEST, UnsoundError, check_shapes
+from hydro_core.files.tensors import MAX_MAGNITUDE, InvalidTensorError, check_shapes
 from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
 from hydro_filter.model.coordinates import LOOP, LOOP_FIELDS, Q_HYDRAULIC
@@ -333,14 +333,14 @@ class ScheduledMetric:
 def _check(arrays: Mapping[str, FloatArray], entries: int, floor: float, thresholds: Thresholds, c_1: float) -> None:
     """Raise ValueError if these do not form a metric."""
     if not 0.0 <= c_1 <= 1.0:
-        raise UnsoundError(f"velocity_compensation is {c_1:g}: it is a share")
+        raise InvalidTensorError(f"velocity_compensation is {c_1:g}: it is a share")
     gains = arrays["gains"]
     check_shapes(arrays, {"table": (len(gains) + 1, entries)})
     check(thresholds)
     if gains.ndim != 1 or not (np.diff(gains) > 0.0).all():
-        raise UnsoundError("gains do not rise")
-    if not 0.0 < floor < LARGEST:
-        raise UnsoundError(f"floor is {floor:g}: M is definite for a floor above 0 only")
+        raise InvalidTensorError("gains do not rise")
+    if not 0.0 < floor < MAX_MAGNITUDE:
+        raise InvalidTensorError(f"floor is {floor:g}: M is definite for a floor above 0 only")
 
 
 def shipped() -> Path:

@@ -33,10 +33,10 @@ from hydro_bridge.ros.topics import (
 )
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.signals import (
-    DECIDED,
-    OUTSIDE,
+    OUTSIDE_REGION,
     PLANT_FIELDS,
     STATE_FIELDS,
+    STATUS_MASK,
     CorrectionStatus,
     Flag,
     Law,
@@ -174,7 +174,7 @@ def test_new_files_are_taken_over_while_disarmed_and_not_before(
             sequence = next(number)
             source.publish(sequence, Sample.of(record), flags=flags)
             source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
-        return CorrectionStatus(source.corrections[-1].status & DECIDED)
+        return CorrectionStatus(source.corrections[-1].status & STATUS_MASK)
 
     write(replace(model, spring_stiffness=1.5 * model.spring_stiffness))
     source, number = started("--metric", str(file), "--model", str(of), *PATIENT), itertools.count()
@@ -237,10 +237,10 @@ def test_a_plant_that_goes_by_its_own_clock_has_no_stale_states(
     source = started()
     source.node.destroy_publisher(source.states)  # two plants are not answered
     start("hydro_sim sim")
-    source.wait(lambda: any(message.status & DECIDED == CorrectionStatus.PASS for message in source.corrections))
+    source.wait(lambda: any(message.status & STATUS_MASK == CorrectionStatus.PASS for message in source.corrections))
     before = len(source.corrections)
     source.wait(lambda: len(source.corrections) > before + 500)
-    later = [message.status & DECIDED for message in source.corrections[before:]]
+    later = [message.status & STATUS_MASK for message in source.corrections[before:]]
     assert later.count(CorrectionStatus.PASS) == len(later)
 
 
@@ -264,7 +264,7 @@ def test_every_state_gets_one_correction_with_the_cores_numbers_and_a_gap_a_new_
         if k == 210:
             contraction_filter.skip()
         expected, message = contraction_filter.correct(sample), source.corrections[-1]
-        assert (message.sequence, message.status & DECIDED) == (sequence, expected.status)
+        assert (message.sequence, message.status & STATUS_MASK) == (sequence, expected.status)
         assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
         assert message.certificate_before == pytest.approx(expected.before, rel=1e-9, abs=1e-12)
         assert message.active == (message.delta_u != 0.0)
@@ -298,7 +298,7 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
             nonlocal sequence
             source.publish(sequence, unstable)
             sequence += 1
-            return bool(source.corrections) and source.corrections[-1].status & DECIDED == status
+            return bool(source.corrections) and source.corrections[-1].status & STATUS_MASK == status
 
         source.wait(answered, timeout=30.0)
         last = source.corrections[-1]
@@ -324,7 +324,7 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     for k, record in enumerate(records):
         source.publish(k, Sample.of(record))
         source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
-    statuses = [message.status & DECIDED for message in source.corrections]
+    statuses = [message.status & STATUS_MASK for message in source.corrections]
     first = statuses.index(CorrectionStatus.MISMATCH)
     assert set(statuses[first:]) == {CorrectionStatus.MISMATCH}
     assert all(message.delta_u == 0.0 and not message.active for message in source.corrections[first:])
@@ -378,8 +378,8 @@ def test_outside_of_the_proved_region_is_said_beside_the_status(started: Callabl
             source.publish(sequence, sample, flags=int(record["flags"]) | Flag.ARMED)
             source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
             status = source.corrections[-1].status
-            assert CorrectionStatus(status & DECIDED) <= CorrectionStatus.INFEASIBLE
-            said.append(bool(status & OUTSIDE))
+            assert CorrectionStatus(status & STATUS_MASK) <= CorrectionStatus.INFEASIBLE
+            said.append(bool(status & OUTSIDE_REGION))
         return said
 
     assert not any(outside(100.0, 90.0)[1000:])

@@ -13,7 +13,7 @@ from hydro_bridge.serial.protocol import Details, encode_hello
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.settings import to_mapping
 from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import MetricDesign, ScheduledMetric, design_table
 from hydro_filter.model.loop import loop_of
@@ -70,8 +70,8 @@ def test_the_size_of_the_similar_bench() -> None:
     ratios = (other.force / one.force, other.pressure / one.pressure, other.length / one.length)
     assert (*ratios, other.current / one.current) == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
     for each in (TrainingSettings(), Randomisation(), CompensatorSettings(), Sensors()):
-        assert resized(each, one, one) == each
-    limits = resized(TrainingSettings(), one, other).monitor
+        assert rescale(each, one, one) == each
+    limits = rescale(TrainingSettings(), one, other).monitor
     assert (limits.peak_error, limits.chatter) == pytest.approx((FORCE * one.force, CURRENT * 14.0 * one.current))
     assert BoxConfig().of_bench(Bench.nominal()) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
     assert Range.of_force(one.force) == Range()
@@ -87,7 +87,7 @@ def learning(bench: Bench) -> Pretraining:
         training=training, benches=2, randomisation=Randomisation(), examined=1,
         evaluation=EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5),
     )  # fmt: skip
-    pretraining = Pretraining(resized(usual, NOMINAL, bench.size), bench, bench)
+    pretraining = Pretraining(rescale(usual, NOMINAL, bench.size), bench, bench)
     while not pretraining.finished:
         pretraining.round()
     return pretraining
@@ -174,7 +174,7 @@ def tracked(bench: Bench) -> FloatArray:
     settings = EvaluationSettings(frequencies=(1.0,), measure=6.0, amplitude=size.force)
     box = BoxConfig().of_bench(bench)
     fleet = VectorBench([bench], [AnalyticPlant(bench, settings=Sensors.of_size(size))], box)
-    estimator = Compensator(settings=resized(CompensatorSettings(), NOMINAL, size), law=box.compensated)
+    estimator = Compensator(settings=rescale(CompensatorSettings(), NOMINAL, size), law=box.compensated)
     residual = Residual(1, Network.load(), estimator.settings.force_scale)
     steps = vector_runs.run(fleet, settings.cases, lambda _: np.zeros((1, 2)), settings, 7, estimator, residual)
     return np.concatenate([step.samples["load_force"][0].copy() for step in steps]) / size.force

@@ -14,7 +14,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from hydro_bridge.conformance.reference import shape
+from hydro_bridge.conformance.reference import evaluate_signal
 from hydro_bridge.serial.protocol import (
     CommandFrame,
     Details,
@@ -165,7 +165,7 @@ def test_planning_sees_the_reference_that_conformance_derives(waveform: Waveform
     signal = ReferenceSignal(waveform=waveform, amplitude=120.0, offset=-20.0, frequency=1.7, phase=0.4)
     times = np.linspace(0.0, 3.0, 3001)
     values, rates = reference_force(signal, times)
-    expected = np.array([shape(signal, time)[:2] for time in times])
+    expected = np.array([evaluate_signal(signal, time)[:2] for time in times])
     np.testing.assert_allclose(values, expected[:, 0], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(rates, expected[:, 1], rtol=0.0, atol=1e-6)
 

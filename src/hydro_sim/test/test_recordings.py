@@ -13,7 +13,7 @@ import yaml
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.files import bench_file
-from hydro_core.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, matrix
+from hydro_core.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, to_matrix
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping
 from hydro_sim.excitation import draw
@@ -213,8 +213,8 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 def held_out():
     """A recording that no training has seen, with its noise-free log."""
     recording = record_offline(profile("default"), draw(12.0, 977), seed=977)
-    run = Run(name="held out", x=matrix(recording.states), u=recording.states["valve_current"].copy())
-    return Scored(run=run, truth=matrix(recording.noise_free))
+    run = Run(name="held out", x=to_matrix(recording.states), u=recording.states["valve_current"].copy())
+    return Scored(run=run, truth=to_matrix(recording.noise_free))
 
 
 @pytest.fixture(scope="module")

@@ -191,7 +191,7 @@ def arguments(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argpa
     Raises PairingError: metric, model and bench do not belong together.
     """
     asked = parser().parse_args(given)
-    site.take_site(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
+    site.apply_site_option(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
     choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=str(asked.metric or LEARNED), model=asked.model)
     numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy.typing as npt
 
-from hydro_core.cli.console import command, writable
+from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_filter.controller.factory import LEARNED, FilterChoice
@@ -90,7 +90,7 @@ def parser() -> argparse.ArgumentParser:
         "--model", type=Path, metavar="FILE", help="bench file that it was made for; default: the shipped one"
     )
     parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: nominal")
-    parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
+    parser.add_argument("--out", type=writable_file, required=True, metavar="FILE.h", help="header to write")
     parser.add_argument(
         "--contraction-rate", type=float, metavar="1/s", default=LoopFilterSettings().contraction_rate,
         help="for gains of the certified range; default: %(default)g",

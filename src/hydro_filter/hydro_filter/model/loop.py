@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hydro_core.signals import FloatArray, StateArray, matrix
+from hydro_core.signals import FloatArray, StateArray, to_matrix
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, least_gain, loop_scale
 from hydro_filter.model.records import LOOP, SAMPLE, record_of
 from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
@@ -187,7 +187,7 @@ def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> 
     names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
     fields = ("nominal", "current", "reference", "reference_rate", "k_p")
     signals = {field: states[name] for field, name in zip(fields, names, strict=True)}
-    return samples_of(matrix(states), **signals, c_1=velocity_compensation)
+    return samples_of(to_matrix(states), **signals, c_1=velocity_compensation)
 
 
 def _fields(truth: Bench, believed: Bench) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:

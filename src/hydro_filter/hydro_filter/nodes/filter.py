@@ -45,7 +45,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
-from hydro_bridge.ros.answers import Answers
+from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
     Level,
@@ -71,12 +71,12 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.pace import CORRECTS
+from hydro_bridge.safety.pace import FILTER_WINDOW
 from hydro_core.cli.console import UserError, command
-from hydro_core.files.site import ANEW
+from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import OUTSIDE, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
+from hydro_core.signals import OUTSIDE_REGION, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
 from hydro_filter.controller.factory import FilterChoice, arguments
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
@@ -213,7 +213,7 @@ class FilterNode(Node):
         self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
         self._publisher: Publisher | None = None  # as long as another filter answers
         self._last: Any = None  # record of the last correction
-        self._answers: Answers | None = None
+        self._answers: PaceResponder | None = None
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._advice = "" if realtime else ", or start it with --realtime"
@@ -237,7 +237,7 @@ class FilterNode(Node):
         # last: states are queued from now on
         self._states = subscribe(self, STATE, STATES, self._on_state)
         if self._publisher is not None:
-            self._answers = Answers(self, CORRECTS, self._states)
+            self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
 
     def _come_forward(self) -> None:
         """Start answering, unless another filter does."""
@@ -252,7 +252,7 @@ class FilterNode(Node):
         else:
             self._publisher = create_publisher(self, CORRECTION)
             if self._states is not None:
-                self._answers = Answers(self, CORRECTS, self._states)
+                self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
 
     def correct(self, state: Any, law: Any, epoch: int) -> Any:
         """See `hydro_bridge.nodes.plant_node.Corrector`."""
@@ -279,11 +279,11 @@ class FilterNode(Node):
         late = threading.Timer(PATIENCE, say, [told])
         late.daemon = True
         late.start()
-        before = endings.answer(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
+        before = endings.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
             made = choice.make(self.settings)
         finally:
-            endings.restore(before)
+            endings.restore_handlers(before)
             late.cancel()
         if (taken := time.monotonic() - begin) > PATIENCE:
             say(f"compiled in {taken:.0f} s")
@@ -427,7 +427,7 @@ class FilterNode(Node):
             result = MISMATCHED
         if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
             seen = self.filter.mismatch
-            self._tell_mismatch(self.foreign or (f"{seen}; {ANEW}" if seen else ""))
+            self._tell_mismatch(self.foreign or (f"{seen}; {RECOMMISSION_HINT}" if seen else ""))
         return result
 
     def _tell_mismatch(self, reason: str) -> None:
@@ -442,7 +442,15 @@ class FilterNode(Node):
         infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
         outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(state.flags & Flag.ARMED)
         self.tally.outside += outside
-        numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status) | OUTSIDE * outside, self._epoch
+        numbers = (
+            delta_u,
+            before,
+            after,
+            delta_u != 0.0,
+            infeasible,
+            int(status) | OUTSIDE_REGION * outside,
+            self._epoch,
+        )
         self._last = CORRECTIONS.record(state.stamp, state.sequence, *numbers)
         if not self._handed:  # else the plant says when
             self.publish()

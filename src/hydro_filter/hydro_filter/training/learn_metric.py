@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 
 from hydro_bridge.bags.recording import RecordingError
-from hydro_core.cli.console import add_json_argument, command, writable
+from hydro_core.cli.console import add_json_argument, command, writable_file
 from hydro_sim.files.weights import WeightsError
 
 
@@ -28,7 +28,9 @@ def arguments() -> argparse.Namespace:
     result = argparse.ArgumentParser(
         prog="learn_metric", description="Solve the contraction metric of the learned bench."
     )
-    result.add_argument("--out", required=True, type=writable, metavar="METRIC", help="file to write, .safetensors")
+    result.add_argument(
+        "--out", required=True, type=writable_file, metavar="METRIC", help="file to write, .safetensors"
+    )
     result.add_argument("--model", metavar="FILE", help="bench file of the learned bench; the shipped one by default")
     result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
     result.add_argument(

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, matrix
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, to_matrix
 from hydro_filter.model.coordinates import Q_LOAD
 from hydro_filter.model.loop import closing_current, loop_of, recorded_samples
 from hydro_filter.model.records import follow
@@ -84,7 +84,7 @@ def samples_of(model: Bench, bench: Bench, wanted: Wanted, force: float, gain: f
     states = simulate(plant, bench, plan, config=config, seed=seed)
     opening = follow(loop.record, recorded_samples(states), linearized=np.zeros(len(states), np.bool_)).opening
     valve = np.column_stack((opening, states["nominal_valve_current"] - closing_current(loop)))
-    return region_states(bench_numbers(model, bench)[0], matrix(states), valve)[SETTLED:]
+    return region_states(bench_numbers(model, bench)[0], to_matrix(states), valve)[SETTLED:]
 
 
 def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Pair]:

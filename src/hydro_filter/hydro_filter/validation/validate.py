@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hydro_core.cli import jobs
-from hydro_core.cli.console import Table, add_json_argument, command, number, writable_folder
+from hydro_core.cli.console import Table, add_json_argument, bounded_number, command, writable_folder
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.validation.runs import (
     CASES,
@@ -47,7 +47,7 @@ def main() -> None:
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
     done: dict[str, Outcome] = {}
     rows: dict[tuple[str, str, str], dict[str, Any]] = {}
-    for name, result in jobs.run(evaluate_task, tasks, **jobs.where(options), label="runs", unit="run"):
+    for name, result in jobs.run(evaluate_task, tasks, **jobs.job_options(options), label="runs", unit="run"):
         done[name] = result
         line = next(line for line in lines if name in runs[line])
         if all(one in done for one in runs[line]):
@@ -123,8 +123,8 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS), metavar="PLANT",
                         help=f"of {', '.join(PLANTS)}")  # fmt: skip
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help="see below; all")
-    parser.add_argument("--seeds", type=number(1), default=20, help="runs of each line")
-    parser.add_argument("--seconds", type=number(1.0), default=18.0, help="s, of each run; the paper's episode")
+    parser.add_argument("--seeds", type=bounded_number(1), default=20, help="runs of each line")
+    parser.add_argument("--seconds", type=bounded_number(1.0), default=18.0, help="s, of each run; the paper's episode")
     jobs.add_arguments(parser)
     parser.add_argument("--plots", type=writable_folder, metavar="DIR", help="draw the tracking figures into DIR")
     add_json_argument(parser)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hydro_bridge.pages import Section
 from hydro_core.cli.console import Table
-from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.files.atomic import encode_json, write_whole
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
@@ -134,7 +134,7 @@ def write_json(session: TrialRunner[Comparison], path: Path, notes: Mapping[str,
         "runs": [{**asdict(score), "spoilt": score.spoilt} for score in session.scores],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, json_text(content))
+    write_whole(path, encode_json(content))
 
 
 def sections(session: TrialRunner[Comparison], picture: Path) -> list[Section]:

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.ros.companion import start_page
+from hydro_bridge.ros.companion import start_dashboard
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
 from hydro_core.cli.console import writable_folder
-from hydro_core.process.endings import undisturbed
-from hydro_core.size import resized
+from hydro_core.process.endings import signals_ignored
+from hydro_core.size import rescale
 from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
@@ -137,7 +137,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         require_matching_agent(start, box)
         if options.resume is None:
             size = settings.task.size
-            settings = unless_said(node, settings, resized(settings, size, box.size or size))
+            settings = unless_said(node, settings, rescale(settings, size, box.size or size))
         if start is None and options.resume is None:
             settings = rebase_gains(settings, box, node)
     if options.resume is not None:
@@ -236,7 +236,7 @@ def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespac
 def start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepared, node: GraphNode) -> Path | None:
     """Start the companions, which the node watches from now on; returns the folder of the recording."""
     run = prepared.run
-    start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
+    start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
     kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
@@ -373,7 +373,9 @@ def train(options: argparse.Namespace) -> int:
         session = begin_session(node, prepared, learner, record, rearm=may_rearm(options))
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
-        stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits
+        stack.callback(
+            quiet.enter_context, signals_ignored()
+        )  # first of all: a second Ctrl-C, or a closed terminal, waits
         finished, results = drive(options, node, session, learner, prepared.start)
         if finished:  # a stopped run hands nothing over
             node.successor = options.hand_over or ""

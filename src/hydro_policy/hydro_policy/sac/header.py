@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_core.cli.console import command, writable
+from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.policy import Policy, load_policy
@@ -27,7 +27,7 @@ def parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="policy.safetensors of a run")
-    parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
+    parser.add_argument("--out", type=writable_file, required=True, metavar="FILE.h", help="header to write")
     return parser
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
 from hydro_core.settings import SettingsError, check, quantity
 from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, ReferenceSignal, StateArray
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_sim.box import firmware
 from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records
 from hydro_sim.model import equations, hydraulics
@@ -102,8 +102,8 @@ class BoxConfig:
         The compensated law's gains go with 1 + R, so that its loop closes at the same rate.
         """
         gain = (1.0 + stiffness_ratio(bench)) / (1.0 + _NOMINAL_RATIO)
-        law = self.compensated.enlarged(bench.size.force / NOMINAL.force, gain)
-        return replace(resized(self, NOMINAL, bench.size), compensated=law)
+        law = self.compensated.scaled(bench.size.force / NOMINAL.force, gain)
+        return replace(rescale(self, NOMINAL, bench.size), compensated=law)
 
     def constants(
         self, bench: Bench, sensors: Sensors | None = None, name: str = NAME, precision: Precision = "double"

@@ -11,8 +11,8 @@ from pathlib import Path
 from types import FrameType
 from typing import get_args
 
-from hydro_bridge.safety.pace import parse_pace, refuse_speed
-from hydro_core.cli.console import command, number, writable, writable_folder
+from hydro_bridge.safety.pace import parse_pace, reject_speed_option
+from hydro_core.cli.console import bounded_number, command, writable_file, writable_folder
 from hydro_core.process import endings
 from hydro_core.settings import SettingsError
 from hydro_sim.box.box import BoxConfig, Integral
@@ -31,7 +31,7 @@ from hydro_sim.model.bench import Bench
 @command(ValueError, OSError)
 def main() -> None:
     """Entry point."""
-    refuse_speed(sys.argv[1:])
+    reject_speed_option(sys.argv[1:])
     options = _parser().parse_args()
     if options.offline:
         _record(options)
@@ -45,9 +45,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--bench", metavar="FILE", help="what the box believes, and the numbers of the "
                         "emulated bench where --truth has no others (default: the nominal bench)")  # fmt: skip
     parser.add_argument(
-        "--seconds", type=number(1e-3, 36000.0), metavar="S", help="how long (default: until stopped, or the schedule)"
+        "--seconds",
+        type=bounded_number(1e-3, 36000.0),
+        metavar="S",
+        help="how long (default: until stopped, or the schedule)",
     )
-    parser.add_argument("--seed", type=number(0), default=0, metavar="N", help="of noise, random forces, link faults")
+    parser.add_argument(
+        "--seed", type=bounded_number(0), default=0, metavar="N", help="of noise, random forces, link faults"
+    )
     parser.add_argument(
         "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
     )
@@ -71,7 +76,10 @@ def _parser() -> argparse.ArgumentParser:
     group.add_argument("--offline", action="store_true")
     group.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
     group.add_argument(
-        "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
+        "--noise-free",
+        type=writable_file,
+        metavar="FILE.npz",
+        help="also write the run without noise, for scoring only",
     )
     group.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
     return parser
@@ -145,8 +153,8 @@ def _stopper() -> list[int]:
     asked: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:
-        endings.let_go_of_terminal()
+        endings.detach_closed_terminal()
         asked.append(number)
 
-    endings.answer(ask)
+    endings.install_handlers(ask)
     return asked

@@ -16,7 +16,7 @@ import yaml
 from hydro_bridge.bags.recording import BagWriter
 from hydro_core.settings import from_mapping
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
@@ -126,7 +126,7 @@ DEFAULT_SCHEDULE = (
 
 def default_schedule(bench: Bench) -> list[Segment]:
     """Return the default schedule for a bench of this size."""
-    return [resized(segment, NOMINAL, bench.size) for segment in DEFAULT_SCHEDULE]
+    return [rescale(segment, NOMINAL, bench.size) for segment in DEFAULT_SCHEDULE]
 
 
 def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from hydro_core.process.realtime import Pacer, exact_timers, limit_run
+from hydro_core.process.realtime import Pacer, disable_timer_slack, limit_run_time
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.line.faults import CHANCES, LinkFaults
@@ -204,9 +204,9 @@ class Running:
 
 def raise_priority() -> str:
     """Ask the kernel for real-time scheduling and exact timers; returns a sentence on what was granted."""
-    exact_timers()
+    disable_timer_slack()
     try:
-        limit_run()
+        limit_run_time()
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
         return "SCHED_FIFO 40"
     except (OSError, AttributeError):

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
-from hydro_core.cli.console import UserError, command, writable
+from hydro_core.cli.console import UserError, command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_sim.box.box import NAME, BoxConfig, Integral
 from hydro_sim.box.header import header
@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     )
     formats = parser.add_mutually_exclusive_group(required=True)
     for name, (suffix, text) in FORMATS.items():
-        formats.add_argument(f"--{name}", type=writable, metavar=f"FILE{suffix}", help=text)
+        formats.add_argument(f"--{name}", type=writable_file, metavar=f"FILE{suffix}", help=text)
     parser.add_argument(
         "--bench", type=Path, metavar="FILE", help="bench.yaml, or corrected.yaml of `diagnose`, whose report.json "
         "beside it gives the intervals of the FMU's parameters; default: nominal",

@@ -80,7 +80,7 @@ class BoxIdentity:
     def of_box(cls, box: KnownBox) -> BoxIdentity:
         """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
-        size, integral = Size.if_known(yaml.safe_load(box.bench)), box.info.integral
+        size, integral = Size.of_known_bench(yaml.safe_load(box.bench)), box.info.integral
         return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=integral, size=size)
 
     @property

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.bags.recording import RecordingError, objects, read_bag
+from hydro_bridge.bags.recording import RecordingError, read_bag, read_messages
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
+from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, to_matrix
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 
 LAW_TOPIC = "/hydro/box_law"
@@ -64,13 +64,13 @@ class Run:
 def digest(states: StateArray) -> str:
     """SHA-256 of a recording's samples: sequence, x and u."""
     sha = hashlib.sha256(np.ascontiguousarray(states["sequence"]).tobytes())
-    sha.update(matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes())
+    sha.update(to_matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes())
     return sha.hexdigest()
 
 
 def runs(name: str, states: StateArray) -> list[Run]:
     """Return the gapless runs of a recording that are long enough and have valid sensors."""
-    x, u = matrix(states), np.ascontiguousarray(states["valve_current"])
+    x, u = to_matrix(states), np.ascontiguousarray(states["valve_current"])
     good = np.isfinite(x).all(axis=1) & np.isfinite(u) & ((states["flags"] & Flag.SENSOR_FAULT) == 0)
     joined = good[1:] & good[:-1] & (np.diff(states["sequence"]).view(np.int32) == 1)
     edges = np.flatnonzero(~np.concatenate(([False], joined, [False])))
@@ -98,14 +98,14 @@ def box_law(path: str | Path) -> BoxLaw | None:
 
     Raises hydro_bridge.bags.recording.RecordingError: damaged, or no box told its law.
     """
-    *_, (_, message) = objects(path, LAW_TOPIC)
+    *_, (_, message) = read_messages(path, LAW_TOPIC)
     return BoxLaw.of_message(message)
 
 
 def require_box(path: str | Path, bench: BoxIdentity) -> None:
     """Raise PairingError if the box of a recording told another bench than this one."""
     with suppress(RecordingError):  # it tells none
-        *_, (_, box) = objects(path, BOX_TOPIC)
+        *_, (_, box) = read_messages(path, BOX_TOPIC)
         if box.bench_digest not in ("", bench.digest):
             told = f"the box of the recording {Path(path).name} believes bench {box.bench_digest}"
             raise PairingError(f"{told}, not {bench.description}: name the bench.yaml of its box by --bench")

@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
 from hydro_core.files.atomic import write_whole
-from hydro_core.files.tensors import UnsoundError, check_numbers
+from hydro_core.files.tensors import InvalidTensorError, check_numbers
 from hydro_sim.files.pairing import ENTRY, MadeFor
 
 FORMAT = 1
@@ -60,6 +60,6 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
         raise WeightsError(f"{path} is of format {kind}, this version reads format {FORMAT}: make it again")
     try:
         check_numbers(tensors)
-    except UnsoundError as error:
+    except InvalidTensorError as error:
         raise WeightsError(f"{path} is damaged: {error}") from None
     return tensors, header

@@ -17,7 +17,7 @@ import numpy as np
 
 from hydro_core.cli.console import Table as ConsoleTable
 from hydro_core.cli.console import UserError, add_json_argument, command
-from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
+from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, to_matrix
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.files.recordings import READING_COLUMNS, Run
@@ -265,7 +265,7 @@ def _aligned(path: str, states: StateArray) -> FloatArray:
     try:
         log = np.load(path)["noise_free"]
         order = {int(sequence): index for index, sequence in enumerate(log["sequence"])}
-        return matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
+        return to_matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
     except (OSError, KeyError, ValueError) as error:
         raise UserError(f"{path} is not the noise-free log of this recording: {error}") from error
 

@@ -92,7 +92,7 @@ class Bench:
     @property
     def size(self) -> Size:
         """Scales of its forces, pressures, lengths and currents."""
-        return Size.of(vars(self))
+        return Size.of_bench(vars(self))
 
     @property
     def terms(self) -> tuple[Mapping[str, Any], ...]:

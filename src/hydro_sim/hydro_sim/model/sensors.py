@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_core.size import Size, resized
+from hydro_core.size import Size, rescale
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
 
@@ -61,7 +61,7 @@ class Sensors:
     @classmethod
     def of_size(cls, size: Size) -> Sensors:
         """Return the usual sensors of a bench of this size."""
-        return resized(cls(), NOMINAL, size)
+        return rescale(cls(), NOMINAL, size)
 
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
         """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""

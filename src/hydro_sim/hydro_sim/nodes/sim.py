@@ -18,7 +18,7 @@ from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.safety.pace import Pace, PaceSettings, refuse_speed
+from hydro_bridge.safety.pace import Pace, PaceSettings, reject_speed_option
 from hydro_core.cli.console import command
 from hydro_core.files import site
 from hydro_core.settings import describe
@@ -49,7 +49,7 @@ class SimSide(Simulation):
             "late samples": self.pacer.late,
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
-            "each sample waits for": self.pace.waits if self.paced else f"nobody: {self.settings.pace}",
+            "each sample waits for": self.pace.peers if self.paced else f"nobody: {self.settings.pace}",
             "effects": self.effects or "none",
             "refused by the box": self._box.refused[0],
         }
@@ -120,9 +120,9 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=texts[name].text)
     site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
-    refuse_speed(own)
+    reject_speed_option(own)
     asked = parser.parse_args(own)
-    site.take_site(asked, bench=site.BENCH, model=site.MODEL)
+    site.apply_site_option(asked, bench=site.BENCH, model=site.MODEL)
     options: dict[str, Any] = {
         name: str(value) if isinstance(value, Path) else value for name, value in vars(asked).items()
     }

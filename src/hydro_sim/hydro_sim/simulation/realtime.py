@@ -27,7 +27,7 @@ from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace, PaceSettings, parse_pace
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.clock import HostClock, clock_step_message
-from hydro_core.process.realtime import Pacer, exact_timers
+from hydro_core.process.realtime import Pacer, disable_timer_slack
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state
@@ -119,10 +119,10 @@ class Simulation:
 
     def run(self) -> None:
         """Simulate until `stop`; the body of the plant's thread."""
-        exact_timers()
+        disable_timer_slack()
         measurement = self.warm_up()
         if self.paced:
-            self.pace.meet()
+            self.pace.wait_for_peers()
         self._began = time.monotonic()
         self.pacer.restart()
         while not self._stopping.is_set():
@@ -141,7 +141,7 @@ class Simulation:
             publish = partial(self._on_state, stamp, fields)
             if self.paced:
                 self._answered.clear()
-                self.pace.publishes(fields[1], publish)
+                self.pace.begin_sample(fields[1], publish)
             publish()
             measurement = self._plant.step(fields[10])
             if self.paced:
@@ -172,7 +172,7 @@ class Simulation:
             return bool(self.flags & Flag.ARMED) == arm
 
         if self.paced:
-            confirmed = self.pace.confirm(done)
+            confirmed = self.pace.run_until(done)
         else:
             with self._confirmed:
                 confirmed = self._confirmed.wait_for(done, timeout)
@@ -198,7 +198,7 @@ class Simulation:
         """Stamp [ns] of the present sample: ROS time in real time, else the simulation's own."""
         if not self.real_time:
             return self.samples * round(1e9 * SAMPLE_PERIOD)
-        step = self.host_clock.look()
+        step = self.host_clock.detect_step()
         if step:
             self._log(clock_step_message(step))
         return self.host_clock.ros_time(self.pacer.deadline_ns)  # without the jitter of waking up

@@ -223,5 +223,5 @@ def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
         choice, _ = requested_filter(options.filter, options.bench)
         digests += [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
-    attachments = filter(None, (options.bench or bench_file.shipped(), *options.attachments))
+    attachments = filter(None, (options.bench or bench_file.shipped_bench_file(), *options.attachments))
     return ["--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
