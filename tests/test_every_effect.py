@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import FloatArray
-from hydro_filter.metric import MetricDesign, rest_loop
-from hydro_filter.model.loop import SUBSTEPS, Loop, loop_of, samples_of
-from hydro_filter.model.records import follow, memories
+from hydro_filter.metric import MetricDesign, linearize_at_rest
+from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, make_samples
+from hydro_filter.model.records import linearize, new_memories
 from hydro_sim.files import recordings
 from hydro_sim.identification.bench_learning import learn
 from hydro_sim.model.bench import Bench
@@ -89,16 +89,16 @@ def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> No
     bench = having(label)
     if not label.startswith(("valve_lag", "transport_delay")):
         bench = replace(bench, effects=(lag, *bench.effects))
-    loop = loop_of(bench, BENCH)
-    free, push, feedback = rest_loop(loop, MetricDesign().gain_low)
+    loop = make_loop(bench, BENCH)
+    free, push, feedback = linearize_at_rest(loop, MetricDesign().gain_low)
     assert np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max() < 1.0
-    model, memory, xs = BenchModel(bench, substeps=SUBSTEPS), memories(), []
+    model, memory, xs = BenchModel(bench, substeps=SUBSTEPS), new_memories(), []
     k, y, z = model.begin(model.values)
     currents = 4e-3 * np.sin(2e-3 * np.pi * 3.0 * np.arange(400))
     for current in currents:
         xs.append(shown(loop, y, z))
         z = model.sample(k, y, float(current))
-    follow(loop.record, samples_of(np.array(xs), current=currents), memory)
+    linearize(loop.record, make_samples(np.array(xs), current=currents), memory)
     hidden = memory["hidden"][0, 6 : len(y)]
     scales = np.array([state.scale for state in model.states])[6:]
     np.testing.assert_allclose(hidden / scales, y[6:] / scales, atol=2e-3)

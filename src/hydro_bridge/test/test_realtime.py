@@ -45,9 +45,9 @@ main()
 """
 COMPILED = """
 import itertools, os, time
-from hydro_core.process.realtime import limit_run
+from hydro_core.process.realtime import limit_run_time
 
-limit_run()
+limit_run_time()
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
 print("spins", time.monotonic(), flush=True)
 sum(itertools.repeat(0))  # never comes back to the interpreter

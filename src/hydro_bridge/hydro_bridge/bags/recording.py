@@ -2,7 +2,7 @@
 """Recordings as arrays by field name, from a rosbag2 folder or a single .mcap of any writer; their check and repair.
 
 >>> states = read_bag("runs/tuesday").state          # doctest: +SKIP
->>> states["load_force"].mean(), continuity(states)  # doctest: +SKIP
+>>> states["load_force"].mean(), count_gaps(states)  # doctest: +SKIP
 
 `read_bag` returns everything, `stream_bag` one topic block by block in bounded memory, `read_serialized` the bytes as
 recorded, `read_messages` the messages of a topic whose type is not numbers only.

@@ -17,14 +17,14 @@ from hydro_sim.files.weights import WeightsError
 @command(WeightsError, RecordingError, ValueError)
 def main() -> None:
     """Entry point."""
-    options = arguments()
-    from hydro_filter.training.metric_learning import learn  # with compiled code: not for --help or a slip
+    options = parse_args()
+    from hydro_filter.training.metric_learning import learn_metric  # with compiled code: not for --help or a slip
 
-    learn(options)
+    learn_metric(options)
 
 
-def arguments() -> argparse.Namespace:
-    """Parse the command line."""
+def parse_args() -> argparse.Namespace:
+    """Parse the command line and return the options."""
     result = argparse.ArgumentParser(
         prog="learn_metric", description="Solve the contraction metric of the learned bench."
     )

@@ -39,11 +39,11 @@ from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, draw, figure, leg
 @command(WeightsError, ValueError)
 def main() -> None:
     """Entry point."""
-    options = arguments(sys.argv[1:])
-    raise_if_mismatched(_choice(options).trouble())  # before the work
+    options = parse_args(sys.argv[1:])
+    raise_if_mismatched(_choice(options).pairing_error())  # before the work
     lines = list(product(options.plants, options.cases, FILTERS))
     runs = {line: [f"{', '.join(line)}, seed {seed}" for seed in range(options.seeds)] for line in lines}
-    tasks = {name: (task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
+    tasks = {name: (make_task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
     done: dict[str, Outcome] = {}
     rows: dict[tuple[str, str, str], dict[str, Any]] = {}
@@ -61,8 +61,8 @@ def main() -> None:
         _draw(options)
 
 
-def task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
-    """One run as the words want it."""
+def make_task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
+    """Return the task of one run by the command's options."""
     return Task(
         plant=plant, case=case, filter=chosen, seed=seed, seconds=options.seconds, metric=options.metric,
         model=options.model, bench=options.bench,
@@ -79,13 +79,13 @@ def _choice(options: argparse.Namespace) -> FilterChoice:
 def _draw(options: argparse.Namespace) -> None:
     """The tracking figure of the first seed of every case."""
     for plant, case in product(options.plants, options.cases):
-        without, filtered = (simulate(task(options, plant, case, name, 0))[0] for name in FILTERS)
+        without, filtered = (simulate(make_task(options, plant, case, name, 0))[0] for name in FILTERS)
         path = Path(options.plots) / f"{plant}_{case}.png"
-        draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
+        plot_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
 
 
-def draw_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
-    """Draw the paper's figure unstable_track: both forces, the gain, the correction and the certificate over time."""
+def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
+    """Plot the paper's figure unstable_track: both forces, the gain, the correction and the certificate over time."""
     with figure(path, 4, size=(8.0, 8.0), sharex=True, height_ratios=(3, 1.5, 1.5, 1.5)) as (drawing, axes):
         force, gain, valve, certificate = axes
         drawing.suptitle(title, x=0.01, ha="left", weight="semibold")
@@ -108,7 +108,7 @@ def draw_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
             legend(panel)
 
 
-def arguments(given: list[str]) -> argparse.Namespace:
+def parse_args(given: list[str]) -> argparse.Namespace:
     """Parse the command line."""
     listed = "\n".join(f"  {case.name:14} {case.about}" for case in CASES.values())
     parser = argparse.ArgumentParser(

@@ -139,7 +139,7 @@ def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
     if kind == "none":
         return NoFilter()
     seen, made = np.zeros(1, filter_records.SAMPLE), np.zeros(1, filter_records.DECISION)
-    parts, memory = default_filter(believed).parts, filter_records.memories(count)
+    parts, memory = default_filter(believed).parts, filter_records.new_memories(count)
     return LearnedFilter(True, filter_records.decide_address(), parts, memory, seen, made)
 
 

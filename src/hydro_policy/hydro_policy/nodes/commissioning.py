@@ -301,7 +301,7 @@ def metric(at: Site) -> str:
     words = ("--model", str(at.folder / site.MODEL), "--bench", at.bench, "--out", str(out))
     said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", "both")
     found = ScheduledMetric.load(out)
-    if reason := found.unfit(out.name):
+    if reason := found.validity_error(out.name):
         raise GateError(reason)
     at.record.certified_gains = {
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]

@@ -65,9 +65,9 @@ def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[F
 
     Raises PairingError: its metric and model are not this bench's: nothing is started, and no guard is widened for it.
     """
-    from hydro_filter.controller.factory import arguments
+    from hydro_filter.controller.factory import parse_args
 
-    choice, settings, _ = arguments([*(["--bench", str(bench)] if bench else []), *words])
+    choice, settings, _ = parse_args([*(["--bench", str(bench)] if bench else []), *words])
     return choice, settings
 
 
