@@ -53,9 +53,9 @@ from hydro_policy.task import recorded
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth
-from hydro_sim.excitation import schedule_from
+from hydro_sim.excitation import parse_schedule
 from hydro_sim.model.bench import Bench
-from hydro_sim.plotting import figure, legend
+from hydro_sim.plotting import add_legend, figure
 
 PAPER_GAINS = (90.0, 15.0)
 ROBUST_GAINS = (40.0, 5.0)
@@ -101,7 +101,7 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
         raise SettingsError(f"{path} must hold a list of references")
     names = [str(entry.pop("name", "")) for entry in entries]
     segments = [{"seconds": 1.0, **entry, "waveform": str(entry["waveform"]).lower()} for entry in entries]
-    signals = [segment.signal for segment in schedule_from({"segments": segments}, str(path))]
+    signals = [segment.signal for segment in parse_schedule({"segments": segments}, str(path))]
     return tuple(map(Case, names, signals))
 
 
@@ -258,7 +258,7 @@ def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -
             axes.bar_label(bars, fmt="%.1f", fontsize=6)
         axes.set(yscale="log", ylim=(0.5, None), ylabel="force RMSE [N]")
         axes.set_xticks(places, [f"{case.name}\n{sizes[case.name]:.0f} N RMS" for case in cases], fontsize=6)
-        legend(axes)
+        add_legend(axes)
 
 
 def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]]:

@@ -19,7 +19,7 @@ from hydro_sim.identification.bench_learning import learn
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects import grown
-from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
+from hydro_sim.model.effects.catalogue import CATALOGUE, parse_entry
 from tests.segments import record
 
 BENCH = Bench.nominal()
@@ -34,7 +34,7 @@ SIZES = {
     "valve": 3e-10,
 }  # fmt: skip
 """Of parameters; coefficients by the effect's first word. At whole steps of 0.1 ms the dead time has two slopes."""
-GROWN = {one.id: one.seen for one in grown.EFFECTS}
+GROWN = {one.id: one.typical_parameters for one in grown.EFFECTS}
 SENSOR_BANDWIDTH = 20.0
 """Hz: a sensor of 80 Hz is not told from a faster one by runs whose power lies below 10 Hz."""
 
@@ -71,7 +71,7 @@ def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
     truth = having(label)
     data = recordings.split({"run": record(truth)})
     result = learn(moved(truth, 1.2), data)
-    values = [value for effect in truth.effects for value in kind_of(effect)[1]]
+    values = [value for effect in truth.effects for value in parse_entry(effect)[1]]
     for found, value in zip(result.parameters, values, strict=True):
         assert found.informed and found.high - found.low < 0.5 * abs(value), found
         assert abs(found.value - value) < max(0.05 * abs(value), found.high - found.low), found

@@ -17,7 +17,7 @@ from hydro_bridge.conformance.command import FAIL, PASS, run_cases, shipped_case
 from hydro_bridge.conformance.host import Host
 from hydro_core.files import bench_file
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.header import header
+from hydro_sim.box.header import render_header
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.model.bench import Bench
 from tests.checks import compiled
@@ -53,7 +53,7 @@ def test_every_line_and_branch_of_the_box_is_reached(checks: ModuleType, tmp_pat
 
 @pytest.fixture
 def configured(tmp_path: Path) -> Path:
-    text = header(BoxConfig().constants(Bench.nominal(), name="linux box"))
+    text = render_header(BoxConfig().constants(Bench.nominal(), name="linux box"))
     (tmp_path / "box_config.h").write_text(text)
     return tmp_path
 

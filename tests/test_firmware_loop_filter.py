@@ -20,7 +20,7 @@ from hydro_filter.model.loop import make_loop
 from hydro_filter.model.records import DECISION, SAMPLE, library, new_memories, new_monitors
 from hydro_filter.model.sample import Sample
 from hydro_sim.box.box import Box
-from hydro_sim.box.firmware import at
+from hydro_sim.box.firmware import address_of
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -118,8 +118,8 @@ def decided(metric: ScheduledMetric, truth: Bench, rows: FloatArray, law: FloatA
     for name, column in zip(SAMPLE.names[1:10], columns[:, 8:17].T, strict=True):
         samples[name] = column
     for k in range(len(rows)):
-        records = map(at, (memory, monitor, samples[k : k + 1], made))
-        library().hydro_c_filter_judge(at(parts), 1.0, *records)
+        records = map(address_of, (memory, monitor, samples[k : k + 1], made))
+        library().hydro_c_filter_judge(address_of(parts), 1.0, *records)
         out[k] = *(float(made[name][0]) for name in ("delta_u", "before", "after", "status")), monitor["broken"][0]
     return out
 

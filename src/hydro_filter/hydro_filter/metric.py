@@ -39,9 +39,9 @@ from hydro_core.signals import FloatArray
 from hydro_filter.model.coordinates import LOOP_FIELDS, LOOP_SIZE, Q_HYDRAULIC
 from hydro_filter.model.loop import Loop, closing_current, coordinate_names, make_samples, rest_measurement
 from hydro_filter.model.records import FILTER, library, linearize, make_record
-from hydro_sim.box.firmware import Records, at
+from hydro_sim.box.firmware import Records, address_of
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import MadeFor, made_for
+from hydro_sim.files.pairing import MadeFor, parse_provenance
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import NOMINAL
 
@@ -280,7 +280,7 @@ class ScheduledMetric:
     def matrix(self, gain: float) -> FloatArray:
         """Return M(K_p), shape (n, n), at K_p = `gain` [1/s]."""
         made = np.empty((len(self.coordinates), len(self.coordinates)))
-        library().hydro_c_filter_metric(at(self._record), gain, self.velocity_compensation, at(made))
+        library().hydro_c_filter_metric(address_of(self._record), gain, self.velocity_compensation, address_of(made))
         return made
 
     def save(self, path: str | Path) -> None:
@@ -308,7 +308,7 @@ class ScheduledMetric:
                 f"{path} has structure {header.get('structure')!r}, not a metric's: `learn_metric` makes one"
             )
         try:
-            made, other = made_for(header), header.get(SECOND_METRIC)
+            made, other = parse_provenance(header), header.get(SECOND_METRIC)
             another = None if other is None else cls._of(tensors, other, made, f"{SECOND_METRIC}.")
             return replace(cls._of(tensors, header, made), another=another)
         except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:

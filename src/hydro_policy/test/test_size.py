@@ -30,7 +30,7 @@ from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
-from hydro_sim.excitation import Range, schedule_from
+from hydro_sim.excitation import ExcitationRange, parse_schedule
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -74,7 +74,7 @@ def test_the_size_of_the_similar_bench() -> None:
     limits = rescale(TrainingSettings(), one, other).monitor
     assert (limits.peak_error, limits.chatter) == pytest.approx((FORCE * one.force, CURRENT * 14.0 * one.current))
     assert BoxConfig().of_bench(Bench.nominal()) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
-    assert Range.of_force(one.force) == Range()
+    assert ExcitationRange.of_force(one.force) == ExcitationRange()
 
 
 def learning(bench: Bench) -> Pretraining:
@@ -135,7 +135,7 @@ def test_a_box_takes_references_as_far_as_its_line_tells() -> None:
             other = replace(bench, piston_area=share * bench.piston_area)
             config = BoxConfig().of_bench(other)
             box = Box(other, config)
-            box.take(encode_hello(0, 0))
+            box.feed(encode_hello(0, 0))
             box.tick(np.zeros(8), 0.0)
             (details,) = (frame for frame in Decoder().feed(b"\0" + box.frames()) if isinstance(frame, Details))
             assert box.settings["high"][0, 0] == details.details.force_range
@@ -146,7 +146,7 @@ def test_a_schedule_goes_with_the_size_and_may_be_of_any() -> None:
     assert here == list(DEFAULT_SCHEDULE)
     assert [each.amplitude for each in there] == pytest.approx([FORCE * each.amplitude for each in here])
     segments = [replace(each, amplitude=1e3 * each.amplitude, delta_u=0.5) for each in there]
-    assert schedule_from({"segments": [to_mapping(each) for each in segments]}, "own") == segments
+    assert parse_schedule({"segments": [to_mapping(each) for each in segments]}, "own") == segments
 
 
 def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:

@@ -138,7 +138,7 @@ def test_a_greeted_box_tells_what_it_was_configured_with() -> None:
         Sensors(velocity_age=2e-3),
     )
     box = Box(bench, config, sensors, epoch=7)
-    box.take(encode_hello(0, 0))
+    box.feed(encode_hello(0, 0))
     box.tick(np.zeros(8), 0.25)
     frames: dict[type[Frame], Frame] = {type(frame): frame for frame in Decoder().feed(b"\0" + box.frames())}
     hello, details, law = frames[Hello], frames[Details], frames[LawFrame]
@@ -239,7 +239,7 @@ def test_single_precision_stays_within_its_rounding(law: Law) -> None:
     data, x = next(source)
     for k in range(20_000 - 1):
         for box in (double, single):
-            box.take(data)
+            box.feed(data)
         a, b = double.tick(x, k * 1e-3), single.tick(x, k * 1e-3)
         assert (int(a["flags"]) ^ int(b["flags"])) & ~Flag.SATURATED == 0
         for name in STATE_FIELDS:

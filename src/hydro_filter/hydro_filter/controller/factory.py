@@ -45,7 +45,7 @@ class FilterChoice:
     def files(self) -> dict[str, Path]:
         """Paths of the metric's and the model's file, by these names."""
         metric = shipped_metric() if self.metric == LEARNED else Path(self.metric)
-        return {"metric": metric, "model": self.model or learned_bench.shipped()}
+        return {"metric": metric, "model": self.model or learned_bench.shipped_bench()}
 
     @property
     def modification_times(self) -> tuple[int, ...]:

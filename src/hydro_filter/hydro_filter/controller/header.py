@@ -21,7 +21,7 @@ from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, without_disturbances
 from hydro_sim.box.firmware import Records
-from hydro_sim.box.header import header_file, initializer, members_of, wrapped
+from hydro_sim.box.header import header_file, initializer, record_members, wrap_words
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -47,7 +47,7 @@ def render_header(parts: Records, loop: Loop, table: FloatArray, origin: str) ->
     """
     truth, arrays = loop.truth, loop.arrays | {"table": table}
     names = {name: f"HYDRO_FILTER_{name.upper().replace('.', '_')}" for name in arrays}
-    members = members_of(parts[0])
+    members = record_members(parts[0])
     members["table"] = names.pop("table")
     for name, word in names.items():
         *path, last = name.split(".")
@@ -73,7 +73,7 @@ def render_header(parts: Records, loop: Loop, table: FloatArray, origin: str) ->
 def _array(name: str, numbers: npt.NDArray[Any]) -> str:
     kind = "int" if numbers.dtype.kind == "i" else "hydro_real"
     words = [initializer(number) for number in numbers.ravel()] or ["0"]
-    return f"static const {kind} {name}[{len(words)}] = {{\n{wrapped(words)}\n}};\n"
+    return f"static const {kind} {name}[{len(words)}] = {{\n{wrap_words(words)}\n}};\n"
 
 
 def parser() -> argparse.ArgumentParser:

@@ -43,7 +43,7 @@ from hydro_filter.model.records import (
     new_monitors,
 )
 from hydro_filter.model.sample import Sample
-from hydro_sim.box.firmware import Records, at
+from hydro_sim.box.firmware import Records, address_of
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import NOMINAL, Bench
 
@@ -131,7 +131,7 @@ class LoopFilter:
         self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
         self._every = [(float(each["velocity_compensation"][0]), each) for each in (parts, *others)]
         self._unknown = [not any((c_1 == 1.0) is paper for c_1, _ in self._every) for paper in (True, False)]
-        self._at = tuple(map(at, (self.memory, self.monitor, self._sample, self.decision)))
+        self._at = tuple(map(address_of, (self.memory, self.monitor, self._sample, self.decision)))
 
     @property
     def mismatch(self) -> str:
@@ -169,7 +169,7 @@ class LoopFilter:
             self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
         )  # fmt: skip
-        self._judge(at(parts), self.settings.innovation_limit, *self._at)
+        self._judge(address_of(parts), self.settings.innovation_limit, *self._at)
         delta_u, before, after, _, _, _, _, status, _ = (
             self.decision.item()
         )  # also of an old sample: the memory moves on

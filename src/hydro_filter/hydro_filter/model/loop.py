@@ -50,7 +50,7 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.effects import catalogue
-from hydro_sim.model.grammar import remembers, reverses, uses
+from hydro_sim.model.grammar import depends_on_direction, has_hidden_states, signals_of
 from hydro_sim.model.sensors import Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
@@ -123,12 +123,12 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
 
 def check_representable(truth: Bench) -> None:
     """Raise ValueError if the certificate cannot represent one of a bench's effects or closures."""
-    static = [one for one in truth.closures if not remembers(one)]
+    static = [one for one in truth.closures if not has_hidden_states(one)]
     loads: list[Mapping[str, Any]] = [{"id": "closure", **one} for one in static if one["equation"] == "load"]
     refused: dict[str, list[Mapping[str, Any]]] = {
-        "what closures remember": [one for one in truth.closures if remembers(one)],
+        "what closures remember": [one for one in truth.closures if has_hidden_states(one)],
         "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
-        "a mass that the load drags along": [one for one in loads if "acceleration" in uses(one)],
+        "a mass that the load drags along": [one for one in loads if "acceleration" in signals_of(one)],
         "a load that follows the velocity": [one for one in loads if depends_on_velocity(truth, one)],
     }
     for what, closures in refused.items():
@@ -229,7 +229,8 @@ def _fields(truth: Bench, believed: Bench) -> tuple[dict[str, Any], dict[str, np
         "on_their_way": count_delayed_currents(truth), "holds": level > 0.0 and not bristles, "level": level,
         "force_shown": state_index(places, "sensor_lag sensor=hydraulic_force", "signal"),
         "first": positions[0], "step": positions[1] - positions[0], "before": before, "after": after,
-        "delay": catalogue.delay(truth.effects), "spool_age": valve_lag_time(truth), "lag": lag, "inertia": inertia,
+        "delay": catalogue.total_delay(truth.effects), "spool_age": valve_lag_time(truth), "lag": lag,
+        "inertia": inertia,
         "gain": gain, "bias": bias,
         "allowed": size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
         "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
@@ -262,7 +263,7 @@ def without_disturbances(truth: Bench) -> Bench:
     return replace(
         truth,
         effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES),
-        closures=tuple(one for one in truth.closures if one["equation"] != "motion" or not reverses(one)),
+        closures=tuple(one for one in truth.closures if one["equation"] != "motion" or not depends_on_direction(one)),
     )
 
 

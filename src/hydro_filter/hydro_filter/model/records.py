@@ -25,8 +25,8 @@ from numba.extending import intrinsic
 
 from hydro_core.settings import SettingsError
 from hydro_core.signals import FloatArray
-from hydro_sim.box.firmware import DOUBLE, Records, at, library_path
-from hydro_sim.model.machine_code import call
+from hydro_sim.box.firmware import DOUBLE, Records, address_of, library_path
+from hydro_sim.model.machine_code import declare_call
 from hydro_sim.model.plant import STATES_MAX
 
 NO_STATE = -1
@@ -88,7 +88,7 @@ def make_record(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapp
     for (name, array), begin in zip(arrays.items(), begins, strict=False):
         memory.view(np.uint8)[8 * begin : 8 * begin + array.nbytes] = np.ascontiguousarray(array).view(np.uint8).ravel()
         *path, last = name.split(".")
-        _within(record, path)[last] = at(memory) + 8 * int(begin)
+        _within(record, path)[last] = address_of(memory) + 8 * int(begin)
     return record
 
 
@@ -149,7 +149,7 @@ def decide_address() -> int:
 @intrinsic
 def decide(typingctx: Any, address: Any, parts: Any, memory: Any, sample: Any, made: Any) -> Any:
     """Numba intrinsic: decide the correction of a sample without the monitor; arguments are records of shape (1,)."""
-    return call(types.void(types.int64, parts, memory, sample, made), "pppp")
+    return declare_call(types.void(types.int64, parts, memory, sample, made), "pppp")
 
 
 class Linearization(NamedTuple):
@@ -192,22 +192,32 @@ def linearize(
     shapes = (rows, width, width), (rows, width), (rows, width), (n, width), (n, states), (n, 2), (n,)
     made = Linearization(*(np.empty(shape) for shape in shapes))
     memory = new_memories() if memory is None else memory
-    chosen = None if linearized is None else at(linearized)
-    library().hydro_c_filter_follow(at(loop), at(memory), n, at(samples), chosen, *map(at, made))
+    chosen = None if linearized is None else address_of(linearized)
+    library().hydro_c_filter_follow(
+        address_of(loop), address_of(memory), n, address_of(samples), chosen, *map(address_of, made)
+    )
     return made
 
 
 def run_monitor(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
     """Run the model monitor on successive samples; returns its sums after each, shape (n, 5, 2)."""
     sums = np.empty((len(samples), EQUATIONS, 2))
-    library().hydro_c_filter_watch(at(loop), limit, at(memory), at(monitor), len(samples), at(samples), at(sums))
+    library().hydro_c_filter_watch(
+        address_of(loop),
+        limit,
+        address_of(memory),
+        address_of(monitor),
+        len(samples),
+        address_of(samples),
+        address_of(sums),
+    )
     return sums
 
 
 def law_gradient(loop: Records, sample: Records) -> FloatArray:
     """Return the gradient du/dx of the force law at a sample, shape (8,), A per unit of each measurement."""
     made = np.empty(8)
-    library().hydro_c_filter_gradient(at(loop), at(sample), at(made))
+    library().hydro_c_filter_gradient(address_of(loop), address_of(sample), address_of(made))
     return made
 
 
@@ -218,5 +228,5 @@ def sensitivity(loop: Records, state: FloatArray, opening: float) -> FloatArray:
     d p_b'/dv [Pa/m].
     """
     made = np.empty(5)
-    library().hydro_c_filter_sensitivity(at(loop), at(state), opening, at(made))
+    library().hydro_c_filter_sensitivity(address_of(loop), address_of(state), opening, address_of(made))
     return made

@@ -50,7 +50,7 @@ def hidden_state_indices(bench: Bench) -> dict[StateName, int]:
     for effect in bench.terms:
         label = catalogue.label(effect)
         seen[label] = seen.get(label, -1) + 1
-        for state in catalogue.kind_of(effect)[0].effect.states:
+        for state in catalogue.parse_entry(effect)[0].effect.states:
             places[label, seen[label], state.name] = TEXTBOOK + len(places)
     return places
 
@@ -69,7 +69,7 @@ def load_cell_indices(bench: Bench, numbers: Mapping[StateName, int]) -> tuple[i
 
 def _made(numbers: Any, effect: Mapping[str, Any], velocity: float = 0.0) -> Effect:
     """An effect with its numbers, for terms that need no state but the velocity [m/s]."""
-    kind, values = catalogue.kind_of(effect)
+    kind, values = catalogue.parse_entry(effect)
     made = kind.make()
     made.at = SimpleNamespace(numbers=numbers, velocity=velocity)
     for parameter, value in zip(kind.parameters, values, strict=True):
@@ -80,7 +80,7 @@ def _made(numbers: Any, effect: Mapping[str, Any], velocity: float = 0.0) -> Eff
 def load_curve(record: Any, effects: list[Mapping[str, Any]], positions: FloatArray) -> FloatArray:
     """Return the load force f_l [N] at `positions` [m], without backlash."""
     numbers = SimpleNamespace(**{name: float(record[name]) for name in record.dtype.names})
-    force = rates.load(numbers, [_made(numbers, effect) for effect in effects], positions)
+    force = rates.load_force(numbers, [_made(numbers, effect) for effect in effects], positions)
     return np.asarray(force, np.float64)
 
 
@@ -98,7 +98,9 @@ def sensor_calibration(truth: Bench) -> tuple[FloatArray, FloatArray]:
     made = [_made(None, effect) for effect in truth.effects]
     ends = np.array([[0.0] * len(RAW_FIELDS), [1.0] * len(RAW_FIELDS)])
     for effect in made:
-        ends = np.array([[effect.show(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends])
+        ends = np.array(
+            [[effect.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends]
+        )
     return ends[1] - ends[0], ends[0]
 
 
@@ -108,7 +110,7 @@ def null_shifts(truth: Bench) -> tuple[float, float]:
     for effect in truth.effects:
         behind = behind or effect["id"] == "valve_lag"
         if effect["id"] == "valve_offset":
-            shifts[int(behind)] += catalogue.kind_of(effect)[1][0]
+            shifts[int(behind)] += catalogue.parse_entry(effect)[1][0]
     return shifts[0], shifts[1]
 
 
@@ -116,7 +118,7 @@ def load_cell_coefficients(truth: Bench) -> tuple[float, float]:
     """Return the coefficients 2 d/w [s] and 1/w^2 [s^2] of the load cell's amplifier."""
     for effect in truth.effects:
         if catalogue.label(effect) == LOAD_CELL_LAG:
-            bandwidth, damping = catalogue.kind_of(effect)[1]
+            bandwidth, damping = catalogue.parse_entry(effect)[1]
             return 2.0 * damping / (2.0 * pi * bandwidth), (2.0 * pi * bandwidth) ** -2
     omega = float(truth.constants()["load_cell_omega"][0]) or inf
     return 2.0 * LOAD_CELL_DAMPING / omega, 1.0 / omega**2
@@ -126,7 +128,7 @@ def valve_lag_time(truth: Bench) -> float:
     """Return the delay [s] of the valve's lag at low frequency: 2 d/w, or 1/w of a first-order lag."""
     for effect in truth.effects:
         if effect["id"] == "valve_lag":
-            bandwidth, *damping = catalogue.kind_of(effect)[1]
+            bandwidth, *damping = catalogue.parse_entry(effect)[1]
             return (2.0 * damping[0] if damping else 1.0) / (2.0 * pi * bandwidth)
     return 0.0
 
@@ -170,7 +172,7 @@ def added_coordinates(
         if (signal := state_index(whole, label, "signal")) == NO_STATE:
             continue
         bandwidth, damping = next(
-            catalogue.kind_of(effect)[1] for effect in bench.effects if catalogue.label(effect) == label
+            catalogue.parse_entry(effect)[1] for effect in bench.effects if catalogue.label(effect) == label
         )
         omega = 2.0 * pi * bandwidth
         lagging.append((signal, state_index(whole, label, "rate"), place))
@@ -189,12 +191,12 @@ def added_coordinates(
 
 def count_delayed_currents(bench: Bench) -> int:
     """Return the number of past currents still within the dead time at the beginning of a sample."""
-    return ceil(catalogue.delay(bench.effects) / SAMPLE_PERIOD - ROUNDING)
+    return ceil(catalogue.total_delay(bench.effects) / SAMPLE_PERIOD - ROUNDING)
 
 
 def dead_time_samples(bench: Bench) -> int:
     """Return the dead time in whole samples: the age of the current at the valve at the end of a sample."""
-    return floor(catalogue.delay(bench.effects) / SAMPLE_PERIOD + ROUNDING)
+    return floor(catalogue.total_delay(bench.effects) / SAMPLE_PERIOD + ROUNDING)
 
 
 def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64], size: Size) -> FloatArray:

@@ -21,7 +21,7 @@ from hydro_filter.controller.factory import parse_args
 from hydro_filter.nodes.filter import FilterNode
 from hydro_sim.nodes import sim
 
-PLANTS = {"bridge": bridge.plant_factory, "sim": sim.plant}
+PLANTS = {"bridge": bridge.plant_factory, "sim": sim.plant_factory}
 
 
 def parser() -> argparse.ArgumentParser:

@@ -36,7 +36,7 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
     found: dict[str, dict[str, float]] = {}
     for effect in model.effects:
         label = catalogue.label(effect)
-        kind, values = catalogue.kind_of(effect)
+        kind, values = catalogue.parse_entry(effect)
         values_by_name = {one.name: value for one, value in zip(kind.parameters, values, strict=True)}
         if label in found:
             raise ValueError(f"the proof has no place for a second {label}")
@@ -68,7 +68,7 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
         "cell_damping": cell["damping"] if cell else LOAD_CELL_DAMPING,
         "leakage": found.get("leakage_internal", {}).get("coefficient", 0.0),
         "dry_friction": sum(max(v for k, v in one.items() if "force" in k) for one in dry),
-        "overlap": max(overlap["back"], overlap["out"]), "dead_time": catalogue.delay(model.effects),
+        "overlap": max(overlap["back"], overlap["out"]), "dead_time": catalogue.total_delay(model.effects),
         "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
     }  # fmt: skip
     record = believed.constants()[0]

@@ -165,9 +165,9 @@ def _twins(plant: Plant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int
 
 
 def _reference(rng: np.random.Generator, force: float) -> ReferenceSignal:
-    usual = excitation.Range.of_force(force)
+    usual = excitation.ExcitationRange.of_force(force)
     limits = replace(usual, seconds=(4.0, 5.0), force_max=1.1 * force, offset_max=force / 3.0, frequency=(0.3, 3.0))
-    return excitation.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
+    return excitation.draw_schedule(5.0, int(rng.integers(2**31)), limits)[0].signal
 
 
 def stability_label(first: StateArray, second: StateArray) -> int:

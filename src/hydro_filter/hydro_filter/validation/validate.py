@@ -33,7 +33,7 @@ from hydro_filter.validation.runs import (
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
-from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, draw, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure, plot_field
 
 
 @command(WeightsError, ValueError)
@@ -89,12 +89,12 @@ def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
     with figure(path, 4, size=(8.0, 8.0), sharex=True, height_ratios=(3, 1.5, 1.5, 1.5)) as (drawing, axes):
         force, gain, valve, certificate = axes
         drawing.suptitle(title, x=0.01, ha="left", weight="semibold")
-        draw(force, filtered.states, "reference_force", color=GRAY, linestyle="--")
+        plot_field(force, filtered.states, "reference_force", color=GRAY, linestyle="--")
         tripped = "" if without.bounded else ", until the box tripped"
-        draw(force, without.states, "load_force", color=RED, label="without filter" + tripped, linewidth=0.9)
-        draw(force, filtered.states, "load_force", color=BLUE, label="with filter")
+        plot_field(force, without.states, "load_force", color=RED, label="without filter" + tripped, linewidth=0.9)
+        plot_field(force, filtered.states, "load_force", color=BLUE, label="with filter")
         force.set(ylabel="load force [N]", ylim=(-720.0, 720.0))
-        draw(gain, filtered.states, "proportional_gain", color=GREEN, drawstyle="steps-post", linewidth=0.7)
+        plot_field(gain, filtered.states, "proportional_gain", color=GREEN, drawstyle="steps-post", linewidth=0.7)
         gain.set(ylabel="[1/s]")
         time = filtered.states["time"]
         correction = np.array([result.delta_u for result in filtered.results])
@@ -105,7 +105,7 @@ def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
         certificate.plot(time, after, color=BLUE, label=r"$M_c$ after", linewidth=0.7)
         certificate.set(ylabel="[1/s]", xlabel="time [s]", yscale="symlog", xlim=(time[0], time[-1]))
         for panel in axes:
-            legend(panel)
+            add_legend(panel)
 
 
 def parse_args(given: list[str]) -> argparse.Namespace:

@@ -19,7 +19,7 @@ from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, Trace, relative_scores
 from hydro_policy.task.mdp import GainRange
-from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 SPOILT_MARK = (
     f"*: in more than {SPOILT:.0%} of the samples of a run base gains acted, or they did not arrive, since the machine "
@@ -167,7 +167,7 @@ def plot(session: TrialRunner[Comparison], path: Path) -> None:
         force.set_ylabel("load force [N]")
         error.set_ylabel("error [N]")
         for panel in (force, error, gain):
-            legend(panel)
+            add_legend(panel)
         drawing.align_ylabels()
 
 

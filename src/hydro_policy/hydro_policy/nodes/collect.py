@@ -33,7 +33,7 @@ from hydro_policy.evaluation.trial import Trial
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.task.cases import Case, Score
 from hydro_sim.box.box import EMULATED_BOX
-from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
+from hydro_sim.excitation import ExcitationRange, Segment, draw_schedule, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
@@ -151,7 +151,7 @@ def playable(options: argparse.Namespace, force: float) -> Sequence[Segment]:
     Raises UserError: it has corrections, which are the filter's; only the emulator records others.
     """
     if not options.schedule:
-        return draw(options.seconds, options.seed, Range.of_force(force))
+        return draw_schedule(options.seconds, options.seed, ExcitationRange.of_force(force))
     schedule = load_schedule(options.schedule)
     for index, segment in enumerate(schedule):
         if segment.delta_u:

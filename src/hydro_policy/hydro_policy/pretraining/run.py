@@ -40,7 +40,7 @@ from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL
-from hydro_sim.plotting import BLUE, figure, legend
+from hydro_sim.plotting import BLUE, add_legend, figure
 
 SOURCE = "pretrain.yaml"
 """File name in a run's folder, beside config.yaml."""
@@ -114,7 +114,7 @@ def draw_curve(history: Sequence[dict[str, Any]], cases: Sequence[Case], referen
             ratios.plot(episodes, changed, color="k", marker=".", label="drawn benches, mean")
         ratios.axhline(1.0, color="0.5", linestyle="--")
         ratios.set(xlabel="episodes", ylabel="RMSE / fixed ({:g}, {:g})".format(*REFERENCE_GAINS))
-        legend(ratios)
+        add_legend(ratios)
 
 
 SAVE_PERIOD = 20.0

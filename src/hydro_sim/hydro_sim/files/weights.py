@@ -19,7 +19,7 @@ from safetensors.numpy import save as serialize
 
 from hydro_core.files.atomic import write_whole
 from hydro_core.files.tensors import InvalidTensorError, check_numbers
-from hydro_sim.files.pairing import ENTRY, MadeFor
+from hydro_sim.files.pairing import HEADER_KEY, MadeFor
 
 FORMAT = 1
 Tensors = dict[str, npt.NDArray[Any]]
@@ -32,7 +32,7 @@ class WeightsError(ValueError):
 def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
     """Write tensors, header and provenance; create missing folders."""
     if made is not None:
-        header = {**header, ENTRY: asdict(made)}
+        header = {**header, HEADER_KEY: asdict(made)}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})

@@ -36,7 +36,7 @@ def main() -> None:
     if not is_bench_file(options.out):
         raise UserError(f"--out {options.out}: a bench file's name ends in {' or '.join(BENCH_FILES)}")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    data = recordings.split(recordings.load(options.bags))
+    data = recordings.split(recordings.load_states(options.bags))
     result = bench_learning.learn(
         bench, data, count=options.windows, seed=options.seed, report=lambda text: print(text, file=sys.stderr)
     )
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the argument parser."""
     result = argparse.ArgumentParser(
         prog="learn",
         description="Fit the parameters of a bench file's effects and closures to recordings, so that predictions of "

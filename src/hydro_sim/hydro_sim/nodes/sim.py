@@ -35,7 +35,7 @@ SIMULATED_BOX = "hydro sim"
 """Name of the simulated box."""
 
 
-class SimSide(Simulation):
+class SimulatedPlant(Simulation):
     """A simulation with its status for /diagnostics."""
 
     effects = ""
@@ -45,7 +45,7 @@ class SimSide(Simulation):
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
         values = {
             "samples": self.samples,
-            "simulated seconds per second": self.speed_reached(),
+            "simulated seconds per second": self.mean_speed(),
             "late samples": self.pacer.late,
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
@@ -53,7 +53,7 @@ class SimSide(Simulation):
             "effects": self.effects or "none",
             "refused by the box": self._box.refused[0],
         }
-        pace = f"{self.speed_reached():.2f} times real time"
+        pace = f"{self.mean_speed():.2f} times real time"
         return Status(message=f"{mode(self.flags)}, {pace}", values=values)
 
 
@@ -73,7 +73,7 @@ class SimNode(PlantNode):
         self.get_logger().info(f"simulates {settings.model or settings.bench or 'the shipped learned bench'}, {what}")
         log = self.get_logger().info
         pace = Pace(declare_parameters(self, PaceSettings(), "pace."), log)
-        self.simulation = SimSide(box, plant, guard, settings, self._publish, log, pace)
+        self.simulation = SimulatedPlant(box, plant, guard, settings, self._publish, log, pace)
         self.simulation.effects = effects
         self.connect(self.simulation)
         info = box_info(believed, config, SIMULATED_BOX)
@@ -107,8 +107,8 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     return learned_bench.make_plant(path, noise=settings.noise)
 
 
-def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
-    """Settings and whether to ask for real-time scheduling; the help texts are the settings' own."""
+def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
+    """Parse the command line into the settings and whether to request real-time scheduling."""
     parser = argparse.ArgumentParser(
         prog="sim",
         description="The simulated bench in place of emulator and bridge: same topics, types, rates and rules.",
@@ -131,9 +131,9 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
     return replace(defaults, **options), realtime
 
 
-def plant(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
-    """Return what makes the node that this command line asks for, given a filter in its process."""
-    settings, realtime = arguments(own)
+def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
+    """Return a factory of the node for this command line; it takes the filter in this process, or None."""
+    settings, realtime = parse_args(own)
     return lambda corrector: SimNode(settings, corrector, realtime=realtime)
 
 
@@ -141,5 +141,5 @@ def plant(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    make = plant(own)
+    make = plant_factory(own)
     run_plant(lambda: make(None), ros)

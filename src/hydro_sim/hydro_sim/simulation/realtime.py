@@ -105,7 +105,7 @@ class Simulation:
 
     @property
     def law_state(self) -> LawState | None:
-        """Force law as it acted in the present sample, for `on_state` alone; None: the paper's."""
+        """State of the force law in the present sample, for `on_state`; None: the paper's law."""
         state = self._box.state[0]
         return law_state(state) if state["acting"]["law"] else None
 
@@ -113,8 +113,8 @@ class Simulation:
         """Time [s] by which commands and leases age: the host's monotonic clock, or the simulation's own."""
         return time.monotonic() if self.real_time else self.samples * SAMPLE_PERIOD
 
-    def speed_reached(self) -> float:
-        """Simulated seconds per second since the start."""
+    def mean_speed(self) -> float:
+        """Return the simulated seconds per second of wall clock since the start."""
         return self.samples * SAMPLE_PERIOD / max(time.monotonic() - self._began, SAMPLE_PERIOD)
 
     def run(self) -> None:
@@ -157,7 +157,7 @@ class Simulation:
         self.pace.close()
 
     def send(self, corrects: int | None = None) -> None:
-        """Let a command that corrects nothing act at once; each sample takes the guard's present command anyway."""
+        """Apply a command that corrects nothing at once; others apply with the next sample."""
         if corrects is None:
             self.pace.release()
 
@@ -183,7 +183,7 @@ class Simulation:
         return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
 
     def warm_up(self) -> FloatArray:
-        """Compile everything before the deadlines begin; return the first measurement. Repeated calls cost nothing."""
+        """Compile all kernels before deadlines begin; return the first measurement. Repeated calls cost nothing."""
         begin = time.monotonic()
         self._box.receive(Command(), 0.0)
         self._box.tick(self._plant.reset(self.settings.seed), 0.0)

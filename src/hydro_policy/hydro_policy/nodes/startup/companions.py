@@ -29,7 +29,7 @@ from hydro_core.files import bench_file
 from hydro_policy.nodes.graph.announcements import companion_output
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange
-from hydro_sim.files.learned_bench import shipped
+from hydro_sim.files.learned_bench import shipped_bench
 
 if TYPE_CHECKING:
     from hydro_filter.controller.factory import FilterChoice
@@ -43,7 +43,7 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Pat
     """
     words = [f"policy_sha256_{path.stem}={_digest(path)}" for path in policies if path.is_file()]
     if plant == "sim":
-        file = model or (None if bench else shipped())
+        file = model or (None if bench else shipped_bench())
         words.append("model=analytic" if file is None else f"model_sha256={_digest(file)}")
     return words
 
