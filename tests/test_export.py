@@ -271,7 +271,7 @@ def test_the_box_as_an_s_function_compiles(tmp_path: Path) -> None:
 
 def test_the_model_in_c_is_the_simulation(tmp_path: Path) -> None:
     run, source = expected("closures"), tmp_path / "bench.c"
-    source.write_text(ExportedModel(BENCHES["closures"]).c())
+    source.write_text(ExportedModel(BENCHES["closures"]).c_source())
     code = ctypes.CDLL(str(compiled(source, tmp_path / "bench.so", "-O1", "-shared", "-fPIC")))
     bench, found = ctypes.create_string_buffer(20_000), np.zeros_like(run.readings)
     code.hydro_bench_start(bench, None, None)

@@ -107,7 +107,7 @@ HISTORY_SLOTS = 6000
 
 @dataclass(frozen=True)
 class Slots:
-    """Consecutive closed slots."""
+    """Consecutive complete slots of a downsampled series."""
 
     first: int
     """Number of the first one: floor(time / SLOT)."""

@@ -98,7 +98,7 @@ _OBJECTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingPage:
-    """Content of a recording's page."""
+    """Content of the page of one recording: downsampled series, marks and notes."""
 
     path: Path
     begin: float

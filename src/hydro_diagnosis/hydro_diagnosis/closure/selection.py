@@ -153,7 +153,7 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
     """The fit with a reversal velocity as a parameter of one law, the newest by default, where that pays."""
     claim = found.claims[place]
     effect = claim.effect
-    if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.reverses):
+    if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.depends_on_direction):
         return found
     if REVERSAL_VELOCITY in effect.law.numbers:
         return found

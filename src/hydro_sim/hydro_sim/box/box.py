@@ -175,9 +175,9 @@ class Box:
     Parameters
     ----------
     bench, config, sensors
-        What its force law believes, its settings, and the ages of its rates.
+        Bench that its force law assumes, its settings, and the filters of its rates.
     name, epoch
-        What it calls itself on the line, and the number of its power-on.
+        Name in HELLO, and number of the power-on.
     precision
         Of its numbers.
 

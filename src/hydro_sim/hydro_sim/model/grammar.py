@@ -350,7 +350,7 @@ _OTHER: tuple[Law, ...] = (
 MEMORY_LAWS: tuple[Law, ...] = (*_MEMORY, *_OTHER)
 """Laws with memory or of several signals."""
 LAWS: tuple[Law, ...] = (*(law for curve in CURVES for law in curve.laws), *MEMORY_LAWS)
-ROUNDED = tuple(with_reversal_velocity(law) for law in LAWS if law.reverses)
+ROUNDED = tuple(with_reversal_velocity(law) for law in LAWS if law.depends_on_direction)
 """Laws that follow the sign of the velocity, with that over which they reverse as a number."""
 TABLES = tuple(curve.table for curve in CURVES)
 _EVERY: tuple[Law | Table, ...] = (*LAWS, *ROUNDED, *TABLES)
@@ -365,13 +365,13 @@ def _of(closure: Mapping[str, Any]) -> Law | Table | None:
 def has_hidden_states(closure: Mapping[str, Any]) -> bool:
     """Return whether an entry of a bench file's `closures` has hidden states."""
     law = _of(closure)
-    return law is not None and law.remembers
+    return law is not None and law.has_hidden_states
 
 
 def depends_on_direction(closure: Mapping[str, Any]) -> bool:
     """Return whether an entry of a bench file's `closures` is a law that depends on the sign of the velocity."""
     law = _of(closure)
-    return isinstance(law, Law) and law.reverses
+    return isinstance(law, Law) and law.depends_on_direction
 
 
 def signals_of(closure: Mapping[str, Any]) -> frozenset[str]:

@@ -184,14 +184,14 @@ class Law:
     """Total power of the signals in it; those of signs, bumps and states count nothing."""
 
     @property
-    def picks_up(self) -> bool:
+    def depends_on_current(self) -> bool:
         """Whether it is a sensor's error that depends on the valve current."""
         return self.equation == "sensor" and self.element is None and "current" in self.uses
 
     @property
-    def remembers(self) -> bool:
+    def has_hidden_states(self) -> bool:
         """Whether the law has hidden states."""
-        return self.element is not None or self.picks_up
+        return self.element is not None or self.depends_on_current
 
     @property
     def is_step(self) -> bool:
@@ -199,7 +199,7 @@ class Law:
         return "where" in self.text
 
     @property
-    def reverses(self) -> bool:
+    def depends_on_direction(self) -> bool:
         """Whether the law depends on the sign of the velocity."""
         return re.search(r"\b(sign_v|turn)\b", self.formula) is not None
 

@@ -86,7 +86,7 @@ class Noise:
         self._used = 0
 
     def row(self) -> FloatArray:
-        """Return the next row, shape (5,)."""
+        """Return the next sample's standard normal numbers, shape (5,)."""
         if self._used == len(self._block):
             self._block = self._generator.standard_normal((self.BLOCK, len(RAW_FIELDS)))
             self._used = 0
@@ -94,7 +94,7 @@ class Noise:
         return self._block[self._used - 1]
 
     def rows(self, count: int) -> FloatArray:
-        """Return the next rows, shape (count, 5)."""
+        """Return the standard normal numbers of the next `count` samples, shape (count, 5)."""
         kept = self._block[self._used :]
         fresh = self._generator.standard_normal((max(count - len(kept), 0), len(RAW_FIELDS)))
         self._block, self._used = (self._block, self._used + count) if len(kept) >= count else (fresh[:0], 0)

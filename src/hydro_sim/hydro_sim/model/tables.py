@@ -87,14 +87,14 @@ class Table:
         return frozenset(f"{own} {self.factor.uses if self.factor else ''}".split())
 
     @property
-    def picks_up(self) -> bool:
+    def depends_on_current(self) -> bool:
         """Whether it is a sensor's error that depends on the valve current."""
         return self.equation == "sensor" and self.variable == "current"
 
     @property
-    def remembers(self) -> bool:
+    def has_hidden_states(self) -> bool:
         """Whether it has hidden states."""
-        return self.picks_up
+        return self.depends_on_current
 
     def variable_value(self, at: Signals) -> Symbol:
         """Return the value of the table's variable."""

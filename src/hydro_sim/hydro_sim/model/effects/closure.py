@@ -79,7 +79,7 @@ class EdgeClosure(Closure):
 
 
 class SpoolShiftClosure(Closure):
-    """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
+    """Shift of the spool at the edges, as a function of pressures, velocity, position or current."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
@@ -224,7 +224,7 @@ def closure_class(law: Law | Table) -> type[Closure]:
         members |= {one.name: _number(one) for one in law.numbers}
     if element is not None:
         members |= {**_states(element, law), "element": element}
-    elif law.picks_up:
+    elif law.depends_on_current:
         members |= {"held": hidden("A", scale=1e-3)}
     members |= {"law": law, "shaken": "acceleration" in law.uses, "__doc__": Closure.__doc__}
     members |= {"options": {"equation": (law.equation,), "form": (law.form,)}}
