@@ -73,9 +73,9 @@ def host(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Host]:
 
 def test_it_stands_still_until_a_host_greets_and_gives_a_sample_for_each_answer(host: Host) -> None:
     assert host.stands() and host.running.samples == 0
-    host.send_hello()
+    host.greet()
     clock, hello, *_, state = host.read()
-    assert isinstance(clock, ClockFrame) and clock.peers and isinstance(hello, Hello)
+    assert isinstance(clock, ClockFrame) and clock.waits and isinstance(hello, Hello)
     for sequence in range(300):
         assert isinstance(state, State) and (state.sequence, state.time_us) == (sequence, 1000 * sequence)
         host.answer(state.time_us)
@@ -85,7 +85,7 @@ def test_it_stands_still_until_a_host_greets_and_gives_a_sample_for_each_answer(
 
 def test_a_greeting_that_is_repeated_takes_no_sample(host: Host) -> None:
     for _ in range(3):
-        host.send_hello()
+        host.greet()
         assert host.read()[-1].sequence == 0
     host.answer(0)
     wait(lambda: host.running.samples == 2)
@@ -93,7 +93,7 @@ def test_a_greeting_that_is_repeated_takes_no_sample(host: Host) -> None:
 
 
 def test_a_host_that_does_not_say_that_it_answers_is_served_in_real_time(host: Host) -> None:
-    host.send_hello(follows=False)
+    host.greet(follows=False)
     host.read()
     began, before = time.monotonic(), host.running.samples
     wait(lambda: host.running.samples >= before + 200)
@@ -102,7 +102,7 @@ def test_a_host_that_does_not_say_that_it_answers_is_served_in_real_time(host: H
 
 def test_a_silent_host_counts_as_dead_until_it_answers(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(realtime, "SILENCE_MAX", 0.3)
-    host.send_hello()
+    host.greet()
     host.read()
     host.answer(0)
     (state,) = host.read()
@@ -122,7 +122,7 @@ def test_a_silent_host_counts_as_dead_until_it_answers(host: Host, monkeypatch: 
 
 
 def test_without_a_host_time_goes_on(host: Host) -> None:
-    host.send_hello()
+    host.greet()
     host.read()
     host.port.close()
     wait(lambda: host.running.samples > 250)
@@ -131,7 +131,7 @@ def test_without_a_host_time_goes_on(host: Host) -> None:
 @pytest.mark.parametrize("host", [LinkFaults(drop=1.0)], indirect=True)
 def test_an_answer_that_the_line_loses_is_not_waited_for(host: Host) -> None:
     host.link.set_faults(LinkFaults())
-    host.send_hello()
+    host.greet()
     host.read()
     host.answer(0)
     host.link.set_faults(LinkFaults(drop=1.0))

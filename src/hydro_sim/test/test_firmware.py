@@ -187,7 +187,7 @@ def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(
             frame = encode_command(k + 1, 0, command)
             sent = decode(frame[1:-1])
             assert isinstance(sent, CommandFrame)
-            line.take(frame)
+            line.feed(frame)
             past.receive(sent.command, k * 1e-3)
         sample = line.tick(x, k * 1e-3)
         assert bits(sample) == bits(past.tick(x, k * 1e-3)), k
