@@ -33,9 +33,9 @@ def pytest_configure() -> None:
         signal.signal(signal.SIGHUP, lambda *_: None)
     os.environ.setdefault("HYDRO_DASHBOARD", "off")  # tests of the live page start their own
     with suppress(ModuleNotFoundError):  # nothing is built
-        from hydro_bridge.ros.node import stay_on_this_machine
+        from hydro_bridge.ros.node import restrict_to_localhost
 
-        stay_on_this_machine()
+        restrict_to_localhost()
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

@@ -49,7 +49,7 @@ def _advance(plants, i, noise, current):
 
     def advance(plants, i, noise, current):
         one = slice(i, i + 1)
-        truth.advance(
+        truth.advance_sample(
             plants.parameters[one], plants.differentiation[one], plants.state[one], plants.chain[one], plants.work,
             noise, current,
         )  # fmt: skip

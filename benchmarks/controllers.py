@@ -35,7 +35,7 @@ from benchmarks._model_based import (
 from benchmarks._report import parser
 from benchmarks._truths import drawn_truths, truth_fleet
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.conformance.reference import FADE
+from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, command
@@ -53,9 +53,9 @@ from hydro_policy.task import recorded
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth
-from hydro_sim.excitation import schedule_from
+from hydro_sim.excitation import parse_schedule
 from hydro_sim.model.bench import Bench
-from hydro_sim.plotting import figure, legend
+from hydro_sim.plotting import add_legend, figure
 
 PAPER_GAINS = (90.0, 15.0)
 ROBUST_GAINS = (40.0, 5.0)
@@ -101,7 +101,7 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
         raise SettingsError(f"{path} must hold a list of references")
     names = [str(entry.pop("name", "")) for entry in entries]
     segments = [{"seconds": 1.0, **entry, "waveform": str(entry["waveform"]).lower()} for entry in entries]
-    signals = [segment.signal for segment in schedule_from({"segments": segments}, str(path))]
+    signals = [segment.signal for segment in parse_schedule({"segments": segments}, str(path))]
     return tuple(map(Case, names, signals))
 
 
@@ -145,11 +145,11 @@ def played(case: Case) -> FloatArray:
     if not case.pieces:
         return reference_force(case.signal, np.arange(SETTINGS.settle, SETTINGS.length(case), SAMPLE_PERIOD))[0]
     fade = SAMPLE_PERIOD * np.arange(recorded.SAMPLES)
-    rising = 3.0 * (fade / FADE) ** 2 - 2.0 * (fade / FADE) ** 3
+    rising = 3.0 * (fade / FADE_TIME) ** 2 - 2.0 * (fade / FADE_TIME) ** 3
     parts, leaving = [], np.zeros(len(fade))
     for signal in (case.signal, *case.pieces):
         parts.append(leaving + rising * (reference_force(signal, fade)[0] - leaving))
-        leaving = reference_force(signal, FADE + fade)[0]
+        leaving = reference_force(signal, FADE_TIME + fade)[0]
     return np.concatenate(parts)[round(SETTINGS.settle / SAMPLE_PERIOD) :]
 
 
@@ -258,7 +258,7 @@ def picture(rows: Sequence[dict[str, Any]], cases: Sequence[Case], path: Path) -
             axes.bar_label(bars, fmt="%.1f", fontsize=6)
         axes.set(yscale="log", ylim=(0.5, None), ylabel="force RMSE [N]")
         axes.set_xticks(places, [f"{case.name}\n{sizes[case.name]:.0f} N RMS" for case in cases], fontsize=6)
-        legend(axes)
+        add_legend(axes)
 
 
 def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]]:
@@ -277,7 +277,7 @@ def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]
     digest = hashlib.sha256(repr((cases, SETTINGS, code_version())).encode()).hexdigest()[:12]
     keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] + digest for path in truths}
     wanted = {f"{keys[path]} {name}": (load_truth(path), name, cases) for path in truths for name in asked.controllers}
-    found = jobs.complete(run_one, wanted, kept=kept, **jobs.where(asked), label="runs", unit="run")
+    found = jobs.run_all(run_one, wanted, kept=kept, **jobs.job_options(asked), label="runs", unit="run")
     return [
         {"truth": path.stem, "controller": name, **row}
         for path in truths for name in asked.controllers for row in found[f"{keys[path]} {name}"]

@@ -42,7 +42,9 @@ def runs(bench: Bench, contraction_filter: LoopFilter, count: int) -> list[Sampl
         low, high = np.where(np.arange(draws) % 2, -40.0, 15.0), np.where(np.arange(draws) % 2, 40.0, 90.0)
         pairs = np.column_stack([rng.uniform(low, high), rng.uniform(-5.0, 15.0, draws)])
         trial = Trial(bench=bench, reference=signal, gains=np.repeat(pairs, 50, axis=0), seed=seed)
-        samples += [Sample.of(record) for record in run(trial, AnalyticPlant(bench), contraction_filter).states]
+        samples += [
+            Sample.from_record(record) for record in run(trial, AnalyticPlant(bench), contraction_filter).states
+        ]
     return samples[:count]
 
 

@@ -25,7 +25,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 
 from benchmarks._report import parser
-from hydro_bridge.bags.recording import continuity, read_bag
+from hydro_bridge.bags.recording import count_gaps, read_bag
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import DIAGNOSTICS, LAW_STATE, STATE, create_subscription
@@ -176,7 +176,7 @@ def measure(asked: argparse.Namespace, folder: Path, *, together: bool) -> dict[
         "filter: corrections": ", ".join(f"{own.get(key, '?')} {key}" for key in (*statuses, "missing_states")),
         "bridge and filter: share of a core": f"{plant / elapsed:.1%}",
         **{f"{name}: share of a core": f"{cpu[name] / elapsed:.1%}" for name in ("emulator", "recorder")},
-        "recording: samples, missing sequence numbers": f"{len(states)}, {continuity(states).lost}",
+        "recording: samples, missing sequence numbers": f"{len(states)}, {count_gaps(states).lost}",
         "bridge: heartbeats (commands without a correction)": bridge.get("heartbeats", "not told"),
     }
 

@@ -35,8 +35,8 @@ from hydro_core.signals import (
     Waveform,
 )
 from hydro_filter.controller.loop_filter import EQUATIONS, LoopFilter, default_filter
-from hydro_filter.model.loop import samples_of
-from hydro_filter.model.records import memories, monitors, watch
+from hydro_filter.model.loop import make_samples
+from hydro_filter.model.records import new_memories, new_monitors, run_monitor
 from hydro_filter.validation.runs import CASES
 from hydro_policy.envs.vector_env import VectorBench, fleet_filter
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
@@ -175,19 +175,23 @@ def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
     )
     fleet.filters = fleet_filter("learned", bench, BENCHES)
     steps = max(round(60.0 * minutes / BENCHES / (SAMPLES_PER_STEP * SAMPLE_PERIOD)), 1)
-    gains = np.stack([CASES[GAINS[i % len(GAINS)]].draw(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)])
+    gains = np.stack(
+        [CASES[GAINS[i % len(GAINS)]].draw_gains(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)]
+    )
     changes = gains - (fleet.config.base_kp, fleet.config.base_ki)
     for i, signal in enumerate(references(rng, BENCHES)):
         fleet.begin(i, signal, seed * BENCHES + i)
     loop = default_filter(bench).parts["loop"]
-    watched = [(memories(), monitors()) for _ in range(BENCHES)]
+    watched = [(new_memories(), new_monitors()) for _ in range(BENCHES)]
     highest, alarms = np.zeros(len(EQUATIONS)), 0
     tripped = np.zeros(BENCHES, bool)
     for k in progress(range(steps), label=f"no alarm, {plant}", unit="step"):
         samples = fleet.step(changes[:, k])
         x = np.stack([samples[name] for name in PLANT_FIELDS], axis=-1)
         for i, (memory, monitor) in enumerate(watched):
-            sums = watch(loop, samples_of(x[i], current=samples["valve_current"][i]), memory, monitor).max(axis=-1)
+            sums = run_monitor(loop, make_samples(x[i], current=samples["valve_current"][i]), memory, monitor).max(
+                axis=-1
+            )
             highest = np.maximum(highest, sums.max(axis=0))
             alarms += int((sums > ALARM).any(axis=-1).sum())
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0

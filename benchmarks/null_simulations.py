@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks._report import parser
 from benchmarks.prove.blind import ENGINE
 from hydro_core.cli import jobs
-from hydro_core.cli.console import Table, command, number
+from hydro_core.cli.console import Table, bounded_number, command
 from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_diagnosis.bench_numbers import completed
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
@@ -144,7 +144,7 @@ def print_coverage(runs: int) -> None:
 def main() -> None:
     """Search, print the statistics of the threshold."""
     options = parser("null_simulations", __doc__)
-    options.add_argument("--runs", type=number(1), default=200, help="pairs of recordings (default: 200)")
+    options.add_argument("--runs", type=bounded_number(1), default=200, help="pairs of recordings (default: 200)")
     options.add_argument("--seed", type=int, default=0, help="of references, gains and noise")
     jobs.add_arguments(options)
     options.add_argument("--write", type=Path, metavar="FILE", help="keep the trials there and go on from them")
@@ -156,7 +156,7 @@ def main() -> None:
     bench = Bench.nominal()
     version = hashlib.sha256(repr((bench.to_mapping(), ENGINE)).encode()).hexdigest()[:12]
     pairs = {f"{version}-{seed}": (bench, seed) for seed in range(chosen.seed, chosen.seed + chosen.runs)}
-    found = jobs.complete(trial, pairs, **jobs.where(chosen), kept=chosen.write, label="searching", unit="pair")
+    found = jobs.run_all(trial, pairs, **jobs.job_options(chosen), kept=chosen.write, label="searching", unit="pair")
     trials = list(found.values())
     table = Table({"noise": "scale of the sensors' noise", "evidence": "of the best claim, BIC", "claim": ""})
     for noise, found, claim in trials:

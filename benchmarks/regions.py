@@ -11,9 +11,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hydro_filter.region.facts import share_inside
+from hydro_filter.region.facts import containment_share
 from hydro_filter.region.statement import TOLERANCES
-from hydro_filter.training.region_learning import Wanted, certify, samples_of
+from hydro_filter.training.region_learning import RegionTarget, certify_region, simulate_states
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
@@ -35,20 +35,20 @@ def main() -> None:
     options.add_argument("--out", type=Path, metavar="FILE", help="statement to write")
     asked = options.parse_args()
     model, bench = learned_bench.load_model(asked.model), Bench.nominal()
-    wanted = Wanted(
+    wanted = RegionTarget(
         law=BoxConfig().of_bench(bench).compensated if asked.law == "compensated" else None,
         gains=tuple(asked.gains), gain_rate=asked.gain_rate, rate=asked.rate, tolerance=asked.tolerance,
         names=tuple(asked.numbers), split=asked.split, dead_time=asked.dead_time, forces=(asked.force,),
     )  # fmt: skip
-    statement = certify(model, bench, wanted)
+    statement = certify_region(model, bench, wanted)
     if statement is None:
         print("no proof")
         return
     tubes = ", ".join(f"{tube:.0f}" for tube in statement.facts["tubes"])
     print(f"proved at {asked.rate:g} 1/s in {statement.facts['seconds']:g} s of CPU; tubes {tubes} N")
     for force in (1.0 / 3.0, 2.0 / 3.0, 1.0):
-        run = samples_of(model, bench, wanted, force * model.size.force, asked.gains[-1], seed=7)
-        print(f"{force * model.size.force:.0f} N: {100.0 * share_inside(statement.states, run)[0]:.1f} % inside")
+        run = simulate_states(model, bench, wanted, force * model.size.force, asked.gains[-1], seed=7)
+        print(f"{force * model.size.force:.0f} N: {100.0 * containment_share(statement.states, run)[0]:.1f} % inside")
     if asked.out:
         statement.save(asked.out)
 

@@ -253,7 +253,7 @@ def compare(asked: argparse.Namespace) -> None:
         for truth, content in drawn_truths(asked.truths, asked.seed).items() for name in CONTROLLERS
     }  # fmt: skip
     kept = asked.json.with_suffix(".rows") if asked.json else None
-    found = list(jobs.complete(score, jobs_of, kept=kept, label="runs", unit="run", **jobs.where(asked)).values())
+    found = list(jobs.run_all(score, jobs_of, kept=kept, label="runs", unit="run", **jobs.job_options(asked)).values())
     rows = [found[k : k + len(CONTROLLERS)] for k in range(0, len(found), len(CONTROLLERS))]
     table(rows, f"Learned residual, {len(rows)} truths of seed {asked.seed}, after {asked.settle:g} s").show(asked.json)
 

@@ -161,7 +161,7 @@ def simulated(benches: int, seed: int, every: int, **where: Any) -> Table:
         for k in range(benches):
             worn, begin = list(NUMBERS)[k % len(NUMBERS)], int(rng.integers(90, 180))
             cases[f"{kind} {k}"] = (kind, worn, begin, int(rng.integers(2**31)), every)
-    found = jobs.complete(watched, cases, **where, label="benches", unit="bench")
+    found = jobs.run_all(watched, cases, **where, label="benches", unit="bench")
     table = Table(MEANINGS)
     for kind in (*KINDS, *CALM):
         names = [name for name in cases if cases[name][0] == kind]
@@ -178,7 +178,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=1)
     jobs.add_arguments(options)
     asked = options.parse_args()
-    simulated(asked.benches, asked.seed, asked.every, **jobs.where(asked)).show(asked.json)
+    simulated(asked.benches, asked.seed, asked.every, **jobs.job_options(asked)).show(asked.json)
 
 
 if __name__ == "__main__":

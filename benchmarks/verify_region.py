@@ -80,25 +80,25 @@ def sample(D, tolerances, side, gain):  # [F + G K, disturbances], of the file D
     kv, ps, fed = t["valve_gain"] * b["valve_gain"], t["supply_pressure"] * b["supply_pressure"], 0 if side > 0 else 1
     p, tank, ps_law = (st["pressure_a"], st["pressure_b"]), b["tank_pressure"], law["supply_pressure"]
     drop, known = ([s - p[j] if j == fed else p[j] - tank for j in AB] for s in (ps, ps_law))
-    q = [(1 + (ps - ps_law) / known[j]).root() if j == fed else I(1) for j in AB]  # roots of drops over the law's
+    q = [(1 + (ps - ps_law) / known[j]).sqrt() if j == fed else I(1) for j in AB]  # roots of drops over the law's
     more = [1 + (law[dead[j]] - own[j]) / vol[j] for j in AB]
     ratio, kappa = (t[name] * (b[name] / law[name]) for name in ("bulk_modulus", "valve_gain"))
     rho, mu = [ratio * m for m in more], more[1] / more[0]
     c, c_law = ([u * area[j] ** 2 / volume[j] for j in AB] for u, volume in ((beta, vol), (law["bulk_modulus"], v_law)))
     alpha, rate = area[1] / area[0], [area[j] * st[f"pressure_{'ab'[j]}_rate"] for j in AB]
     sigma, sigma_law = (1 / (1 + alpha**2 * (u[0] / u[1])) for u in (vol, v_law))
-    phi, chis = 1 / (1 + alpha * ((known[1] / known[0]).root() * (v_law[0] / v_law[1]))), []
+    phi, chis = 1 / (1 + alpha * ((known[1] / known[0]).sqrt() * (v_law[0] / v_law[1]))), []
     for f, i, j, s, m in product(*((one.low, one.high) for one in (phi, *q, sigma_law, mu))):
         chis.append((I(f) * i + (1 - I(f)) * (I(j) * m)) / (I(s) + (1 - I(s)) * m))  # monotone in each
     swept, core = T * v.size * max((area[j] / vol[j]).high for j in AB), more[0] * (1 + (1 - sigma_law) * (mu - 1))
     chi, zeta, core = kappa * hull(*chis) * I(1 - swept, 1 + swept), ratio * core, hull(*chis) * core  # core: see a
     error, share, late = st["opening_error"].size, I(*D["velocity_compensation"]), st["velocity_error"]
     most, wrong = max(st["opening"].high if side > 0 else -st["opening"].low, 0.0), I(-error, error)
-    slope, leak = [beta / vol[j] * kv / (2 * drop[j].root()) for j in AB], [beta / vol[j] * b["leakage"] for j in AB]
+    slope, leak = [beta / vol[j] * kv / (2 * drop[j].sqrt()) for j in AB], [beta / vol[j] * b["leakage"] for j in AB]
     per, back, a = slope[0] * sigma + slope[1] * (1 - sigma), [q[j] / more[j] for j in AB], kappa * ratio * core
     same = core * (back[1] + 1 / (1 + slope[1] / slope[0] * (alpha**2 * (vol[0] / vol[1]))) * (back[0] - back[1]))
     leaks = (leak[0] + leak[1] * alpha) * sigma + (leak[1] + leak[0] / alpha) * (1 - sigma)
-    across, told, g = b["leakage"] * (p[0] - p[1]), I(0), [beta * area[j] / vol[j] * kv * drop[j].root() for j in AB]
+    across, told, g = b["leakage"] * (p[0] - p[1]), I(0), [beta * area[j] / vol[j] * kv * drop[j].sqrt() for j in AB]
     for j, s in ((0, 1), (1, -1)):  # what the law takes for the chamber's share of f_h', by x
         i = 1 / (kappa * rho[j] * q[j])
         one = i * (rate[j] + s * (beta * area[j] / vol[j] * across) + g[j] * wrong)

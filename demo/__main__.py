@@ -20,7 +20,7 @@ import numpy as np
 from demo import page, stages, trial
 from demo.stages import Plan
 from demo.trial import Entry, Story
-from hydro_core.cli.console import Table, add_json_argument, command, command_line, progress, writable_folder
+from hydro_core.cli.console import Table, add_json_argument, command, make_parser, progress, writable_folder
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_sim.model.bench import Bench
 
@@ -40,7 +40,7 @@ COLUMNS = {
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    options = command_line("demo", __doc__)
+    options = make_parser("demo", __doc__)
     options.add_argument("--out", type=writable_folder, default="runs/demo", metavar="DIR", help="default runs/demo")
     options.add_argument("--truth", type=Path, default=Path(__file__).parent / "truth.yaml", metavar="FILE",
                          help="the bench, a truth.yaml of the emulator (docs/manual/reference/truth.md)")  # fmt: skip

@@ -148,7 +148,7 @@ def parameter_rows(prefix: str, settings: type[Any]) -> Iterator[str]:
         value = getattr(defaults, name)
         if isinstance(value, (bool, int, float, str)):
             written = json.dumps(value) if isinstance(value, (bool, str)) else f"{value:.12g}"
-            limits = setting.range or ", ".join(setting.words)
+            limits = setting.range or ", ".join(setting.choices)
             cells = (f"`{prefix}{name}`", f"`{written}`", setting.unit, limits, _escape(_cell(setting.meaning)))
             yield f"| {' | '.join(cells)} |"
 

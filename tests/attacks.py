@@ -20,7 +20,7 @@ import rclpy
 from std_srvs.srv import SetBool
 
 from hydro_bridge.ros.messages import reference_to_message, seconds
-from hydro_bridge.ros.node import PROFILES, RANGE
+from hydro_bridge.ros.node import DISCOVERY_RANGE, FASTDDS_PROFILES
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
     AUTHORITY,
@@ -175,7 +175,9 @@ sys.exit(len(heard) < 200)
 @contextmanager
 def listener(reach: str) -> Iterator[subprocess.Popen[bytes]]:
     """A tool of its own process that knows no profile of ours, hears 200 states and ends with 0."""
-    environment = {name: value for name, value in os.environ.items() if name != PROFILES} | {RANGE: reach}
+    environment = {name: value for name, value in os.environ.items() if name != FASTDDS_PROFILES} | {
+        DISCOVERY_RANGE: reach
+    }
     process = subprocess.Popen([sys.executable, "-c", LISTEN], env=environment)
     try:
         yield process

@@ -168,7 +168,7 @@ class OfflineGraph(Outputs):
         output = self.box.tick(self._measurement, self.time)
         if self.corrector is not None:
             law = law_state(self.box.state[0])
-            self.answer = self.corrector.correct(Sample.of(output, None if law.law is Law.PAPER else law))
+            self.answer = self.corrector.correct(Sample.from_record(output, None if law.law is Law.PAPER else law))
         self._measurement = self.plant.step(float(output["valve_current"]))
         self.time += SAMPLE_PERIOD
         return output

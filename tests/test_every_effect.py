@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import FloatArray
-from hydro_filter.metric import MetricDesign, rest_loop
-from hydro_filter.model.loop import SUBSTEPS, Loop, loop_of, samples_of
-from hydro_filter.model.records import follow, memories
+from hydro_filter.metric import MetricDesign, linearize_at_rest
+from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, make_samples
+from hydro_filter.model.records import linearize, new_memories
 from hydro_sim.files import recordings
 from hydro_sim.identification.bench_learning import learn
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects import grown
-from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
+from hydro_sim.model.effects.catalogue import CATALOGUE, parse_entry
 from tests.segments import record
 
 BENCH = Bench.nominal()
@@ -34,7 +34,7 @@ SIZES = {
     "valve": 3e-10,
 }  # fmt: skip
 """Of parameters; coefficients by the effect's first word. At whole steps of 0.1 ms the dead time has two slopes."""
-GROWN = {one.id: one.seen for one in grown.EFFECTS}
+GROWN = {one.id: one.typical_parameters for one in grown.EFFECTS}
 SENSOR_BANDWIDTH = 20.0
 """Hz: a sensor of 80 Hz is not told from a faster one by runs whose power lies below 10 Hz."""
 
@@ -71,7 +71,7 @@ def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
     truth = having(label)
     data = recordings.split({"run": record(truth)})
     result = learn(moved(truth, 1.2), data)
-    values = [value for effect in truth.effects for value in kind_of(effect)[1]]
+    values = [value for effect in truth.effects for value in parse_entry(effect)[1]]
     for found, value in zip(result.parameters, values, strict=True):
         assert found.informed and found.high - found.low < 0.5 * abs(value), found
         assert abs(found.value - value) < max(0.05 * abs(value), found.high - found.low), found
@@ -89,16 +89,16 @@ def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> No
     bench = having(label)
     if not label.startswith(("valve_lag", "transport_delay")):
         bench = replace(bench, effects=(lag, *bench.effects))
-    loop = loop_of(bench, BENCH)
-    free, push, feedback = rest_loop(loop, MetricDesign().gain_low)
+    loop = make_loop(bench, BENCH)
+    free, push, feedback = linearize_at_rest(loop, MetricDesign().gain_low)
     assert np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max() < 1.0
-    model, memory, xs = BenchModel(bench, substeps=SUBSTEPS), memories(), []
+    model, memory, xs = BenchModel(bench, substeps=SUBSTEPS), new_memories(), []
     k, y, z = model.begin(model.values)
     currents = 4e-3 * np.sin(2e-3 * np.pi * 3.0 * np.arange(400))
     for current in currents:
         xs.append(shown(loop, y, z))
         z = model.sample(k, y, float(current))
-    follow(loop.record, samples_of(np.array(xs), current=currents), memory)
+    linearize(loop.record, make_samples(np.array(xs), current=currents), memory)
     hidden = memory["hidden"][0, 6 : len(y)]
     scales = np.array([state.scale for state in model.states])[6:]
     np.testing.assert_allclose(hidden / scales, y[6:] / scales, atol=2e-3)

@@ -23,7 +23,7 @@ from fmpy.validation import validate_fmu
 
 from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_sim.export import command
-from hydro_sim.export.model import Exported
+from hydro_sim.export.model import ExportedModel
 from hydro_sim.model.assembly import READINGS
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue
@@ -101,7 +101,7 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("fmus")
     files = {name: folder / f"{name.replace(' ', '_')}.fmu" for name in BENCHES}
     for name, file in files.items():
-        file.write_bytes(Exported(BENCHES[name]).fmu(file.stem))
+        file.write_bytes(ExportedModel(BENCHES[name]).fmu(file.stem))
     return files
 
 
@@ -226,7 +226,7 @@ def test_its_sources_compile_elsewhere(fmus: dict[str, Path], name: str, tmp_pat
 
 def test_the_same_effect_twice_has_names_of_its_own(tmp_path: Path) -> None:
     file = tmp_path / "bench.fmu"
-    file.write_bytes(Exported(replace(NOMINAL, effects=(LAGS[0], LAGS[0]))).fmu(file.stem))
+    file.write_bytes(ExportedModel(replace(NOMINAL, effects=(LAGS[0], LAGS[0]))).fmu(file.stem))
     names = [one.name for one in fmpy.read_model_description(str(file)).modelVariables]
     assert len(set(names)) == len(names) and {"valve_lag.damping[2]", "state.valve_lag.spool[2]"} <= set(names)
 
@@ -244,7 +244,7 @@ def numbers(array: FloatArray) -> Any:
 
 def test_the_s_function_is_the_simulation(tmp_path: Path) -> None:
     run, source = expected("stepping"), tmp_path / "bench_sfun.c"
-    source.write_text(Exported(BENCHES["stepping"]).simulink("bench_sfun"))
+    source.write_text(ExportedModel(BENCHES["stepping"]).simulink("bench_sfun"))
     stubs = f"-I{ROOT / 'firmware' / 'test' / 'simulink'}"
     block = ctypes.CDLL(str(compiled(source, tmp_path / "block.so", "-O1", "-shared", "-fPIC", stubs))).run_block
     block.restype = ctypes.c_char_p
@@ -257,7 +257,7 @@ def test_the_s_function_is_the_simulation(tmp_path: Path) -> None:
     assert run_block(np.empty(0)) is None
     assert run.worst(found) < 1e-9
     assert b"or a number for each of HYDRO_PARAMETER" in (run_block(np.ones(3)) or b"")
-    values = Exported(BENCHES["stepping"]).model.values.copy()
+    values = ExportedModel(BENCHES["stepping"]).model.values.copy()
     values[0] *= 2.0
     assert run_block(values) is None
     assert run.worst(found) > 1e-3, "another bulk modulus"
@@ -271,7 +271,7 @@ def test_the_box_as_an_s_function_compiles(tmp_path: Path) -> None:
 
 def test_the_model_in_c_is_the_simulation(tmp_path: Path) -> None:
     run, source = expected("closures"), tmp_path / "bench.c"
-    source.write_text(Exported(BENCHES["closures"]).c())
+    source.write_text(ExportedModel(BENCHES["closures"]).c_source())
     code = ctypes.CDLL(str(compiled(source, tmp_path / "bench.so", "-O1", "-shared", "-fPIC")))
     bench, found = ctypes.create_string_buffer(20_000), np.zeros_like(run.readings)
     code.hydro_bench_start(bench, None, None)
@@ -297,7 +297,7 @@ def test_a_cylinder_on_a_hinge_does_what_the_bench_does(
     hinge: Any, tmp_path: Path, effects: tuple[dict[str, Any], ...], timestep: float, allowed: float
 ) -> None:
     bench, file = replace(NOMINAL, effects=effects), tmp_path / "cylinder.py"
-    file.write_text(Exported(bench).mujoco())
+    file.write_text(ExportedModel(bench).mujoco())
     run, exported = run_of(bench), hinge.load(file)
     found = np.concatenate([run.readings[:1], hinge.simulate(exported, run.currents[:-1], timestep)])
     print(f"{timestep:g} s: {run.worst(found, (0, 2, 3, 4)):.2g} of the range")
@@ -306,7 +306,7 @@ def test_a_cylinder_on_a_hinge_does_what_the_bench_does(
 
 def test_an_actuator_that_does_not_suit_is_refused(hinge: Any, tmp_path: Path) -> None:
     file = tmp_path / "cylinder.py"
-    file.write_text(Exported(NOMINAL).mujoco())
+    file.write_text(ExportedModel(NOMINAL).mujoco())
     exported = hinge.load(file)
     scene = hinge.SCENE.format(timestep=1e-3, mass=1.0, stiffness=1.0, softness=2e-3)
     cases = {
@@ -327,7 +327,7 @@ def test_every_effect_of_the_table_is_exported(tmp_path: Path) -> None:
         values = {one.name: one.neutral for one in kind.parameters}
         entry = {"id": kind.effect.id, **dict(kind.chosen), "parameters": values}
         file = tmp_path / "bench.fmu"
-        file.write_bytes(Exported(replace(NOMINAL, effects=(entry,))).fmu(file.stem))
+        file.write_bytes(ExportedModel(replace(NOMINAL, effects=(entry,))).fmu(file.stem))
         assert validate_fmu(str(file)) == []
 
     each(sorted(catalogue.CATALOGUE), check)

@@ -13,11 +13,11 @@ from types import ModuleType
 
 import pytest
 
-from hydro_bridge.conformance.command import FAIL, PASS, run, shipped
+from hydro_bridge.conformance.command import FAIL, PASS, run_cases, shipped_cases
 from hydro_bridge.conformance.host import Host
 from hydro_core.files import bench_file
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.header import header
+from hydro_sim.box.header import render_header
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.model.bench import Bench
 from tests.checks import compiled
@@ -53,7 +53,7 @@ def test_every_line_and_branch_of_the_box_is_reached(checks: ModuleType, tmp_pat
 
 @pytest.fixture
 def configured(tmp_path: Path) -> Path:
-    text = header(BoxConfig().constants(Bench.nominal(), name="linux box"))
+    text = render_header(BoxConfig().constants(Bench.nominal(), name="linux box"))
     (tmp_path / "box_config.h").write_text(text)
     return tmp_path
 
@@ -93,8 +93,8 @@ def linux_box(configured: Path) -> Iterator[End]:
 
 @pytest.mark.graph
 def test_the_box_for_linux_keeps_the_protocol_over_a_port(linux_box: End) -> None:
-    cases = [case for case in shipped() if case.id.startswith(IN_TIME)]
-    numbers = bench_file.read_numbers(Path(str(bench_file.shipped())))
-    results = run(cases, lambda: Host(linux_box), numbers, moving=False)
+    cases = [case for case in shipped_cases() if case.id.startswith(IN_TIME)]
+    numbers = bench_file.read_numbers(Path(str(bench_file.shipped_bench_file())))
+    results = run_cases(cases, lambda: Host(linux_box), numbers, moving=False)
     assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
     assert sum(result.outcome == PASS for result in results) >= 18

@@ -16,11 +16,11 @@ from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, Referenc
 from hydro_filter.controller import header
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
 from hydro_filter.metric import MetricDesign, ScheduledMetric, Thresholds
-from hydro_filter.model.loop import loop_of
-from hydro_filter.model.records import DECISION, SAMPLE, library, memories, monitors
+from hydro_filter.model.loop import make_loop
+from hydro_filter.model.records import DECISION, SAMPLE, library, new_memories, new_monitors
 from hydro_filter.model.sample import Sample
 from hydro_sim.box.box import Box
-from hydro_sim.box.firmware import at
+from hydro_sim.box.firmware import address_of
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -72,13 +72,15 @@ def uneven() -> Bench:
 def made_for(truth: Bench, c_1: float = 1.0) -> tuple[ScheduledMetric, Bench]:
     """A metric of this bench at rest, with noise that does not count for nothing."""
     design = MetricDesign(gain_low=20.0, gain_high=60.0, velocity_compensation=c_1)
-    metric = ScheduledMetric.designed(loop_of(truth, BELIEVED), design)
+    metric = ScheduledMetric.from_design(make_loop(truth, BELIEVED), design)
     return replace(metric, thresholds=Thresholds(noise_size=1e-3, foreign_noise_size=1e-3)), truth
 
 
 def written(folder: Path, metric: ScheduledMetric, truth: Bench) -> Path:
     """`folder` with the generated header."""
-    text = header.header(loop_parts(metric, truth, BELIEVED), loop_of(truth, BELIEVED), metric.table, "A test.")
+    text = header.render_header(
+        loop_parts(metric, truth, BELIEVED), make_loop(truth, BELIEVED), metric.table, "A test."
+    )
     (folder / "filter_config.h").write_text(text)
     return folder
 
@@ -109,15 +111,15 @@ def seen(rows: FloatArray, law: FloatArray | None) -> FloatArray:
 
 def decided(metric: ScheduledMetric, truth: Bench, rows: FloatArray, law: FloatArray | None = None) -> FloatArray:
     """The same by the library that the graph runs."""
-    parts, memory, monitor = loop_parts(metric, truth, BELIEVED), memories(), monitors()
+    parts, memory, monitor = loop_parts(metric, truth, BELIEVED), new_memories(), new_monitors()
     samples, made, out = np.zeros(len(rows), SAMPLE), np.zeros(1, DECISION), np.empty((len(rows), 5))
     columns = seen(rows, law)
     samples["x"], samples["armed"] = columns[:, :8], columns[:, 17] > 0.0
     for name, column in zip(SAMPLE.names[1:10], columns[:, 8:17].T, strict=True):
         samples[name] = column
     for k in range(len(rows)):
-        records = map(at, (memory, monitor, samples[k : k + 1], made))
-        library().hydro_c_filter_judge(at(parts), 1.0, *records)
+        records = map(address_of, (memory, monitor, samples[k : k + 1], made))
+        library().hydro_c_filter_judge(address_of(parts), 1.0, *records)
         out[k] = *(float(made[name][0]) for name in ("delta_u", "before", "after", "status")), monitor["broken"][0]
     return out
 
@@ -146,7 +148,7 @@ def recorded(metric: ScheduledMetric, truth: Bench, seed: int, samples: int) -> 
         sample = box.tick(x, k * 1e-3)
         armed = bool(int(sample["flags"]) & Flag.ARMED)
         rows.append(np.array([float(sample[name]) for name in STATE_FIELDS] + [float(armed)]))
-        delta_u = made.correct(Sample.of(sample)).delta_u
+        delta_u = made.correct(Sample.from_record(sample)).delta_u
         x = plant.step(float(sample["valve_current"]))
     return np.array(rows)
 

@@ -107,7 +107,7 @@ def test_a_site_stands_for_the_options_of_each_executable(tmp_path: Path) -> Non
         take_site(asked)
         assert (asked.bench, asked.model, asked.base_gains) == (tmp_path / site.BENCH, model, [20.0, 4.0])
         assert asked.filter == f"--model {tmp_path / site.MODEL} --metric {tmp_path / site.METRIC}"
-    settings, _ = sim.arguments(words)
+    settings, _ = sim.parse_args(words)
     assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH), str(tmp_path / site.MODEL))
     (tmp_path / site.METRIC).unlink()
     with pytest.raises(UserError, match="has not got that far"):

@@ -22,7 +22,7 @@ from rclpy.node import Node
 
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.keys import enclave_of
+from hydro_bridge.ros.keys import enclave_name
 from hydro_bridge.ros.topics import FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
 from hydro_core.signals import STATE_DTYPE
 from tests.graph_probe import own_domain
@@ -75,7 +75,7 @@ def check(*executables: str, without: Mapping[str, set[str]] | None = None) -> N
     expected: Does = {}
     for executable in executables:
         left_out = (without or {}).get(executable, set())
-        expected[enclave_of(executable)] = {
+        expected[enclave_name(executable)] = {
             name: {kind: set(getattr(rights, kind)) - left_out for kind in QUERIES}
             for name, rights in RIGHTS[executable].items()
             if name not in left_out

@@ -80,7 +80,7 @@ COMMANDS = [module for _, module in ENTRY.findall((ROOT / "src/hydro_policy/setu
 WITHOUT_NUMBA = ("hydro_policy.nodes.evaluate", "hydro_policy.nodes.trainer")
 PROBE = """
 import importlib, os, sys
-from hydro_core.process.start import MainOf
+from hydro_core.process.start import LazyMain
 for name in sys.argv[1].split():
     importlib.import_module(name)
 for module in sys.argv[2:]:
@@ -90,7 +90,7 @@ for module in sys.argv[2:]:
         continue
     sys.argv = ["command", "--help"]
     try:
-        MainOf(module)()
+        LazyMain(module)()
     except SystemExit as ended:
         assert not ended.code, ended.code
     print("probed", module, "torch" in sys.modules, "numba" in sys.modules, flush=True)

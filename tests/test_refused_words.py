@@ -30,7 +30,7 @@ from rclpy.serialization import serialize_message
 from docs.generate_reference import executables
 from hydro_bridge.bags.recording import BagWriter
 from hydro_core.signals import STATE_DTYPE
-from hydro_filter.metric import shipped as shipped_metric
+from hydro_filter.metric import shipped_metric as shipped_metric
 from hydro_msgs.msg import BoxInfo
 from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.nodes.evaluation import require_matching_agent, require_matching_policy

@@ -24,15 +24,17 @@ from benchmarks._report import parser
 from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded
 from benchmarks.beyond_the_table.kinds import HALVES, NAMES
 from benchmarks.beyond_the_table.score import scored, table
-from hydro_core.cli.console import UserError, command, number, progress, writable_folder
+from hydro_core.cli.console import UserError, bounded_number, command, progress, writable_folder
 
 
 @command()
 def main() -> None:
     """Run what is asked for and print the table."""
     options = parser("beyond_the_table", __doc__)
-    options.add_argument("--cases", type=number(1), default=10, metavar="N", help="how many (default: 10)")
-    options.add_argument("--seed", type=number(0), default=1, metavar="S", help="that they are drawn from (default: 1)")
+    options.add_argument("--cases", type=bounded_number(1), default=10, metavar="N", help="how many (default: 10)")
+    options.add_argument(
+        "--seed", type=bounded_number(0), default=1, metavar="S", help="that they are drawn from (default: 1)"
+    )
     options.add_argument("--half", choices=HALVES, default="dev", help="of the kinds (default: dev)")
     options.add_argument("--kinds", nargs="+", choices=NAMES, metavar="KIND", help=f"of: {', '.join(NAMES)}")
     options.add_argument("--out", type=writable_folder, default=Path("runs/beyond_the_table"), metavar="DIR",

@@ -23,8 +23,8 @@ from benchmarks.hybrid_simulation.entries import ENTRIES
 from benchmarks.hybrid_simulation.motions import MOTIONS, ORIGIN, ground_motion
 from benchmarks.hybrid_simulation.plant import MASS, SPECIMENS, YIELDING, Actuator, drawn
 from benchmarks.hybrid_simulation.simulation import reference_response, run, scores
-from hydro_core.cli.console import Table, command, number, progress, writable
-from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.cli.console import Table, bounded_number, command, progress, writable_file
+from hydro_core.files.atomic import encode_json, write_whole
 
 INTENSITY = {"linear": 0.4, "yielding": 0.5}
 """Factor of the ground motions, as published."""
@@ -42,9 +42,9 @@ def main() -> None:
     options = _report.parser("hybrid_simulation", __doc__)
     options.add_argument("--data", type=Path, default=Path("runs/hybrid_simulation"), metavar="FOLDER",
                          help=f"holds the motions' .mat files, from {ORIGIN} (default: %(default)s)")  # fmt: skip
-    options.add_argument("--plants", type=number(0), default=0, metavar="N",
+    options.add_argument("--plants", type=bounded_number(0), default=0, metavar="N",
                          help="perturbed plants of each building and motion (default: %(default)s)")  # fmt: skip
-    options.add_argument("--seed", type=number(0), default=1, help="of plants and noise (default: %(default)s)")
+    options.add_argument("--seed", type=bounded_number(0), default=1, help="of plants and noise (default: %(default)s)")
     options.add_argument("--buildings", type=int, nargs="+", choices=MASS, default=list(MASS), metavar="B",
                          help="1 to 4 (default: all)")  # fmt: skip
     options.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS), metavar="MOTION",
@@ -53,13 +53,13 @@ def main() -> None:
                          help=f"{', '.join(ENTRIES)} (default: all)")  # fmt: skip
     asked = options.parse_args()
     if asked.json:
-        writable(str(asked.json))
+        writable_file(str(asked.json))
     rows = measured(asked.data, asked.entries, asked.buildings, asked.motions, asked.plants, asked.seed)
     print(table(rows).text())
     if asked.json:
         intensities = {"intensity": INTENSITY["linear"], "intensity_yielding": INTENSITY["yielding"]}
         asked.json.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(asked.json, json_text({"seed": asked.seed, **intensities, "rows": rows}))
+        write_whole(asked.json, encode_json({"seed": asked.seed, **intensities, "rows": rows}))
 
 
 def measured(

@@ -27,10 +27,10 @@ from benchmarks.paper import models
 from benchmarks.paper.models import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_core.signals import CorrectionStatus, FloatArray
-from hydro_filter.certificate import closed_form
+from hydro_filter.certificate import solve_qp
 from hydro_filter.controller.loop_filter import Result as Correction
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import loop_of, samples_of
+from hydro_filter.model.loop import make_loop, make_samples
 from hydro_filter.model.records import law_gradient
 from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
@@ -83,12 +83,12 @@ class ForceLaw:
     """Slope K = du/dx of the law that the box runs on the nominal bench."""
 
     def __init__(self) -> None:
-        self.loop, self.current_max = loop_of(load_model(), Bench.nominal()).record, Bench.nominal().valve_current_max
+        self.loop, self.current_max = make_loop(load_model(), Bench.nominal()).record, Bench.nominal().valve_current_max
 
     def gradient(self, sample: Sample) -> FloatArray:
         """K [A per unit of each state], shape (8,)."""
         signals = {"nominal": sample.nominal_current, "k_p": sample.proportional_gain}
-        return law_gradient(self.loop, samples_of(sample.state[None], **signals))
+        return law_gradient(self.loop, make_samples(sample.state[None], **signals))
 
 
 class PaperFilter:
@@ -134,7 +134,7 @@ class PaperFilter:
         a, b = self.certificate(sample)
         limit = self.law.current_max
         applied = min(max(sample.nominal_current, -limit), limit)
-        change, status = closed_form(a, b, -limit - applied, limit - applied)
+        change, status = solve_qp(a, b, -limit - applied, limit - applied)
         delta_u = change + (applied - sample.nominal_current) if change else 0.0
         return Correction(delta_u, -b, a * change - b, CorrectionStatus(status))
 
@@ -261,7 +261,7 @@ def windows(rollout: Rollout, model: NetworkModel, bench: Bench, seed: int) -> S
     starts = np.random.default_rng(seed).integers(SETTLED, len(rollout.states) - TABLE["horizon"], WINDOWS)
     places = starts[:, np.newaxis] + np.arange(TABLE["horizon"])
     law, limit = ForceLaw(), bench.valve_current_max
-    seen = {int(k): _normalized(Sample.of(rollout.states[k]), model, law, limit) for k in np.unique(places)}
+    seen = {int(k): _normalized(Sample.from_record(rollout.states[k]), model, law, limit) for k in np.unique(places)}
     rows = np.array([[seen[int(k)] for k in row] for row in places])
     z, rate, v, closed = (torch.from_numpy(rows[:, :, n]) for n in range(4))
     return Samples(z, rate, v, closed, torch.full((WINDOWS, 1), rollout.label == STABLE))

@@ -31,14 +31,14 @@ import numpy as np
 import torch
 
 from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store, truth
-from hydro_core.signals import SAMPLE_PERIOD, FloatArray, matrix
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, to_matrix
 from hydro_sim.emulator.offline import Recording, record_offline
-from hydro_sim.excitation import draw
+from hydro_sim.excitation import draw_schedule
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.recordings import Data, Run
 from hydro_sim.identification import validate
-from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Predictor, Scored
+from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Predictor, ScoredRun
 from hydro_sim.model.bench import Bench
 
 HORIZON, APART = 70, 37
@@ -56,7 +56,7 @@ Tensor = torch.Tensor
 
 def record(bench: str, seconds: float, seed: int) -> Recording:
     """A run of a truth of `store.truth` under the schedule of a seed."""
-    return record_offline(truth(bench), draw(seconds, seed), seed=seed)
+    return record_offline(truth(bench), draw_schedule(seconds, seed), seed=seed)
 
 
 @cache
@@ -67,12 +67,12 @@ def data(bench: str) -> Data:
 
 
 @cache
-def held_out(bench: str) -> list[Scored]:
+def held_out(bench: str) -> list[ScoredRun]:
     """What every model is judged by."""
     recording = record(bench, 60.0, 21)
-    truth = matrix(recording.noise_free)
-    runs = recordings.runs("held out", recording.states)
-    return [Scored(run=run, truth=truth[run.first : run.first + len(run)]) for run in runs]
+    truth = to_matrix(recording.noise_free)
+    runs = recordings.split_runs("held out", recording.states)
+    return [ScoredRun(run=run, truth=truth[run.first : run.first + len(run)]) for run in runs]
 
 
 def weights(store: Store, loss: str, seed: int) -> Path:

@@ -39,10 +39,10 @@ def corrector(store: Store, chosen: str, seed: int) -> Corrector:
 
 def _run(store: Store, name: str, chosen: str, seed: int) -> Result:
     case, bench = runs.CASES[name], Bench.nominal()
-    gains = case.draw(seed, store.size.validation_seconds)
+    gains = case.draw_gains(seed, store.size.validation_seconds)
     trial = Trial(bench=bench, reference=case.reference, gains=gains, seed=seed)
     done = run_trial(trial, TruthPlant(truth(store.bench)), corrector(store, chosen, seed))
-    settled = done.states[min(runs.SETTLING, len(done.states) // 2) :]
+    settled = done.states[min(runs.SETTLING_SAMPLES, len(done.states) // 2) :]
     units = np.array([100.0, 100.0, 1.0, 100.0, 1.0])
     return {
         "bounded": done.bounded, "seconds": len(done.states) * SAMPLE_PERIOD,

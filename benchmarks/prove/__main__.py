@@ -26,7 +26,7 @@ from benchmarks.prove.scores import Result, confusion, failures, standards
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli import jobs
-from hydro_core.cli.console import Table, UserError, add_json_argument, command, number, writable_folder
+from hydro_core.cli.console import Table, UserError, add_json_argument, bounded_number, command, writable_folder
 from hydro_core.files.atomic import write_whole
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import figure
@@ -71,10 +71,12 @@ def parser() -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(
         prog="python -m benchmarks.prove", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    options.add_argument("--cases", type=number(1, 100_000), default=20, metavar="N",
+    options.add_argument("--cases", type=bounded_number(1, 100_000), default=20, metavar="N",
                          help="benches (default: 20; a proof: 224)")  # fmt: skip
     options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
-    options.add_argument("--seed", type=number(0), required=True, metavar="S", help="of everything that is drawn")
+    options.add_argument(
+        "--seed", type=bounded_number(0), required=True, metavar="S", help="of everything that is drawn"
+    )
     options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
     jobs.add_arguments(options)
     add_json_argument(options)
@@ -90,8 +92,8 @@ def run(arguments: Sequence[str]) -> None:
     folder = writable_folder(chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}").absolute()
     digest = seal(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
-    _record(cases, folder / BLIND, **jobs.where(chosen))
-    _diagnose(folder / BLIND, **jobs.where(chosen))
+    _record(cases, folder / BLIND, **jobs.job_options(chosen))
+    _diagnose(folder / BLIND, **jobs.job_options(chosen))
     answers = unseal(folder / SEALED, digest)
     print("opened: the answers are those that were sealed")
     said = [json.loads((folder / BLIND / case.name / ANSWER).read_text()) for case in answers]
@@ -136,7 +138,7 @@ def _diagnose(folder: Path, **where: Any) -> None:
 
     left = waiting(folder)
     slices = {left[at].name: (left[at : at + SLICE],) for at in range(0, len(left), SLICE)}
-    jobs.complete(_blindly, slices, **where, label="diagnosing", unit="slice")
+    jobs.run_all(_blindly, slices, **where, label="diagnosing", unit="slice")
 
 
 def _blindly(cases: Sequence[Path]) -> None:

@@ -26,7 +26,7 @@ from hydro_diagnosis.preprocessing.quality import checked
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.offline import record_offline, with_gain_limits_for, write_bag
 from hydro_sim.emulator.truth.config import truth_from_mapping
-from hydro_sim.excitation import schedule_from
+from hydro_sim.excitation import parse_schedule
 from hydro_sim.model.bench import Bench
 
 USED = 0.5
@@ -84,7 +84,7 @@ def usable(bag: Path) -> bool:
 def record(cases: Sequence[Case], folder: Path, **where: Any) -> None:
     """Record the missing runs of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side."""
     left = {case.name: (case, folder / case.name) for case in cases if missing(folder / case.name)}
-    jobs.complete(_record, left, **where, label="recording", unit="case")
+    jobs.run_all(_record, left, **where, label="recording", unit="case")
 
 
 def _record(case: Case, folder: Path) -> None:
@@ -103,7 +103,7 @@ def _play(case: Case, name: str, attempt: Attempt, out: Path) -> None:
     """Record one run on the nominal bench, whatever the box assumes, with the concealed causes."""
     parts = {"bench": Bench.nominal().to_mapping(), "sensors": {"noise_scale": case.noise}}
     truth = truth_from_mapping({"profile": "nominal", **parts, "effects": case.effects, "outside": case.outside})
-    segments = schedule_from({"segments": [attempt.schedule(case.schedules[name])]}, case.name)
+    segments = parse_schedule({"segments": [attempt.schedule(case.schedules[name])]}, case.name)
     bench, seed = attempt.bench(), 10 * case.seed + (*FITTED, HELD).index(name)
     box = with_gain_limits_for(segments, BoxConfig().of_bench(bench))
     write_bag(out, record_offline(truth, segments, bench=bench, box=box, seed=seed), bench)

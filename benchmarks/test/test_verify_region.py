@@ -15,9 +15,9 @@ from scipy.linalg import expm
 
 from benchmarks.verify_region import verify
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.region.interval import Affine, Interval
-from hydro_filter.region.proof import at_gain, prove_cell
-from hydro_filter.region.statement import Statement
+from hydro_filter.region.interval import AffineSet, Interval
+from hydro_filter.region.proof import interpolate_metric, prove_cell
+from hydro_filter.region.statement import CertifiedRegion
 
 T = SAMPLE_PERIOD
 NAMES = ("default_metric.region.json", "default_metric.compensated.region.json")
@@ -94,7 +94,7 @@ def drawn(content: dict[str, Any], count: int) -> FloatArray:
     sample[:, 7] = (sample[:, 5] - np.eye(8)[5]) * (1.0 - memory) / T * content["scale"][5] / content["scale"][7]
     sample[:, 7, 7] += memory
     sample[:, 1:3] *= (1.0 + drift)[:, None, None]
-    statement = Statement.from_mapping(content)
+    statement = CertifiedRegion.from_mapping(content)
     hats = np.array([np.interp(k_p, statement.cells[0].gains, hat) for hat in np.eye(len(statement.cells[0].gains))])
     metric = np.tensordot(hats.T, statement.cells[0].matrices, 1)
     factor = np.linalg.cholesky(metric)
@@ -107,7 +107,7 @@ def drawn(content: dict[str, Any], count: int) -> FloatArray:
 def test_a_part_of_the_shipped_statement_is_proved_by_both(name: str) -> None:
     part = shortened(content_of(name))
     assert verify(part) == ""
-    statement = Statement.from_mapping(part)
+    statement = CertifiedRegion.from_mapping(part)
     assert prove_cell(statement, statement.cells[0], parts=6) > 0.0
 
 
@@ -153,7 +153,8 @@ def test_a_metric_for_a_part_of_the_tolerances_is_refused() -> None:
 def test_affine_products_enclose() -> None:
     rng = np.random.default_rng(0)
     first, second = (
-        Affine(rng.normal(size=(4, 4)), 0.1 * rng.normal(size=(3, 4, 4)), 0.01 * rng.random((4, 4))) for _ in range(2)
+        AffineSet(rng.normal(size=(4, 4)), 0.1 * rng.normal(size=(3, 4, 4)), 0.01 * rng.random((4, 4)))
+        for _ in range(2)
     )
     product = first @ second
     for _ in range(200):
@@ -175,6 +176,6 @@ def test_intervals_enclose_and_refuse_zero() -> None:
 
 
 def test_the_metric_between_gains_is_a_line() -> None:
-    cell = Statement.from_mapping(content_of(NAMES[0])).cells[0]
+    cell = CertifiedRegion.from_mapping(content_of(NAMES[0])).cells[0]
     middle = 0.5 * (cell.gains[0] + cell.gains[1])
-    assert np.allclose(at_gain(cell, middle), 0.5 * (cell.matrices[0] + cell.matrices[1]))
+    assert np.allclose(interpolate_metric(cell, middle), 0.5 * (cell.matrices[0] + cell.matrices[1]))

@@ -20,9 +20,9 @@ from itertools import chain, count
 from pathlib import Path
 from random import Random
 
-from hydro_bridge.ros.node import stay_on_this_machine
+from hydro_bridge.ros.node import restrict_to_localhost
 from hydro_core.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
-from hydro_core.process.endings import Ended
+from hydro_core.process.endings import Terminated
 from tests.soak.faults import FAULTS
 from tests.soak.judge import Outcome
 from tests.soak.soak import soaking
@@ -69,7 +69,7 @@ def run(asked: argparse.Namespace, folder: Path) -> int:
             try:
                 faults = chosen if asked.causes else chain.from_iterable(turns)
                 soak.run(faults, seconds, lambda now: bar.update(int(now) - bar.n))
-            except Ended as ending:
+            except Terminated as ending:
                 ended = ending
     rows(soak.outcomes).show(asked.json)
     found = soak.violations()
@@ -97,7 +97,7 @@ def main() -> int:
         raise UserError(f"{unknown[0]!r} is not a fault of the soak: {', '.join(known)}")
     if not asked.hours > 0.0:
         raise UserError(f"--hours {asked.hours:g}: must be more than 0")
-    stay_on_this_machine()
+    restrict_to_localhost()
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # by nohup: all that is started would ignore it, too
         signal.signal(signal.SIGHUP, lambda *_: None)
     with tempfile.TemporaryDirectory() as folder:

@@ -13,7 +13,7 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_core.process.endings import undisturbed
+from hydro_core.process.endings import signals_ignored
 from tests.graph_probe import own_domain
 from tests.soak.crew import Crew
 from tests.soak.faults import Fault
@@ -130,5 +130,5 @@ def soaking(folder: Path, seed: int, slack: float = 1.0) -> Iterator[Soak]:
         try:
             yield soak
         finally:
-            with undisturbed():
+            with signals_ignored():
                 soak.close()

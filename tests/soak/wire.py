@@ -29,7 +29,7 @@ import numpy as np
 from hydro_bridge.serial.protocol import CommandFrame, MalformedError, State, decode
 from hydro_core.signals import STATE_FIELDS
 from hydro_sim.emulator.line.terminal import Terminal
-from hydro_sim.emulator.realtime import raise_priority
+from hydro_sim.emulator.realtime import request_realtime
 from tests.fuzz_link import DAMAGES
 
 TYPE = np.dtype(
@@ -244,7 +244,7 @@ def carry(pipe: Connection, box: Path, bridge: Path, trace: Path, seed: int) -> 
     """Carry until it is killed; a Ctrl-C of the terminal is none to this process."""
     os.setsid()
     line = Line(box, bridge, trace, seed)
-    raise_priority()
+    request_realtime()
     while True:
         line.step()
         if pipe.poll():

@@ -9,7 +9,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import STATE_TYPE, encode_states, fixed_layout
-from hydro_bridge.bags.types import PACKAGED, definition, installed_definition
+from hydro_bridge.bags.types import BUNDLED_TYPES, definition, installed_definition
 from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES
 from hydro_core.signals import STATE_FIELDS
 
@@ -44,7 +44,7 @@ def test_what_is_no_message_of_the_type_is_refused(make_states):
 def test_packaged_definitions_are_those_of_the_installed_messages():
     if not os.environ.get("AMENT_PREFIX_PATH"):
         pytest.skip("no ROS environment: nothing is installed to compare with")
-    for name in PACKAGED:
+    for name in BUNDLED_TYPES:
         assert definition(name) == installed_definition(name), "renew it: python -m hydro_bridge.bags.types"
 
 

@@ -18,7 +18,15 @@ from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from hydro_bridge.dashboard.server import BEHIND, COMMANDS, VIEWERS, PageServer, RefusedError, check, read
+from hydro_bridge.dashboard.server import (
+    BACKLOG_MAX,
+    COMMANDS,
+    VIEWERS_MAX,
+    PageServer,
+    RefusedError,
+    authorize,
+    parse_command,
+)
 from hydro_core.errors import UserError
 from tests.checks import wait
 
@@ -94,13 +102,13 @@ def test_a_viewer_that_does_not_read_loses_frames_and_costs_nobody_anything(serv
         assert sorted(took)[360] < 0.05, "nine of ten; a machine may stand still"
     kernel = 8 * 2**20  # what the sockets themselves may hold
     waiting = sum(one.transport.get_write_buffer_size() for one in server._viewers)
-    assert waiting < BEHIND + len(frame) + kernel // 8
+    assert waiting < BACKLOG_MAX + len(frame) + kernel // 8
     deaf.close()
 
 
 def test_viewers_and_what_they_send_are_bounded(server: PageServer, answers: Answers) -> None:
-    pages = [viewer(server) for _ in range(VIEWERS)]
-    seen(server, VIEWERS)
+    pages = [viewer(server) for _ in range(VIEWERS_MAX)]
+    seen(server, VIEWERS_MAX)
     with pytest.raises(InvalidStatus):
         viewer(server)
     pages[0].send("x" * 5000)
@@ -135,23 +143,23 @@ def asked(command: str, **words: object) -> bytes:
 
 def test_disarm_needs_nothing_and_all_else_the_token_and_the_epoch_of_after_the_last_trip() -> None:
     for epoch in (0, 1, EPOCH):
-        check(read(b'{"command":"disarm"}'), "right", epoch)
-        check(read(asked("disarm", token="wrong", epoch="7")), "right", epoch)
+        authorize(parse_command(b'{"command":"disarm"}'), "right", epoch)
+        authorize(parse_command(asked("disarm", token="wrong", epoch="7")), "right", epoch)
     for command in sorted({*COMMANDS} - {"disarm"}):
-        check(read(asked(command)), "right", EPOCH)
+        authorize(parse_command(asked(command)), "right", EPOCH)
         for token in ("", "wrong", "righ", "right ", "ü"):
             with pytest.raises(RefusedError, match="token"):
-                check(read(asked(command, token=token)), "right", EPOCH)
+                authorize(parse_command(asked(command, token=token)), "right", EPOCH)
         for seen in ("", "0", str(EPOCH - 1), "1.8446744073709552e19"):
             with pytest.raises(RefusedError, match="nothing was done"):
-                check(read(asked(command, epoch=seen)), "right", EPOCH)
+                authorize(parse_command(asked(command, epoch=seen)), "right", EPOCH)
 
 
 @settings(deadline=None, max_examples=50)
 @given(st.binary(max_size=200))
 def test_hostile_bytes_end_in_a_sentence(data: bytes) -> None:
     with pytest.raises(RefusedError):
-        read(data)
+        parse_command(data)
 
 
 def _luminance(colour: str) -> float:

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.ros import policy
 from hydro_bridge.ros.companion import Companion, executable_path
-from hydro_bridge.ros.keys import ENABLE, KEYSTORE, STRATEGY, enclave_of, security_enabled
+from hydro_bridge.ros.keys import ENABLE, KEYSTORE, STRATEGY, enclave_name, security_enabled
 from hydro_bridge.ros.policy import policy_xml
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
@@ -63,7 +63,7 @@ def test_the_policy_is_written_for_ros2_security(tmp_path: Path) -> None:
     assert status_of(policy.main, tmp_path / "policy.xml") == 0
     assert (tmp_path / "policy.xml").read_bytes() == policy_xml()
     root = ElementTree.fromstring(policy_xml())
-    assert {entry.attrib["path"] for entry in root.iter("enclave")} == {enclave_of(name) for name in RIGHTS}
+    assert {entry.attrib["path"] for entry in root.iter("enclave")} == {enclave_name(name) for name in RIGHTS}
 
 
 def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_otherwise_in_ros_s_words(

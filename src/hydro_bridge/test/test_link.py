@@ -13,10 +13,10 @@ from itertools import pairwise
 
 import pytest
 
-from hydro_bridge.link.link import NO_LAW, Link, LinkState, incomplete
+from hydro_bridge.link.link import NO_COMPENSATED_LAW, Link, LinkState, incomplete_handshake
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
-from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details, foreign_box
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details, version_mismatch_message
 from hydro_core.settings import SettingsError
 from hydro_core.signals import Command, CorrectionStatus, Flag, Law
 from tests.checks import wait
@@ -70,7 +70,7 @@ def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
     assert all(a < b for a, b in pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 1e9
-    assert it.log == [f"connected to small box on {it.cable.path}; disarmed", NO_LAW]
+    assert it.log == [f"connected to small box on {it.cable.path}; disarmed", NO_COMPENSATED_LAW]
 
 
 def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
@@ -169,7 +169,7 @@ def test_bytes_without_frames_keep_no_line_alive_and_nothing_is_armed_on_them(be
     write = it.box._write  # from now on the line is at another bit rate
     monkeypatch.setattr(it.box, "_write", lambda frame: write(noise.randbytes(max(1, len(frame) // 8))))
     begun = len(it.states)
-    wait(lambda: it.link.mute != "" or it.link.state is not LinkState.CONNECTED)
+    wait(lambda: it.link.no_sample_message != "" or it.link.state is not LinkState.CONNECTED)
     assert it.link.arm(True) != "", "what was heard before is no answer"
     wait(lambda: it.link.state is not LinkState.CONNECTED)
     assert not it.link.guard.armed and not it.link.flags & Flag.ARMED
@@ -213,7 +213,7 @@ def test_another_protocol_version_is_told_once_and_never_commanded(bench, versio
     it = bench(version=version)
     wait(lambda: it.log)
     time.sleep(0.5)  # for a second sentence, or a command
-    assert it.log == [foreign_box(version)] and remedy in it.log[0]
+    assert it.log == [version_mismatch_message(version)] and remedy in it.log[0]
     assert it.box.commands == [] and it.states == []
 
 
@@ -222,7 +222,7 @@ DETAILS = BoxDetails(epoch=5, bench_digest="0123456789ab", load_force_limit=700.
 
 def test_a_box_is_followed_once_its_details_came(bench):
     it = bench(details=DETAILS).connected()
-    assert it.link.details.epoch == 5 and it.link.refused == (0, 0) and NO_LAW in it.log
+    assert it.link.details.epoch == 5 and it.link.refused == (0, 0) and NO_COMPENSATED_LAW in it.log
     said = [sentence for sentence in it.log if "references" in sentence]
     assert len(said) == 2 and "900 N" in said[0] and "700 N" in said[1]
     assert it.link.arm(True) == ""
@@ -234,7 +234,7 @@ def test_a_box_is_followed_once_its_details_came(bench):
 @pytest.mark.parametrize("details", [None, replace(DETAILS, laws=3)])
 def test_a_box_that_leaves_out_details_or_law_is_told_of_and_never_commanded(bench, details):
     it = bench(details=details)
-    wait(lambda: incomplete(details) in it.log)
+    wait(lambda: incomplete_handshake(details) in it.log)
     assert it.box.commands == [] and it.states == []
 
 
@@ -242,7 +242,7 @@ def test_a_box_tells_its_law_and_what_acts(bench):
     record = BoxLaw(base_kp=250.0, velocity_compensation=0.25, coefficient_max=(1.25, 0.125, 0.5, 64.0))
     it = bench(details=replace(DETAILS, laws=3), law=record).connected()
     assert it.link.law.base_kp == 250.0 and it.link.details.laws == 3
-    assert it.link.law.coefficient_max == record.coefficient_max and NO_LAW not in it.log
+    assert it.link.law.coefficient_max == record.coefficient_max and NO_COMPENSATED_LAW not in it.log
     assert it.law_states[-1] == it.box.law_state
 
 

@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import executable_path
-from hydro_bridge.ros.node import PROFILES, RANGE, running_ros
+from hydro_bridge.ros.node import DISCOVERY_RANGE, FASTDDS_PROFILES, running_ros
 from hydro_core.settings import SettingsError
 
 pytestmark = pytest.mark.graph  # not beside graphs that reach the network: memberships are the machine's
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.graph  # not beside graphs that reach the network: memb
 @contextmanager
 def bridge(**environment: str) -> Iterator[subprocess.Popen[bytes]]:
     """A bridge without a port, once it has sockets; of the network it knows only what `environment` says."""
-    inherited = {name: value for name, value in os.environ.items() if name not in (RANGE, PROFILES)}
+    inherited = {name: value for name, value in os.environ.items() if name not in (DISCOVERY_RANGE, FASTDDS_PROFILES)}
     own = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **environment}
     process = subprocess.Popen(
         [str(executable_path("hydro_bridge", "bridge")), "--port", "/nowhere/port"],
@@ -68,7 +68,7 @@ def test_a_node_listens_on_the_loopback_interface_only_unless_the_user_says_othe
         assert memberships() == before and not shares_memory(node.pid)
         assert {address for address, _ in found} == {"127.0.0.1"}
         assert any(7400 <= port < 7400 + 250 * 102 for _, port in found), "the ports of ROS's discovery"
-    with bridge(**{RANGE: "SUBNET"}) as node:
+    with bridge(**{DISCOVERY_RANGE: "SUBNET"}) as node:
         assert any(address == "0.0.0.0" and 7400 <= port < 32768 for address, port in sockets(node.pid))
         assert memberships() > 0 and not shares_memory(node.pid)
 

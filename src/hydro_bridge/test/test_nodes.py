@@ -16,7 +16,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from rosbags.rosbag2 import Reader
 
-from hydro_bridge.bags.recording import continuity, objects, read_bag
+from hydro_bridge.bags.recording import count_gaps, read_bag, read_messages
 from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame
 from hydro_core.files import bench_file
@@ -188,13 +188,13 @@ def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(cable, 
     probe.wait(lambda: heard)
     said = heard[0]
     assert (said.plant, said.firmware, said.base_kp, said.base_ki) == ("bridge", "small box 3", 30.0, 8.0)
-    assert said.bench_digest == bench_file.digest(bench_file.read_numbers(bench_file.shipped()))
+    assert said.bench_digest == bench_file.digest(bench_file.read_numbers(bench_file.shipped_bench_file()))
     assert yaml.safe_load(said.bench)["valve_current_max"] == 0.05
     recorder = start("hydro_bridge recorder", "--out", tmp_path / "run")
     probe.wait(lambda: probe.node.count_subscribers(BOX) == 2)
     probe.spin(2.0)
     assert recorder.stop() == 0 and bridge.stop() == 0
-    (kept,) = [message for _, message in objects(tmp_path / "run", BOX)]
+    (kept,) = [message for _, message in read_messages(tmp_path / "run", BOX)]
     assert (kept.bench_digest, kept.base_kp) == (said.bench_digest, 30.0)
     heard.clear()
     start("hydro_bridge replayer", tmp_path / "run", "--loop")
@@ -210,7 +210,10 @@ def test_a_box_that_differs_from_its_bench_file_is_told_with_both_numbers(cable,
     probe.wait(lambda: sentence in output.getvalue())
     heard = boxes_heard(probe)
     probe.wait(lambda: heard)
-    assert heard[0].bench_digest not in ("", bench_file.digest(bench_file.read_numbers(bench_file.shipped())))
+    assert heard[0].bench_digest not in (
+        "",
+        bench_file.digest(bench_file.read_numbers(bench_file.shipped_bench_file())),
+    )
 
 
 @pytest.mark.realtime
@@ -227,7 +230,7 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
     assert recorder.stop() == 0
     recording = read_bag(tmp_path / "run")
     assert len(recording.state) > 1000 and recording.notes == ()
-    assert continuity(recording.state).lost == 0
+    assert count_gaps(recording.state).lost == 0
     assert recording.metadata["hydro"]["seed"] == "3" and recording.metadata["hydro"]["code_version"]
     assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
     assert "/diagnostics" in recording.topics

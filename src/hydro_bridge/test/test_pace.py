@@ -9,7 +9,15 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hydro_bridge.safety.pace import COMMANDS, CORRECTS, RECORDS, Pace, PaceSettings, parse_pace, refuse_speed
+from hydro_bridge.safety.pace import (
+    COMMANDER_WINDOW,
+    FILTER_WINDOW,
+    RECORDER_WINDOW,
+    Pace,
+    PaceSettings,
+    parse_pace,
+    reject_speed_option,
+)
 from hydro_core.settings import SettingsError
 from tests.checks import wait
 
@@ -31,12 +39,12 @@ class Plant:
     def _run(self) -> None:
         answered = threading.Event()
         self.pace.go_on = answered.set
-        self.pace.meet()
+        self.pace.wait_for_peers()
         while not self.pace._closed:
             sequence = len(self.samples)
             self.samples.append(sequence)
             answered.clear()
-            self.pace.publishes(sequence, lambda sequence=sequence: self.again.append(sequence))
+            self.pace.begin_sample(sequence, lambda sequence=sequence: self.again.append(sequence))
             while not answered.is_set():
                 answered.wait(self.pace.poll())
 
@@ -63,43 +71,45 @@ def plant() -> Iterator[Callable[..., Plant]]:
             assert not one.thread.is_alive()
 
 
-@pytest.mark.parametrize(("window", "answer", "stands"), [(CORRECTS, 0, 1), (COMMANDS, 0, 10), (RECORDS, 0, 100)])
+@pytest.mark.parametrize(
+    ("window", "answer", "stands"), [(FILTER_WINDOW, 0, 1), (COMMANDER_WINDOW, 0, 10), (RECORDER_WINDOW, 0, 100)]
+)
 def test_the_plant_is_never_a_window_ahead_of_a_peer(plant, window: int, answer: int, stands: int) -> None:
     it = plant(peers="one")
-    it.pace.answered("one", None, window)
+    it.pace.on_answer("one", None, window)
     it.begin()
     assert it.stands_at(0), "the first sample is answered by everybody"
-    it.pace.answered("one", answer, window)
+    it.pace.on_answer("one", answer, window)
     assert it.stands_at(stands)
 
 
 def test_a_box_that_was_on_before_goes_to_the_end_of_the_step_that_a_commander_answers() -> None:
     pace = Pace(PaceSettings(), lambda _: None)
-    pace.answered("one", None, COMMANDS)
-    pace.publishes(25605, lambda: None)
+    pace.on_answer("one", None, COMMANDER_WINDOW)
+    pace.begin_sample(25605, lambda: None)
     assert not pace.pending
-    pace.publishes(25610, lambda: None)
+    pace.begin_sample(25610, lambda: None)
     assert pace.pending
-    pace.answered("one", 25610, COMMANDS)
+    pace.on_answer("one", 25610, COMMANDER_WINDOW)
     assert not pace.pending
 
 
 def test_who_comes_while_the_plant_stands_still_gets_its_newest_sample(plant) -> None:
     it = plant(peers="one")
-    it.pace.answered("one", None, COMMANDS)
+    it.pace.on_answer("one", None, COMMANDER_WINDOW)
     assert it.begin().stands_at(0)
-    it.pace.answered("one", 0, COMMANDS)
+    it.pace.on_answer("one", 0, COMMANDER_WINDOW)
     assert it.stands_at(10) and not it.again
-    it.pace.answered("recorder", None, RECORDS)
+    it.pace.on_answer("recorder", None, RECORDER_WINDOW)
     wait(lambda: it.again == [10])
 
 
 def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready(plant) -> None:
     it = plant(peers="filter trainer").begin()
-    it.pace.answered("filter", None, CORRECTS)
+    it.pace.on_answer("filter", None, FILTER_WINDOW)
     time.sleep(0.05)
     assert not it.samples
-    it.pace.answered("trainer", None, COMMANDS)
+    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
     assert it.stands_at(0)
 
 
@@ -111,36 +121,36 @@ def test_who_never_comes_is_told_and_not_waited_for(plant) -> None:
 
 def test_a_correction_is_the_answer_of_the_filter(plant) -> None:
     it = plant(peers="filter")
-    it.pace.answered("filter", None, CORRECTS)
+    it.pace.on_answer("filter", None, FILTER_WINDOW)
     it.begin()
     for sequence in range(50):
         assert it.samples[-1:] <= [sequence]
         wait(lambda sequence=sequence: it.samples[-1] == sequence)
-        it.pace.corrected(sequence)
+        it.pace.on_correction(sequence)
     assert it.stands_at(50)
 
 
 def test_an_answer_counts_once_the_commands_that_it_names_have_arrived(plant) -> None:
     it = plant(peers="trainer")
-    it.pace.answered("trainer", None, COMMANDS)
+    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
     it.begin()
-    it.pace.answered("trainer", 0, COMMANDS, commands=2)
-    it.pace.commanded()
+    it.pace.on_answer("trainer", 0, COMMANDER_WINDOW, commands=2)
+    it.pace.on_command()
     assert it.stands_at(0)
-    it.pace.commanded()
+    it.pace.on_command()
     assert it.stands_at(10)
-    it.pace.claimed()
-    it.pace.answered("trainer", 10, COMMANDS, commands=0)
+    it.pace.reset_commands()
+    it.pace.on_answer("trainer", 10, COMMANDER_WINDOW, commands=0)
     assert it.stands_at(20), "another holder counts from nothing"
 
 
 def test_a_silent_peer_is_told_and_left_behind_and_one_that_works_is_not(plant) -> None:
     it = plant(peers="filter trainer", silence_max=0.6)
-    it.pace.answered("filter", None, CORRECTS)
-    it.pace.answered("trainer", 0, COMMANDS)
+    it.pace.on_answer("filter", None, FILTER_WINDOW)
+    it.pace.on_answer("trainer", 0, COMMANDER_WINDOW)
     it.begin()
     for _ in range(8):
-        it.pace.answered("filter", None, CORRECTS)  # still at it
+        it.pace.on_answer("filter", None, FILTER_WINDOW)  # still at it
         time.sleep(0.1)
     assert it.stands_at(0)
     wait(lambda: len(it.samples) > 5)
@@ -150,13 +160,13 @@ def test_a_silent_peer_is_told_and_left_behind_and_one_that_works_is_not(plant) 
 
 def test_a_peer_that_is_gone_from_the_graph_is_not_waited_for(plant) -> None:
     it = plant(peers="filter trainer")
-    it.pace.answered("filter", None, CORRECTS)
-    it.pace.answered("trainer", None, COMMANDS)
+    it.pace.on_answer("filter", None, FILTER_WINDOW)
+    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
     it.begin()
     assert it.stands_at(0)
-    it.pace.keep({"filter"})
+    it.pace.retain_peers({"filter"})
     assert it.stands_at(0)
-    it.pace.keep({"recorder"})
+    it.pace.retain_peers({"recorder"})
     wait(lambda: len(it.samples) > 5)
 
 
@@ -164,18 +174,18 @@ def test_without_a_commander_it_goes_no_faster_than_real_time(plant) -> None:
     it, begin = plant().begin(), time.monotonic()
     wait(lambda: len(it.samples) > 300)
     assert time.monotonic() - begin > 0.28
-    it.pace.answered("trainer", None, COMMANDS)
+    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
     wait(lambda: it.samples[-1] % 10 == 0 and it.stands_at(it.samples[-1]), 10.0)
 
 
 def test_until_an_arming_is_confirmed_nobody_is_waited_for(plant) -> None:
     it = plant(peers="trainer")
-    it.pace.answered("trainer", None, COMMANDS)
+    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
     it.begin()
     assert it.stands_at(0)
-    assert it.pace.confirm(lambda: it.samples[-1] >= 3)
+    assert it.pace.run_until(lambda: it.samples[-1] >= 3)
     assert it.stands_at(3), "what comes after waits again: for the answer to the step of the first sample"
-    assert not it.pace.confirm(lambda: False)
+    assert not it.pace.run_until(lambda: False)
     assert 500 <= it.samples[-1] <= 510, "half a second of the plant's"
 
 
@@ -191,6 +201,6 @@ def test_other_paces_are_refused(text: str) -> None:
 
 
 def test_the_old_word_is_refused_with_the_new_one() -> None:
-    refuse_speed(["--pace", "real"])
+    reject_speed_option(["--pace", "real"])
     with pytest.raises(SettingsError, match="--speed is now --pace"):
-        refuse_speed(["--speed=0"])
+        reject_speed_option(["--speed=0"])

@@ -28,7 +28,7 @@ from hydro_bridge.serial.protocol import (
     encode_hello,
     encode_law,
     encode_state,
-    foreign_box,
+    version_mismatch_message,
 )
 from hydro_bridge.serial.stream import Decoder, SequenceTracker
 from hydro_core.signals import Command, Law
@@ -87,7 +87,11 @@ def test_what_cannot_be_read_is_told_by_its_kind():
 def test_a_greeting_is_read_whatever_version_it_offers():
     hello = decode(inside(altered(encode_hello(1, 2, BoxInfo()), {14: 1, 15: 2})))
     assert isinstance(hello, Hello) and (hello.version_min, hello.version_max) == (1, 2)
-    assert HANDSHAKE == 0 and "rebuild its firmware" in foreign_box(2) and "update hydro" in foreign_box(4)
+    assert (
+        HANDSHAKE == 0
+        and "rebuild its firmware" in version_mismatch_message(2)
+        and "update hydro" in version_mismatch_message(4)
+    )
 
 
 def wire(sequence: int) -> bytes:

@@ -34,14 +34,14 @@ from hydro_bridge.bags.recording import (
     BagWriter,
     RecordingError,
     TopicQos,
-    continuity,
+    count_gaps,
     read_bag,
     stream_bag,
 )
 from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
-from hydro_bridge.bags.writer import sequence_of
+from hydro_bridge.bags.writer import decode_sequence
 from hydro_bridge.nodes.replayer import replay
 from hydro_bridge.serial.stream import LinkCounts
 from tests.checks import ran
@@ -99,7 +99,7 @@ def test_what_was_written_is_read_at_once_and_in_small_pieces(bag, states, singl
     assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
     assert recording.qos[STATE_TOPIC] == TopicQos(reliability="best_effort", depth=50)
     assert recording.notes == ()
-    assert continuity(recording.state) == LinkCounts()
+    assert count_gaps(recording.state) == LinkCounts()
     pieces = list(stream_bag(bag))
     assert len(pieces) >= 5 and max(map(len, pieces)) <= 1000
     assert same(np.concatenate(pieces), states)
@@ -161,7 +161,7 @@ def test_a_part_is_found_by_the_index_and_its_samples_are_those_of_the_whole(tmp
     for begin, end, asked in ((0, 7_000, ",7"), (7_000, 12_500, "7,12.5"), (12_500, 20_000, "12.5")):
         for whole in (tmp_path / "long", path):
             assert same(read_bag(f"{whole}#t={asked}").state, states[begin:end])
-    assert BagSource(path).stretches(60.0) == [(0.0, pytest.approx(19.999))]
+    assert BagSource(path).contiguous_intervals(60.0) == [(0.0, pytest.approx(19.999))]
     with pytest.raises(RecordingError, match="the part ends before it begins, or begins after"):
         read_bag(f"{path}#t=20,30", topics=[STATE_TOPIC])
     damaged = bytearray(path.read_bytes())
@@ -207,7 +207,7 @@ def test_a_store_that_speaks_s3_gives_what_the_disk_gives(tmp_path, states, monk
         monkeypatch.setenv("AWS_ACCESS_KEY_ID", "lab")
         monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "lab")
         location._store.cache_clear()
-        (stored,) = location.stored_below("s3://lab")
+        (stored,) = location.list_remote_bags("s3://lab")
         assert str(stored) == "s3:/lab/monday/monday_0.mcap"
         assert same(read_bag("s3://lab/monday/monday_0.mcap").state, states)
         assert same(read_bag(f"{stored}#t=1,2.5").state, states[1000:2500])
@@ -244,7 +244,7 @@ def test_a_jump_of_the_clock_is_not_waited_for_when_replayed(tmp_path, make_stat
     with BagWriter(tmp_path / "run") as writer:
         writer.write_states(states)
     came, said, begun = [], [], time.monotonic()
-    replay(tmp_path / "run", lambda topic, data: came.append(sequence_of(data)), Event(), 100.0, said.append)
+    replay(tmp_path / "run", lambda topic, data: came.append(decode_sequence(data)), Event(), 100.0, said.append)
     assert len(came) == 300 and time.monotonic() - begun < 60.0
     assert len(said) == 2 and all("left out" in sentence for sentence in said)
 
@@ -494,14 +494,14 @@ def test_errors_are_one_clear_sentence(tmp_path, bag):
 
 def test_an_interrupted_sequence_is_reported(make_states):
     states = make_states(1000)
-    assert continuity(states) == continuity(states[:1]) == LinkCounts()
-    assert continuity(np.delete(states, slice(100, 103))) == LinkCounts(lost=3)
-    assert continuity(np.concatenate([states[:10], states[9:]])) == LinkCounts(duplicates=1)
-    assert continuity(make_states(10, first=2**32 - 5)) == LinkCounts(), "the sequence wraps"
+    assert count_gaps(states) == count_gaps(states[:1]) == LinkCounts()
+    assert count_gaps(np.delete(states, slice(100, 103))) == LinkCounts(lost=3)
+    assert count_gaps(np.concatenate([states[:10], states[9:]])) == LinkCounts(duplicates=1)
+    assert count_gaps(make_states(10, first=2**32 - 5)) == LinkCounts(), "the sequence wraps"
     for before in (5_000, 3 * 10**9):
         begun_again = np.concatenate([make_states(5, first=before), make_states(5)])
-        assert continuity(begun_again) == LinkCounts(restarts=1)
-    assert continuity(states[[0, 2, 1, 3]]).reordered == 1
+        assert count_gaps(begun_again) == LinkCounts(restarts=1)
+    assert count_gaps(states[[0, 2, 1, 3]]).reordered == 1
 
 
 def test_messages_come_at_their_times_freshly_stamped(tmp_path, make_states):
@@ -509,7 +509,7 @@ def test_messages_come_at_their_times_freshly_stamped(tmp_path, make_states):
         writer.write_states(make_states(300, first=1000))
     came: list[tuple[float, bytes]] = []
     replay(tmp_path / "run", lambda _, data: came.append((time.time(), data)), Event(), speed=4.0)
-    assert [sequence_of(data) for _, data in came] == list(range(1000, 1300))
+    assert [decode_sequence(data) for _, data in came] == list(range(1000, 1300))
     stamps = np.array([np.frombuffer(data[4:12], "<u4") for _, data in came]) @ (1.0, 1e-9)
     np.testing.assert_allclose(np.diff(stamps), 1e-3 / 4.0, atol=2e-6)
     late = np.array([at for at, _ in came]) - stamps

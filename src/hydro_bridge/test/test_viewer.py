@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
-from hydro_bridge.dashboard.series import SLOT, STATE_COLUMNS, GrowingThinner, Thinner
+from hydro_bridge.dashboard.series import SLOT_TIME, STATE_COLUMNS, Downsampler, GrowingDownsampler
 from hydro_bridge.ros.topics import GRAPH
 from hydro_bridge.viewer.runs import list_runs, refresh_index, write_index
-from hydro_bridge.viewer.view import main, read_recorded, rendered
+from hydro_bridge.viewer.view import main, read_page, render_page
 from hydro_core.signals import STATE_DTYPE, Flag, StateArray
 from tests import browser
 from tests.checks import status_of
@@ -44,7 +44,7 @@ def bag(tmp_path: Path, states) -> Path:
 
 
 def test_a_pulse_of_one_sample_stays_at_every_length_and_memory_does_not_grow() -> None:
-    thinner = GrowingThinner(1, 100.0, limit=64)
+    thinner = GrowingDownsampler(1, 100.0, limit=64)
     for second in range(50):
         times = 100.0 + second + 1e-3 * np.arange(1000)
         values = np.zeros((1000, 1))
@@ -63,7 +63,7 @@ def test_flags_and_windows_of_a_diagnosis_beside_it_are_marked_on_a_page_that_lo
     location = [{"equation": "motion", "sentence": "friction", "windows": windows}]
     report = bag.parent / "report.json"
     report.write_text(json.dumps({"location": location, "recordings": [{"name": "run", "begin": states["time"][0]}]}))
-    found = read_recorded(bag, report=report)
+    found = read_page(bag, report=report)
     told = ["armed", "motion, for 0.50 s: friction", "tripped: force limit"]
     assert [mark.text for mark in found.marks] == told
     assert [mark.time for mark in found.marks] == pytest.approx([1.0, 2.5, 3.0], abs=1e-3)
@@ -84,7 +84,7 @@ def test_a_clock_that_was_set_halves_no_page(tmp_path: Path, states: StateArray)
     states["time"][len(states) // 2 :] -= 3600.0
     with BagWriter(tmp_path / "run") as writer:
         writer.write_states(states)
-    found = read_recorded(tmp_path / "run")
+    found = read_page(tmp_path / "run")
     assert found.seconds == pytest.approx(whole, abs=0.01)
     assert len(found.values[0]) == pytest.approx(whole / found.slot, abs=2)
     assert sum("the clock was set by" in note for note in found.notes) == 2
@@ -95,24 +95,24 @@ def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_pat
     with BagWriter(tmp_path / "run"):
         pass
     with pytest.raises(RecordingError, match="no messages on /hydro/state; there is nothing"):
-        read_recorded(tmp_path / "run")
+        read_page(tmp_path / "run")
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(next((tmp_path / "run").glob("*.mcap")).read_bytes()[:40])
     with pytest.raises(RecordingError, match="it was cut off before the end of its first block"):
-        read_recorded(cut)
+        read_page(cut)
 
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.integers(1, 80), min_size=1, max_size=20))
 def test_least_and_greatest_of_each_slot_however_samples_come_in(parts: list[int]) -> None:
     count = sum(parts)
-    times = 1_000_000 * SLOT + 1e-3 * (np.arange(count) + 0.5)
+    times = 1_000_000 * SLOT_TIME + 1e-3 * (np.arange(count) + 0.5)
     values = np.random.default_rng(count).standard_normal((count, 2))
-    thinner, begin, taken = Thinner(2), 0, []
+    thinner, begin, taken = Downsampler(2), 0, []
     for part in parts:
         thinner.add(times[begin : begin + part], values[begin : begin + part])
         begin += part
-        taken.append(thinner.take().values)
+        taken.append(thinner.poll().values)
     got = np.concatenate(taken)
     closed = (count - 1) // 10
     blocks = values[: 10 * closed].reshape(closed, 10, 2)
@@ -175,7 +175,7 @@ def test_in_a_browser_it_opens_from_disk_loads_nothing_and_the_slider_shows_its_
     states["flags"][20_000:] = TRIPPED | int(Flag.FORCE_LIMIT)
     with BagWriter(tmp_path / "bag") as writer:
         writer.write_states(states)
-    (tmp_path / "bag.html").write_text(rendered(read_recorded(tmp_path / "bag")), encoding="utf-8")
+    (tmp_path / "bag.html").write_text(render_page(read_page(tmp_path / "bag")), encoding="utf-8")
     slide = "const s = document.getElementById('time'); s.value = {}; s.dispatchEvent(new Event('input'))"
     with browser.browser(tmp_path / "profile") as page:
         page.open((tmp_path / "bag.html").as_uri())

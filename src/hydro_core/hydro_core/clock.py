@@ -87,8 +87,11 @@ class HostClock:
             offset = self._read()
         self._offset = offset
 
-    def look(self) -> int:
-        """Read both clocks, about once per sample; return the step of the host's clock since, ns, mostly 0."""
+    def detect_step(self) -> int:
+        """Read both clocks; return by how much the host's clock was set since the last call, ns, mostly 0.
+
+        Call it about once per sample.
+        """
         offset = self._read()
         step = 0 if offset is None else offset - self._offset
         if abs(step) < self.STEP:
@@ -108,5 +111,5 @@ class HostClock:
 
 
 def clock_step_message(step_ns: int) -> str:
-    """Return the log sentence for a step found by `HostClock.look`."""
+    """Return the log sentence for a step found by `HostClock.detect_step`."""
     return f"the host's clock was set by {1e-9 * step_ns:+.3f} s: the samples' stamps follow at once"

@@ -20,7 +20,7 @@ class UnwritableError(UserError, argparse.ArgumentTypeError):
 
 
 def is_file_error(error: Exception) -> bool:
-    """Return whether the operating system raised this error about a file or disk space; False for a fault of ours."""
+    """Return whether the error is the operating system's about a file or disk space, not a programming error."""
     return isinstance(error, OSError) and (error.filename is not None or error.errno in _NO_PLACE)
 
 
@@ -33,8 +33,8 @@ def user_message(error: Exception) -> str:
     return f"{file}{error.strerror}{remedy}"
 
 
-def writable(path: str) -> str:
-    """Return `path` if a file can be written there; for a check at the start, not after hours of work.
+def writable_file(path: str) -> str:
+    """Return `path` if a file can be written there; an argparse type, so that a command fails before its work.
 
     Raises UnwritableError: the file cannot be written; the sentence gives the reason.
     """

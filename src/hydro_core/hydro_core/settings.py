@@ -65,7 +65,7 @@ class Setting:
     required: bool
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def choices(self) -> tuple[str, ...]:
         """Allowed values of a field of type Literal."""
         return typing.get_args(self.kind) if typing.get_origin(self.kind) is Literal else ()
 
@@ -101,11 +101,11 @@ def check(settings: Any) -> None:
     for name, setting in describe(type(settings)).items():
         value = getattr(settings, name)
         sound = type(value) is float is setting.kind and setting.low <= value <= setting.high  # most are, at once
-        if not sound and (isfinite(setting.low) or setting.words):
-            converted(setting, value.item() if hasattr(value, "item") else value, name, strict=True)
+        if not sound and (isfinite(setting.low) or setting.choices):
+            convert(setting, value.item() if hasattr(value, "item") else value, name, strict=True)
 
 
-def converted(setting: Setting, value: Any, where: str, *, strict: bool = False) -> Any:
+def convert(setting: Setting, value: Any, where: str, *, strict: bool = False) -> Any:
     """Return the value in the declared type; unless `strict`, numbers may be given as text (as 1e9 is in YAML 1.1).
 
     Raises SettingsError: the value violates the declaration; the sentence begins with `where`.
@@ -163,8 +163,8 @@ def _refusal(setting: Setting, value: Any) -> str:
     unit = "" if setting.unit == "-" else f" {setting.unit}"
     limits = f"within [{setting.low:g}, {setting.high:g}]{unit}"
     told = f": {setting.meaning}" if setting.meaning else ""
-    if setting.words:
-        return f"must be one of {', '.join(setting.words)}, not {value!r}"
+    if setting.choices:
+        return f"must be one of {', '.join(setting.choices)}, not {value!r}"
     if setting.kind not in (int, float) or isinstance(value, (list, tuple)):
         return f"must be {_KINDS.get(setting.kind, f'numbers {limits}')}, not {value!r}{told}"
     try:
@@ -243,4 +243,4 @@ def _value(setting: Setting, value: Any, where: str) -> Any:
         return tuple(from_mapping(kind, item, where) for item in items)
     if nested and not (value is None and type(None) in typing.get_args(setting.hint)):
         return from_mapping(kind, value, where)
-    return None if nested else converted(setting, value, where)
+    return None if nested else convert(setting, value, where)

@@ -92,7 +92,7 @@ class Waveform(IntEnum):
 
 
 class CorrectionStatus(IntEnum):
-    """`Correction.status`: what the contraction filter did."""
+    """`Correction.status`: decision of the contraction filter on a sample."""
 
     PASS = 0
     MODIFIED = 1
@@ -104,10 +104,10 @@ class CorrectionStatus(IntEnum):
     MISMATCH = 7
 
 
-OUTSIDE = 8
-"""Bit of `Correction.status` beside a `CorrectionStatus`: the loop is outside of the region that is proved."""
-DECIDED = OUTSIDE - 1
-"""Mask of `Correction.status` that leaves the `CorrectionStatus`."""
+OUTSIDE_REGION = 8
+"""Bit of `Correction.status`, in addition to a `CorrectionStatus`: the loop is outside of the certified region."""
+STATUS_MASK = OUTSIDE_REGION - 1
+"""Bit mask of the `CorrectionStatus` in `Correction.status`."""
 
 
 class Law(IntEnum):
@@ -126,7 +126,7 @@ NEUTRAL: Coefficients = (1.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class LawCommand:
-    """The force law that a controller asks for, and what shapes it.
+    """Command of a force law: which one, its gains and the coefficients of its reference.
 
     The defaults are the paper's; those of a box's compensated law are its own (`safety.guard.safe_command`).
     """
@@ -176,7 +176,7 @@ class Command(LawCommand):
     """Whether this command is backed by a fresh correction of the filter; if not, the box flags FILTER_STALE."""
 
 
-def matrix(states: StateArray, fields: tuple[str, ...] = PLANT_FIELDS) -> FloatArray:
+def to_matrix(states: StateArray, fields: tuple[str, ...] = PLANT_FIELDS) -> FloatArray:
     """Return columns of a recording as one matrix.
 
     Parameters

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """Scales of a bench."""
+    """Scales of a bench: force, pressure, length and current."""
 
     force: Annotated[float, quantity("N", 1e-3, 1e7)]
     """Usual amplitude of a reference."""
@@ -30,8 +30,8 @@ class Size:
     """At which the valve saturates."""
 
     @classmethod
-    def of(cls, bench: Mapping[str, Any]) -> Size:
-        """Return the size of a bench.yaml's numbers; its force is 3/32 of the piston's at full supply."""
+    def of_bench(cls, bench: Mapping[str, Any]) -> Size:
+        """Return the size of a bench from its numbers; the force is 3/32 of piston area times supply pressure."""
         return cls(
             force=bench["piston_area"] * bench["supply_pressure"] * 0.09375,
             pressure=bench["supply_pressure"],
@@ -40,16 +40,16 @@ class Size:
         )
 
     @classmethod
-    def if_known(cls, bench: Mapping[str, Any] | None) -> Size | None:
-        """Return the size of a bench that a box believes; None if too little of it is known."""
+    def of_known_bench(cls, bench: Mapping[str, Any] | None) -> Size | None:
+        """Return the size of a bench from a box's bench file; None if the file is unknown or incomplete."""
         try:
-            return None if bench is None else cls.of(bench)
+            return None if bench is None else cls.of_bench(bench)
         except (KeyError, TypeError):
             return None
 
 
-def resized(settings: T, before: Size, after: Size) -> T:
-    """Return settings made for a bench of the size `before` for a similar one of the size `after`."""
+def rescale(settings: T, before: Size, after: Size) -> T:
+    """Return settings scaled from a bench of size `before` to a similar one of size `after`, each value by its unit."""
     force, length = after.force / before.force, after.length / before.length
     current, pressure = after.current / before.current, after.pressure / before.pressure
     ratios = {

@@ -37,7 +37,7 @@ def main():
         me(signal.{name})
         time.sleep(10)
     finally:
-        with endings.undisturbed():
+        with endings.signals_ignored():
             for number in endings.SIGNALS:
                 me(number)
             print("put in order")
@@ -99,7 +99,7 @@ def main():
     try:
         try:
             me(signal.SIGTERM)  # as PyObject_HasAttr and PyDict_GetItem do with an exception of Python code below them
-        except endings.Ended:
+        except endings.Terminated:
             pass
         time.sleep(10)
     finally:

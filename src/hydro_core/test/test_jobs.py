@@ -58,8 +58,8 @@ def cluster(tmp_path: Path) -> Iterator[str]:
 
 
 def test_results_do_not_depend_on_how_many_compute_them() -> None:
-    alone = jobs.complete(drawn, arguments(6), at_once=1)
-    together = jobs.complete(drawn, arguments(6), at_once=2)
+    alone = jobs.run_all(drawn, arguments(6), at_once=1)
+    together = jobs.run_all(drawn, arguments(6), at_once=2)
     assert list(alone) == list(together) == list(arguments(6))
     assert [number for number, _ in alone.values()] == [number for number, _ in together.values()]
     assert {process for _, process in alone.values()} == {os.getpid()}
@@ -68,9 +68,9 @@ def test_results_do_not_depend_on_how_many_compute_them() -> None:
 
 def test_finished_jobs_are_not_done_again(tmp_path: Path) -> None:
     kept = tmp_path / "rows"
-    assert jobs.complete(pow, {"a": (2, 3), "b": (2, 4)}, kept=kept, at_once=1) == {"a": 8, "b": 16}
-    assert jobs.complete(divmod, {"b": (1, 0), "a": (1, 0)}, kept=kept, at_once=1) == {"b": 16, "a": 8}
-    assert jobs.complete(pow, {"a": (2, 3), "c": (3, 3)}, kept=kept, at_once=1) == {"a": 8, "c": 27}
+    assert jobs.run_all(pow, {"a": (2, 3), "b": (2, 4)}, kept=kept, at_once=1) == {"a": 8, "b": 16}
+    assert jobs.run_all(divmod, {"b": (1, 0), "a": (1, 0)}, kept=kept, at_once=1) == {"b": 16, "a": 8}
+    assert jobs.run_all(pow, {"a": (2, 3), "c": (3, 3)}, kept=kept, at_once=1) == {"a": 8, "c": 27}
 
 
 def test_poisoned_job_is_named_and_the_rest_is_done(capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,11 +89,13 @@ def test_job_whose_process_is_killed_is_done_again_and_poison_kills_no_other(
 ) -> None:
     wanted = {f"recording {number}": (number, tmp_path) for number in range(8)}
     with pytest.raises(jobs.JobsError, match=r"2 of 8 jobs failed: recording 3, recording 4; the others"):
-        jobs.complete(marked, wanted, at_once=2, kept=tmp_path / "kept")
-    assert jobs.complete(marked, {n: v for n, v in wanted.items() if v[0] not in (3, 4)}, kept=tmp_path / "kept")
+        jobs.run_all(marked, wanted, at_once=2, kept=tmp_path / "kept")
+    assert jobs.run_all(marked, {n: v for n, v in wanted.items() if v[0] not in (3, 4)}, kept=tmp_path / "kept")
     done = [len([*tmp_path.glob(f"{number}-*")]) for number in range(8)]
-    assert done[2] >= 2 and done[3] == jobs.DEATHS
-    assert max(done) <= jobs.DEATHS and min(done) >= 1, "a result may die with the process that takes the next job"
+    assert done[2] >= 2 and done[3] == jobs.MAX_WORKER_DEATHS
+    assert max(done) <= jobs.MAX_WORKER_DEATHS and min(done) >= 1, (
+        "a result may die with the process that takes the next job"
+    )
     said = capsys.readouterr().err
     assert "recording 4: it holds no numbers" in said
     assert "recording 3: each process that did it was killed" in said
@@ -103,9 +105,9 @@ def test_job_whose_process_is_killed_is_done_again_and_poison_kills_no_other(
 def test_cluster_gives_what_this_process_gives_though_a_worker_is_killed(cluster: str) -> None:
     who: set[int] = set()
     while len(who) < 2:  # the second worker takes longer to start
-        who |= {*jobs.complete(os.getpid, {str(number): () for number in range(4)}, scheduler=cluster).values()}
+        who |= {*jobs.run_all(os.getpid, {str(number): () for number in range(4)}, scheduler=cluster).values()}
     assert os.getpid() not in who
-    assert jobs.complete(pow, {"a": (2, 3), "b": (2, 4)}, scheduler=cluster) == {"a": 8, "b": 16}
+    assert jobs.run_all(pow, {"a": (2, 3), "b": (2, 4)}, scheduler=cluster) == {"a": 8, "b": 16}
     done = []
     for name, _ in jobs.run(time.sleep, {str(number): (0.5,) for number in range(6)}, scheduler=cluster):
         if not done:
@@ -125,14 +127,14 @@ def test_scheduler_is_killed_and_the_same_jobs_are_completed_without_it(cluster:
         for name, _ in jobs.run(time.sleep, wanted, scheduler=cluster, kept=kept):
             done.append(name)
             os.kill(scheduler, signal.SIGKILL)
-    missing = jobs.complete(drawn, wanted, kept=kept, at_once=1)
+    missing = jobs.run_all(drawn, wanted, kept=kept, at_once=1)
     assert [name for name in wanted if missing[name] is None] == sorted(done), "what was done is not done again"
 
 
 def test_full_disk_is_told_and_the_same_jobs_are_completed_with_room(tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     with files_of_at_most(90), pytest.raises(OSError, match="File too large"):
-        jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)
+        jobs.run_all(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)
     assert kept.stat().st_size == 90 and not kept.read_bytes().endswith(b"\n")
-    assert jobs.complete(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)["19"] == 2**19
+    assert jobs.run_all(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)["19"] == 2**19
     assert len(kept.read_text().splitlines()) == 20

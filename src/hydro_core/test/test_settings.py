@@ -12,9 +12,16 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from hydro_core.cli.console import NEW_ONLY, UserError, command, refuse_changes, writable, writable_folder
+from hydro_core.cli.console import (
+    FIXED_ON_RESUME,
+    UserError,
+    command,
+    reject_changed_options,
+    writable_file,
+    writable_folder,
+)
 from hydro_core.files.atomic import write_whole
-from hydro_core.files.tensors import UnsoundError, check_numbers
+from hydro_core.files.tensors import InvalidTensorError, check_numbers
 from hydro_core.settings import SettingsError, from_mapping, quantity, to_mapping
 from tests.checks import files_of_at_most
 
@@ -74,11 +81,11 @@ def test_words_that_say_otherwise_than_a_run_that_goes_on_are_refused():
         "--episodes": {"type": int, "default": 160},
     }.items():  # fmt: skip
         parser.add_argument(name, **how)
-    begun = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidden": [32, 32]}
-    refuse_changes(parser, ["--seed", "5", "--hidden", "32", "32", "--episodes", "7"], "runs/a", begun)
+    begun = {"seed": 5, "start": FIXED_ON_RESUME, "bench": None, "randomise": False, "hidden": [32, 32]}
+    reject_changed_options(parser, ["--seed", "5", "--hidden", "32", "32", "--episodes", "7"], "runs/a", begun)
     words = ["--seed", "0", "--from", "runs/b", "--bench", "b.yaml", "--randomise", "--hidden", "8"]
     with pytest.raises(UserError) as refused:
-        refuse_changes(parser, words, "runs/a", begun)
+        reject_changed_options(parser, words, "runs/a", begun)
     told = "--seed 0 (it has 5) and --from runs/b and --bench b.yaml (it has none) and --randomise and --hidden 8 (it"
     assert told in str(refused.value)
 
@@ -107,7 +114,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(monkeypatch, capsys):
     assert ended.value.code == 0 and capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize(("check", "done"), [(writable, "written"), (writable_folder, "made")])
+@pytest.mark.parametrize(("check", "done"), [(writable_file, "written"), (writable_folder, "made")])
 def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(check, done, tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     with pytest.raises(
@@ -134,5 +141,5 @@ def test_a_file_is_replaced_whole_or_stays_and_nothing_is_left_beside_it(tmp_pat
 
 def test_numbers_that_are_none_are_found_and_counted() -> None:
     for number in (math.nan, math.inf, -math.inf, 1e31):
-        with pytest.raises(UnsoundError, match=r"weights holds 2 of 12 values"):
+        with pytest.raises(InvalidTensorError, match=r"weights holds 2 of 12 values"):
             check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import hydro_core
-from hydro_core.process.start import foreign_code, missing_folder
+from hydro_core.process.start import copied_workspace, missing_working_directory
 
 ROOT = Path(str(hydro_core.__file__)).resolve().parents[3]
 
@@ -22,22 +22,24 @@ def test_a_copied_checkout_that_still_runs_the_old_folders_code_says_so(
     copy = tmp_path / "install/hydro_core"
     copy.mkdir(parents=True)
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/jazzy:{copy}:{tmp_path}/install/hydro_sim")
-    assert foreign_code() == f"{tmp_path} was copied and still runs the code of {ROOT}: run `make setup` in it first"
+    assert (
+        copied_workspace() == f"{tmp_path} was copied and still runs the code of {ROOT}: run `make setup` in it first"
+    )
 
 
 @pytest.mark.parametrize("prefixes", ["", "/opt/ros/jazzy", "{root}/install/hydro_core:/opt/ros/jazzy"])
 def test_the_workspaces_own_code_is_no_copy(prefixes: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes.format(root=ROOT))
-    assert foreign_code() == ""
+    assert copied_workspace() == ""
 
 
 def test_a_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert missing_folder() == ""
+    assert missing_working_directory() == ""
     gone = tmp_path / "gone"
     gone.mkdir()
     monkeypatch.chdir(gone)
     gone.rmdir()
-    assert "has been deleted" in missing_folder()
+    assert "has been deleted" in missing_working_directory()
 
 
 def test_a_pipe_gets_each_line_as_it_is_printed(tmp_path: Path) -> None:

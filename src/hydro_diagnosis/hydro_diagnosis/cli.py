@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_core.cli.console import command, writable, writable_folder
+from hydro_core.cli.console import command, writable_file, writable_folder
 from hydro_core.process import endings
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
@@ -94,7 +94,7 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     options.add_argument("--id", metavar="NAME", help="of the effect, for instance port_drag")
     options.add_argument("--law", metavar="FORM", help="which one, where the reports have several laws in common")
-    options.add_argument("--json", type=writable, metavar="FILE", help="also write the table of the law's numbers")
+    options.add_argument("--json", type=writable_file, metavar="FILE", help="also write the table of the law's numbers")
     return options
 
 
@@ -149,7 +149,7 @@ def run(arguments: Sequence[str]) -> int:
         return interrupted.status
     except KeyboardInterrupt as interruption:
         print("interrupted while reading: nothing was written", file=sys.stderr)
-        return endings.status(interruption)
+        return endings.exit_status(interruption)
     write_files(found, chosen.out)
     refresh_index(chosen.out)
     print(found)

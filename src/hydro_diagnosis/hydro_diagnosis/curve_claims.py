@@ -185,7 +185,7 @@ def _law(
 ) -> ClosureReport:
     """Add the force over the position to the claims; it is no cause, and has no name."""
     constant = sum(one for one, *_ in shape.number("constant")) if shape is not None else 0.0
-    effect = closure(grammar.ALL[MOTION, "table over position"], problem.bench, curve.limits)
+    effect = closure(grammar.FORMS[MOTION, "table over position"], problem.bench, curve.limits)
     values = dict(zip((one.name for one in effect.parameters), (curve.over_position + constant).tolist(), strict=True))
     found.claims.append(Claim(effect, values))
     found.bounds += [Interval(one, one, one, identifiable=False) for one in values.values()]

@@ -25,11 +25,11 @@ from typing import Any
 import pyarrow as pa
 from pyarrow import parquet
 
-from hydro_bridge.bags.location import is_bag, is_stored, is_there, parted, stored_below
+from hydro_bridge.bags.location import exists, is_bag, is_remote, list_remote_bags, split_location
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import RecordingError
 from hydro_core.cli import jobs
-from hydro_core.cli.console import UserError, command, number, plural, writable_folder
+from hydro_core.cli.console import UserError, bounded_number, command, plural, writable_folder
 from hydro_core.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import ColumnMap
@@ -72,10 +72,10 @@ def recordings_in(words: Sequence[str]) -> dict[str, Path]:
     found: dict[Path, None] = {}
     for word in words:
         paths = sorted(map(Path, glob.glob(word, recursive=True))) if glob.has_magic(word) else [Path(word)]
-        if is_stored(word):
-            there = stored_below(word)
+        if is_remote(word):
+            there = list_remote_bags(word)
         else:
-            there = [one.resolve() for path in paths if is_there(path) for one in _within(path)]
+            there = [one.resolve() for path in paths if exists(path) for one in _within(path)]
         if not there:
             raise UserError(f"{word}: there is no recording")
         found.update(dict.fromkeys(there))
@@ -101,10 +101,10 @@ def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
 
     Parts are counted anew behind a gap of more than `GAP_MAX`, or before which the clock was set, which is told.
     """
-    if not is_bag(path) or parted(path)[1] is not None:
+    if not is_bag(path) or split_location(path)[1] is not None:
         return {name: str(path)}
     try:
-        stretches = BagSource(path).stretches(GAP_MAX)
+        stretches = BagSource(path).contiguous_intervals(GAP_MAX)
     except RecordingError:  # each part would be refused for the same reason
         stretches = [(0.0, every)]
     for (_, before), (after, _) in pairwise(stretches):
@@ -188,7 +188,9 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--without", nargs="+", default=[], metavar="ID", help="as for diagnose")
     options.add_argument("--estimate", nargs="+", default=[], metavar="NAME", help="as for diagnose")
     options.add_argument("--seconds", type=float, metavar="S", help="as for diagnose, for each recording")
-    options.add_argument("--every", type=number(1.0), metavar="S", help="diagnose each S seconds of a bag alone")
+    options.add_argument(
+        "--every", type=bounded_number(1.0), metavar="S", help="diagnose each S seconds of a bag alone"
+    )
     options.add_argument("--out", required=True, type=writable_folder, metavar="STUDY", help="folder of the data set")
     jobs.add_arguments(options)
     return options
@@ -224,7 +226,7 @@ def main() -> int:
     arguments = {name: (path, folders[name], options) for name, path in named.items()}
     found: dict[str, Any] = {}
     digest = sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:12]
-    told = jobs.where(chosen) | {
+    told = jobs.job_options(chosen) | {
         "kept": chosen.out / f"found-{digest}.jsonl",
         "label": "diagnoses",
         "unit": "recording",

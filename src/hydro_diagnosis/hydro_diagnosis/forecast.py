@@ -27,7 +27,7 @@ import numpy as np
 import yaml
 
 from hydro_bridge.bags.location import is_bag
-from hydro_bridge.bags.recording import Recording, RecordingError, objects, read_bag, stream_bag
+from hydro_bridge.bags.recording import Recording, RecordingError, read_bag, read_messages, stream_bag
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law
 from hydro_diagnosis.bench_numbers import can_simulate
 from hydro_diagnosis.effects.base import Claim
@@ -199,7 +199,7 @@ def _beliefs(bench: Bench, bag: Recording | None) -> list[Bench]:
     """Benches that the box may believe: the bench file's, the nominal one, and those that the recording tells."""
     found, texts = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()], list[Any]()
     if bag is not None:
-        boxes = objects(bag.path, BOX_TOPIC) if BOX_TOPIC in bag.topics else iter(())
+        boxes = read_messages(bag.path, BOX_TOPIC) if BOX_TOPIC in bag.topics else iter(())
         texts += [bag.attachments.get("bench.yaml"), *(message.bench for _, message in islice(boxes, 1))]
     for text in filter(None, texts):
         with suppress(ValueError, TypeError, yaml.YAMLError):  # another program's

@@ -254,7 +254,7 @@ def _short(value: float) -> float:
 
 def grow(chosen: argparse.Namespace) -> int:
     """Compare the reports, write the effect, say what was found; `chosen`: by `cli.parser`."""
-    folder = chosen.out or grown.folder()
+    folder = chosen.out or grown.target_folder()
     path = folder / f"{chosen.id}.yaml"
     _refuse_id(chosen.id, path)
     found = sightings(chosen.reports, chosen.law)
@@ -266,7 +266,7 @@ def grow(chosen: argparse.Namespace) -> int:
     for one in agreed:
         print(f"  {one.sentence}")
     print(f"{path} is the effect")
-    if not grown.is_read(folder):
+    if not grown.is_searched(folder):
         print(f"bench files may name it where {grown.VARIABLE}={folder} is set")
     return 0
 

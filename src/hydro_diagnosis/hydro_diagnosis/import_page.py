@@ -28,8 +28,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
-from hydro_bridge.dashboard.server import file_response, is_foreign
-from hydro_bridge.dashboard.status import encoded
+from hydro_bridge.dashboard.server import file_response, is_cross_origin
+from hydro_bridge.dashboard.status import encode_message
 from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table
 from hydro_core.errors import UserError
@@ -168,7 +168,7 @@ class Import:
         self._send("progress", text=text, done=STAGES.index(text) if text in STAGES else None, stages=len(STAGES))
 
     def _send(self, kind: str, **content: Any) -> None:
-        self._connection.send(encoded(kind, content))
+        self._connection.send(encode_message(kind, content))
 
 
 def _map(columns: Mapping[str, Mapping[str, str]]) -> ColumnMap:
@@ -200,7 +200,7 @@ def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Ser
     }
 
     def respond(connection: ServerConnection, request: Request) -> Response | None:
-        if is_foreign(request, HOST):
+        if is_cross_origin(request, HOST):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "only a page of this machine is answered\n")
         if request.path == "/socket":
             return None

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.bags.recording import Extent
-from hydro_core.cli.console import Table, add_json_argument, command, writable
+from hydro_core.cli.console import Table, add_json_argument, command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
@@ -77,7 +77,7 @@ def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, b
     for column, values in found.series.items():
         field = becomes.get(column, "")
         sure = columns is not None or column == field
-        extent = found.extents.get(column) or Extent(1).with_values(values)
+        extent = found.extents.get(column) or Extent(1).merge(values)
         used = field if sure or not field else f"{field}?"
         add(column, used, extent, found.units.get(column, ""), _rate(column, found, chosen), sparkline(values))
     for column, number in found.constants.items():
@@ -113,7 +113,7 @@ def arguments() -> argparse.ArgumentParser:
     options.add_argument("--columns", metavar="MAP", help="as for diagnose: shows what it would make of the columns")
     options.add_argument("--bench", type=Path, metavar="FILE", help="as for diagnose: what numbers are likely")
     options.add_argument(
-        "--write", type=writable, metavar="FILE", help="write the proposed map of the first FILE, YAML"
+        "--write", type=writable_file, metavar="FILE", help="write the proposed map of the first FILE, YAML"
     )
     add_json_argument(options)
     return options

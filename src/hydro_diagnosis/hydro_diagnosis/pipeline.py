@@ -127,4 +127,4 @@ def _answered(read: tuple[Case, float], settings: SearchSettings, progress: Prog
                 found = name_causes(case, search)
             return build_report(case, search, model_remainder(found, case, search), begun)
     except KeyboardInterrupt as interruption:
-        raise DiagnosisInterrupted(interrupted_report(case, search, begun), endings.status(interruption)) from None
+        raise DiagnosisInterrupted(interrupted_report(case, search, begun), endings.exit_status(interruption)) from None

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.files.atomic import encode_json, write_whole
 
 INTERRUPTED = "interrupted"
 """Value in place of a verdict where there is none."""
@@ -229,11 +229,11 @@ class Report:
 
     def to_json(self) -> str:
         """report.json."""
-        return json_text(self).decode()
+        return encode_json(self).decode()
 
     def write(self, folder: Path) -> None:
         """Write report.json."""
-        write_whole(folder / "report.json", json_text(self))
+        write_whole(folder / "report.json", encode_json(self))
 
 
 class DiagnosisInterrupted(KeyboardInterrupt):

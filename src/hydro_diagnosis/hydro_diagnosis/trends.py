@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_bridge.pages import environment
-from hydro_core.cli.console import Table, UserError, add_json_argument, command, plural, writable
+from hydro_core.cli.console import Table, UserError, add_json_argument, command, plural, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.change_points import FEWEST, Course, course
@@ -205,7 +205,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "--dates", metavar="FORMAT", help="of the recordings' names, as %%Y-%%m-%%d, if they are no bags"
     )
-    options.add_argument("--page", type=writable, metavar="FILE", help="default: trends.html in the first STUDY")
+    options.add_argument("--page", type=writable_file, metavar="FILE", help="default: trends.html in the first STUDY")
     add_json_argument(options)
     return options
 

@@ -91,7 +91,7 @@ def claims(problem: Problem, names: Mapping[str, Mapping[str, float]], *forms: t
     """Names and laws to fit from; names without values from their probes."""
     found = [(NAMES[label], values) for label, values in names.items()]
     named = [Claim(one, values or {own.name: own.probes[0] for own in one.parameters}) for one, values in found]
-    terms = [closure(grammar.ALL[form], problem.bench) for form in forms]
+    terms = [closure(grammar.FORMS[form], problem.bench) for form in forms]
     return [*named, *(Claim(one, one.nothing()[0]) for one in terms)]
 
 

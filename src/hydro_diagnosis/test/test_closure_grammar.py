@@ -21,14 +21,14 @@ from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
+from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, spool_shift_losses
 from tests.segments import claim, problem_in, record
 
 BENCH = Bench.nominal()
 
 
 def law(equation: str, form: str) -> Law:
-    found = grammar.ALL[equation, form]
+    found = grammar.FORMS[equation, form]
     assert isinstance(found, Law)
     return found
 
@@ -87,7 +87,7 @@ def test_a_law_reverses_over_a_millimetre_a_second_or_over_its_own_number() -> N
 
 def test_a_spool_that_is_shifted_changes_the_flow_by_its_gain_even_across_null() -> None:
     p_a, p_b, gain = 5e6, 6e6, BENCH.constants()[0]["valve_gain"]
-    lost_a, lost_b = shifted(BENCH, np.array([2e-3, 1e-4]), np.array([1e-4, -3e-4]), (p_a, p_b))
+    lost_a, lost_b = spool_shift_losses(BENCH, np.array([2e-3, 1e-4]), np.array([1e-4, -3e-4]), (p_a, p_b))
     out, back = np.sqrt(BENCH.supply_pressure - p_a), np.sqrt(p_a - BENCH.tank_pressure)
     np.testing.assert_allclose(lost_a, [-gain * 1e-4 * out, gain * (1e-4 * out + 2e-4 * back)], rtol=1e-3)
     assert lost_b[0] > 0.0 > lost_b[1]

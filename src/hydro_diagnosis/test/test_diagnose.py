@@ -31,7 +31,7 @@ from hydro_diagnosis.validation import equation_errors
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment
-from hydro_sim.files.learned_bench import shipped
+from hydro_sim.files.learned_bench import shipped_bench
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 from tests.checks import ran
@@ -220,7 +220,7 @@ HEALTHY_FRICTION, HEALTHY_LEAK = 12.0, 1e-13
 
 
 def test_learned_constants_become_the_bench_and_its_effects() -> None:
-    believed, origin = baseline(None, shipped())
+    believed, origin = baseline(None, shipped_bench())
     assert origin == "learned learned_bench.yaml"
     assert believed.moving_mass == pytest.approx(1.2, rel=5e-3)
     assert believed.load_cell_bandwidth is None
@@ -237,7 +237,7 @@ def test_leak_and_friction_are_named_as_changes_and_corrected_as_wholes(tmp_path
     """The command's corrected.yaml is a baseline by itself: of the worn bench."""
     wear = {"leakage_internal": {"coefficient": 1e-12}, "friction_coulomb": {"force": 18.0, "form": "lugre"}}
     bags, out = recorded(wear, tmp_path), tmp_path / "report"
-    assert run([*map(str, bags), "--model", str(shipped()), "--out", str(out), "--quiet"]) == 0
+    assert run([*map(str, bags), "--model", str(shipped_bench()), "--out", str(out), "--quiet"]) == 0
     report = json.loads((out / "report.json").read_text())
     named = {effect["id"]: next(iter(effect["parameters"].values()))["value"] for effect in report["effects"]}
     expected = {"leakage_internal": 1e-12 - HEALTHY_LEAK, "friction_coulomb": 18.0 - HEALTHY_FRICTION}

@@ -256,7 +256,7 @@ def test_simulation_and_diagnosis_mean_the_same_term(every: int) -> None:
 
 
 def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> None:
-    claims = [claimed(grammar.ALL["motion", "quadratic drag"]), claimed(grammar.ALL[TABLE])]
+    claims = [claimed(grammar.FORMS["motion", "quadratic drag"]), claimed(grammar.FORMS[TABLE])]
     path = tmp_path / "corrected.yaml"
     path.write_text(yaml.safe_dump(corrected_bench(BENCH, claims).to_mapping()))
     back = claims_of(Bench.load(path))
@@ -269,7 +269,7 @@ def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> No
 
 
 def test_a_table_is_constant_beyond_what_was_seen() -> None:
-    table = grammar.ALL["motion", "table over velocity"]
+    table = grammar.FORMS["motion", "table over velocity"]
     numbers = [-0.1, 0.2, *np.arange(tables.KNOTS, dtype=float)]
     inside = table.value(Signals(velocity=np.array([-0.1, 0.05, 0.2])), BENCH, numbers)
     beyond = table.value(Signals(velocity=np.array([-9.0, 9.0])), BENCH, numbers)
@@ -278,7 +278,7 @@ def test_a_table_is_constant_beyond_what_was_seen() -> None:
 
 
 def test_closures_that_cannot_be_simulated_are_refused() -> None:
-    drag, table = (entry(claimed(grammar.ALL[one])) for one in (("motion", "quadratic drag"), TABLE))
+    drag, table = (entry(claimed(grammar.FORMS[one])) for one in (("motion", "quadratic drag"), TABLE))
     for closures, sentence in (
         ("drag", "'closures' is a list of mappings"),
         ([{**drag, "form": "drag"}], "effect 'closure equation=motion form=drag' is not"),

@@ -45,7 +45,7 @@ def report(folder: Path, *closures: Mapping[str, Any]) -> str:
 
 
 def law(equation: str, form: str) -> Law:
-    found = grammar.ALL[equation, form]
+    found = grammar.FORMS[equation, form]
     assert isinstance(found, Law)
     return found
 

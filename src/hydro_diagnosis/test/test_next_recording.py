@@ -59,7 +59,7 @@ DRAGGED = replace(
 
 def test_a_recording_is_proposed_that_tells_the_two_best_laws_apart() -> None:
     narrow = problem_in(record(DRAGGED, 3, 6.0, Waveform.SINE))
-    found = fit(narrow, [Claim(closure(grammar.ALL["motion", "quadratic drag"], BENCH), {"coefficient": DRAG})])
+    found = fit(narrow, [Claim(closure(grammar.FORMS["motion", "quadratic drag"], BENCH), {"coefficient": DRAG})])
     proposed = next_for_law(narrow, found)
     assert proposed["separates"][0] == "quadratic drag (motion)" != proposed["separates"][1]
     assert proposed["separates"][1] in proposed["why"] and "%" in proposed["why"]
@@ -76,7 +76,7 @@ PULLS = {
 def test_an_interval_holds_no_value_that_the_recordings_rule_out() -> None:
     closures = tuple({"equation": "motion", "form": form, "parameters": values} for form, values in PULLS.items())
     pulled = problem_of(closures=closures)
-    laws = [closure(grammar.ALL["motion", form], BENCH) for form in PULLS]
+    laws = [closure(grammar.FORMS["motion", form], BENCH) for form in PULLS]
     found = fit(pulled, [Claim(one, dict(values)) for one, values in zip(laws, PULLS.values(), strict=True)])
     bounds = intervals(pulled, found)
     assert all_exclude_neutral(found.claims, bounds)

@@ -25,8 +25,8 @@ class Correction(NamedTuple):
     status: CorrectionStatus
 
 
-def closed_form(a: float, b: float, low: float, high: float) -> Correction:
-    """Solve the QP by algebra.
+def solve_qp(a: float, b: float, low: float, high: float) -> Correction:
+    """Solve the scalar QP in closed form.
 
     Parameters
     ----------

@@ -33,15 +33,15 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 
-from hydro_core.files.tensors import LARGEST, UnsoundError, check_shapes
+from hydro_core.files.tensors import MAX_MAGNITUDE, InvalidTensorError, check_shapes
 from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
-from hydro_filter.model.coordinates import LOOP, LOOP_FIELDS, Q_HYDRAULIC
-from hydro_filter.model.loop import Loop, closing_current, coordinates_of, rest_measurement, samples_of
-from hydro_filter.model.records import FILTER, follow, library, record_of
-from hydro_sim.box.firmware import Records, at
+from hydro_filter.model.coordinates import LOOP_FIELDS, LOOP_SIZE, Q_HYDRAULIC
+from hydro_filter.model.loop import Loop, closing_current, coordinate_names, make_samples, rest_measurement
+from hydro_filter.model.records import FILTER, library, linearize, make_record
+from hydro_sim.box.firmware import Records, address_of
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import MadeFor, made_for
+from hydro_sim.files.pairing import MadeFor, parse_provenance
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import NOMINAL
 
@@ -74,18 +74,18 @@ class MetricDesign:
     """Smallest eigenvalue of M, over its largest entry."""
 
 
-MOST_STEPS = 48
-"""Of the table: a bench whose range is wider than the nominal one's has wider steps."""
-MOST_TRIED = 600
-"""Gains at which `decaying_range` asks, at most."""
-ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
-"""K_p [1/s] of `require_decay`."""
+TABLE_STEPS_MAX = 48
+"""Largest number of steps of the table: a wider range of gains gets wider steps."""
+SCANNED_GAINS_MAX = 600
+"""Largest number of gains at which `limit_to_stable_range` evaluates the loop."""
+SCANNED_GAINS = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
+"""K_p [1/s] at which `require_stable_gain` evaluates the loop."""
 
 
-def rest_loop(
+def linearize_at_rest(
     loop: Loop, proportional_gain: float, velocity_compensation: float = 1.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return F, G, K of the bench at rest as its sensors show it, about a closed valve."""
+    """Return the linearization F, G, K of the loop at rest with the valve closed, shapes (n, n), (n,), (n,)."""
     closing = closing_current(loop)
     signals = {
         "nominal": 1e-9,
@@ -93,12 +93,12 @@ def rest_loop(
         "k_p": float(proportional_gain),
         "c_1": float(velocity_compensation),
     }
-    rest = follow(loop.record, samples_of(rest_measurement(loop)[None], **signals))
+    rest = linearize(loop.record, make_samples(rest_measurement(loop)[None], **signals))
     return rest.transition[0], rest.push[0], rest.feedback[0]
 
 
-def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
-    """Return the Lyapunov solution P of a closed loop for a share of its own decay rate.
+def solve_lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
+    """Return the solution P, shape (n, n), of the discrete Lyapunov equation for a share of the loop's decay rate.
 
     Raises ValueError if the loop does not decay.
     """
@@ -109,20 +109,20 @@ def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> Float
     return np.asarray(solve_discrete_lyapunov(sped.T, np.diag(weights)))
 
 
-def require_decay(loop: Loop, velocity_compensation: float = 1.0) -> None:
-    """Raise ValueError if the loop at rest decays at no gain: no metric of it exists, whatever its rollouts do."""
-    closed = (_closed(loop, gain, velocity_compensation) for gain in ANY_GAIN)
+def require_stable_gain(loop: Loop, velocity_compensation: float = 1.0) -> None:
+    """Raise ValueError if the linearized loop at rest is stable at no gain: then no metric exists."""
+    closed = (_closed(loop, gain, velocity_compensation) for gain in SCANNED_GAINS)
     if any(float(np.abs(np.linalg.eigvals(each)).max()) < 1.0 for each in closed):
         return
     valve, dead = 1e3 * loop["spool_age"], 1e3 * loop["delay"]
     raise ValueError(
         f"no gain has a certificate: the loop of this bench, whose valve is {valve:.1f} ms late by its lag and "
-        f"{dead:.1f} ms by its dead time, decays at no K_p from {ANY_GAIN[0]:g} to {ANY_GAIN[-1]:g} 1/s"
+        f"{dead:.1f} ms by its dead time, decays at no K_p from {SCANNED_GAINS[0]:g} to {SCANNED_GAINS[-1]:g} 1/s"
     )
 
 
-def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
-    """Return the design with a range that ends at a share of the gain at which the loop at rest decays no more.
+def limit_to_stable_range(loop: Loop, design: MetricDesign) -> MetricDesign:
+    """Return the design with its range of K_p limited to a share of the gain at which the loop at rest turns unstable.
 
     Dry friction and overlap, which the linearized loop has none of, hold a real bench still at gains beyond that: its
     rollouts are stable where its loop is not. The share is the reserve that the range has below unstable rollouts.
@@ -131,7 +131,7 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     """
     low, share = design.gain_low, design.gain_share
     high = design.gain_high / share
-    for gain in np.arange(low, high, max(1.0, (high - low) / MOST_TRIED)):
+    for gain in np.arange(low, high, max(1.0, (high - low) / SCANNED_GAINS_MAX)):
         if float(np.abs(np.linalg.eigvals(_closed(loop, float(gain), design.velocity_compensation))).max()) >= 1.0:
             break
     else:
@@ -149,52 +149,52 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     return replace(design, gain_high=min(design.gain_high, float(share * gain)))
 
 
-def best_correction(loop: Loop, design: MetricDesign) -> tuple[FloatArray, FloatArray]:
-    """Return the Riccati solution P of the best correction about the bench at rest, and its feedback K [A]."""
-    unit, (free, push, _) = 0.14 * loop.believed.valve_current_max, rest_loop(loop, design.gain_low)
-    push, weights = unit * push, [*design.foreign_weights, *[design.added_weight] * (len(loop.scale) - LOOP)]
+def solve_riccati(loop: Loop, design: MetricDesign) -> tuple[FloatArray, FloatArray]:
+    """Return Riccati solution P, shape (n, n), and feedback K [A], shape (n,), of the optimal correction at rest."""
+    unit, (free, push, _) = 0.14 * loop.believed.valve_current_max, linearize_at_rest(loop, design.gain_low)
+    push, weights = unit * push, [*design.foreign_weights, *[design.added_weight] * (len(loop.scale) - LOOP_SIZE)]
     weight = np.asarray(solve_discrete_are(free, push[:, np.newaxis], np.diag(weights), np.array([[design.effort]])))
     feedback = -(push @ weight @ free) / (design.effort + push @ weight @ push)
     return weight, unit * feedback
 
 
 def design_table(loop: Loop, design: MetricDesign) -> dict[str, Any]:
-    """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`).
+    """Solve the metrics of a design, each scaled to 1 along the load force (raises as `solve_lyapunov`).
 
     Returns `gains`, `table` and `floor` of a `ScheduledMetric`.
     """
     gains = _gains(design)
     closed = [_closed(loop, gain, design.velocity_compensation) for gain in gains]
-    rows = [lyapunov(each, np.ones(len(loop.scale)), design.own_decay) for each in closed]
-    rows.append(best_correction(loop, design)[0])
-    table = np.array([factor_entries(row / row[3, 3]) for row in rows])
+    rows = [solve_lyapunov(each, np.ones(len(loop.scale)), design.own_decay) for each in closed]
+    rows.append(solve_riccati(loop, design)[0])
+    table = np.array([cholesky_entries(row / row[3, 3]) for row in rows])
     return {"gains": gains, "table": table, "floor": design.floor}
 
 
 def _gains(design: MetricDesign) -> FloatArray:
     """K_p [1/s] of the table."""
     low, high, step = design.gain_low, design.gain_high, design.gain_step
-    wide = high - low > MOST_STEPS * step
-    gains = np.linspace(low, high, MOST_STEPS + 1) if wide else np.arange(low, high + 0.5 * step, step)
+    wide = high - low > TABLE_STEPS_MAX * step
+    gains = np.linspace(low, high, TABLE_STEPS_MAX + 1) if wide else np.arange(low, high + 0.5 * step, step)
     return np.asarray(gains, np.float64)
 
 
 def _closed(loop: Loop, proportional_gain: float, velocity_compensation: float) -> FloatArray:
     """F + G K at rest."""
-    free, push, feedback = rest_loop(loop, float(proportional_gain), velocity_compensation)
+    free, push, feedback = linearize_at_rest(loop, float(proportional_gain), velocity_compensation)
     return free + np.outer(push, feedback)
 
 
-def factor_entries(weight: FloatArray) -> FloatArray:
-    """Return the lower Cholesky factor of a metric, row by row: of 8 coordinates, shape (36,)."""
+def cholesky_entries(weight: FloatArray) -> FloatArray:
+    """Return the entries of a metric's lower Cholesky factor, row by row, shape (36,) for 8 coordinates."""
     return np.asarray(cholesky(weight, lower=True)[np.tril_indices(len(weight))])
 
 
 STRUCTURE = "metric"
 ARRAYS = ("gains", "table")
-ANOTHER = "another"
+SECOND_METRIC = "another"
 """Header entry, and prefix of the tensors, of a file's second metric."""
-UNFIT = 10.0
+VIOLATION_LIMIT = 10.0
 """%, held-out samples that do not decay, beyond which the filter refuses a metric: sound ones have up to 3.2."""
 
 
@@ -234,25 +234,25 @@ class ScheduledMetric:
 
     @property
     def certificates(self) -> tuple[ScheduledMetric, ...]:
-        """The metric, and the other one in its file."""
+        """All metrics of the file: this one and, if there is one, that for another C_1."""
         return (self,) if self.another is None else (self, self.another)
 
     @classmethod
-    def designed(cls, loop: Loop, design: MetricDesign) -> ScheduledMetric:
-        """Create a metric of the table that is solved at rest."""
+    def from_design(cls, loop: Loop, design: MetricDesign) -> ScheduledMetric:
+        """Create a metric from a design, solved for the loop at rest."""
         return cls(
-            **design_table(loop, design), coordinates=coordinates_of(loop),
+            **design_table(loop, design), coordinates=coordinate_names(loop),
             velocity_compensation=design.velocity_compensation,
             thresholds=Thresholds(integral_allowance=float(loop.scale[Q_HYDRAULIC]) * 2.0 / 3.0),
         )  # fmt: skip
 
-    def unfit(self, name: str) -> str:
-        """Return why the metric of this file name is no certificate; empty if it is, or where the file says nothing."""
+    def validity_error(self, name: str) -> str:
+        """Return an error message if too many held-out samples violated the metric of file `name`; else empty."""
         violated, foreign = (self.training.get(name, 0.0) for name in ("violated", "foreign_violated"))
-        if violated <= UNFIT and foreign <= UNFIT:
+        if violated <= VIOLATION_LIMIT and foreign <= VIOLATION_LIMIT:
             return ""
         of = f"{violated:.0f} % of the held-out samples of its range"
-        if violated <= UNFIT:
+        if violated <= VIOLATION_LIMIT:
             of = f"{foreign:.0f} % of the held-out samples under its own correction"
         elif where := self.training.get("where", ""):
             of = f"{of} ({where})"
@@ -262,8 +262,8 @@ class ScheduledMetric:
         )
 
     @property
-    def fields(self) -> dict[str, Any]:
-        """Fields of hydro_loop_filter (firmware/hydro/loop_filter.h), but `table`."""
+    def firmware_fields(self) -> dict[str, Any]:
+        """Fields of hydro_loop_filter (firmware/hydro/loop_filter.h) except `table`."""
         gains = self.gains
         return {
             "rows": len(gains), "gain_low": gains[0], "gain_high": gains[-1], "floor": self.floor,
@@ -275,20 +275,20 @@ class ScheduledMetric:
     def _record(self) -> Records:
         """For `matrix`: no loop is needed."""
         width = {"loop.coordinates": len(self.coordinates)}
-        return record_of(FILTER, self.fields | width, {"table": self.table})
+        return make_record(FILTER, self.firmware_fields | width, {"table": self.table})
 
     def matrix(self, gain: float) -> FloatArray:
-        """Return M, of all coordinates, at K_p [1/s]."""
+        """Return M(K_p), shape (n, n), at K_p = `gain` [1/s]."""
         made = np.empty((len(self.coordinates), len(self.coordinates)))
-        library().hydro_c_filter_metric(at(self._record), gain, self.velocity_compensation, at(made))
+        library().hydro_c_filter_metric(address_of(self._record), gain, self.velocity_compensation, address_of(made))
         return made
 
     def save(self, path: str | Path) -> None:
-        """Write a weights file."""
+        """Write the metric to a safetensors file."""
         tensors, header = self._contents()
         if self.another is not None:
-            others, header[ANOTHER] = self.another._contents()
-            tensors |= {f"{ANOTHER}.{name}": tensor for name, tensor in others.items()}
+            others, header[SECOND_METRIC] = self.another._contents()
+            tensors |= {f"{SECOND_METRIC}.{name}": tensor for name, tensor in others.items()}
         weights.save(path, tensors, {"structure": STRUCTURE, **header}, self.made)
 
     def _contents(self) -> tuple[weights.Tensors, dict[str, Any]]:
@@ -300,16 +300,16 @@ class ScheduledMetric:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> ScheduledMetric:
-        """Read a weights file; None: the one shipped with this package. Raises WeightsError."""
-        path = path or shipped()
+        """Read a metric from its file; None: the shipped one. Raises WeightsError."""
+        path = path or shipped_metric()
         tensors, header = weights.load(path)
         if header.get("structure") != STRUCTURE:
             raise WeightsError(
                 f"{path} has structure {header.get('structure')!r}, not a metric's: `learn_metric` makes one"
             )
         try:
-            made, other = made_for(header), header.get(ANOTHER)
-            another = None if other is None else cls._of(tensors, other, made, f"{ANOTHER}.")
+            made, other = parse_provenance(header), header.get(SECOND_METRIC)
+            another = None if other is None else cls._of(tensors, other, made, f"{SECOND_METRIC}.")
             return replace(cls._of(tensors, header, made), another=another)
         except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
@@ -321,7 +321,7 @@ class ScheduledMetric:
         arrays = {name: np.asarray(tensors[prefix + name], np.float64) for name in ARRAYS}
         coordinates = tuple(str(name) for name in header["coordinates"])
         entries = len(coordinates) * (len(coordinates) + 1) // 2
-        width_of(entries)
+        coordinate_count(entries)
         thresholds, c_1 = Thresholds(**header["thresholds"]), float(header["velocity_compensation"])
         _check(arrays, entries, float(header["floor"]), thresholds, c_1)
         return cls(
@@ -333,24 +333,24 @@ class ScheduledMetric:
 def _check(arrays: Mapping[str, FloatArray], entries: int, floor: float, thresholds: Thresholds, c_1: float) -> None:
     """Raise ValueError if these do not form a metric."""
     if not 0.0 <= c_1 <= 1.0:
-        raise UnsoundError(f"velocity_compensation is {c_1:g}: it is a share")
+        raise InvalidTensorError(f"velocity_compensation is {c_1:g}: it is a share")
     gains = arrays["gains"]
     check_shapes(arrays, {"table": (len(gains) + 1, entries)})
     check(thresholds)
     if gains.ndim != 1 or not (np.diff(gains) > 0.0).all():
-        raise UnsoundError("gains do not rise")
-    if not 0.0 < floor < LARGEST:
-        raise UnsoundError(f"floor is {floor:g}: M is definite for a floor above 0 only")
+        raise InvalidTensorError("gains do not rise")
+    if not 0.0 < floor < MAX_MAGNITUDE:
+        raise InvalidTensorError(f"floor is {floor:g}: M is definite for a floor above 0 only")
 
 
-def shipped() -> Path:
-    """Return the metric shipped with this package."""
+def shipped_metric() -> Path:
+    """Return the path of the metric shipped with this package."""
     return Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors"))
 
 
-def width_of(entries: int) -> int:
-    """Return the number of coordinates of a factor with so many entries (ValueError: none has so many)."""
+def coordinate_count(entries: int) -> int:
+    """Return n for a Cholesky factor with n (n + 1) / 2 entries; raises ValueError if there is no such n."""
     width = (isqrt(8 * entries + 1) - 1) // 2
-    if width * (width + 1) != 2 * entries or width < LOOP:
-        raise ValueError(f"{entries} entries are no Cholesky factor of {LOOP} coordinates or more")
+    if width * (width + 1) != 2 * entries or width < LOOP_SIZE:
+        raise ValueError(f"{entries} entries are no Cholesky factor of {LOOP_SIZE} coordinates or more")
     return width

@@ -13,7 +13,7 @@ from hydro_filter.metric import ScheduledMetric
 from hydro_filter.validation.runs import CASES, FILTERS, PLANTS, Task, evaluate_task
 from hydro_sim.model.bench import Bench
 
-FOUND: tuple[dict[str, Any], ...] = (
+EXAMPLE_EFFECTS: tuple[dict[str, Any], ...] = (
     {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
     {"id": "friction_coulomb", "parameters": {"force": 12.0}},
     {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
@@ -24,7 +24,7 @@ FOUND: tuple[dict[str, Any], ...] = (
 def _filters() -> None:
     """Compile the models of the shipped filter, and those with these effects and without any."""
     FilterChoice(bench=Bench.nominal()).make(LoopFilterSettings())
-    for effects in (FOUND, ()):
+    for effects in (EXAMPLE_EFFECTS, ()):
         loop_filter(ScheduledMetric.load(), replace(Bench.nominal(), effects=effects), Bench.nominal())
 
 

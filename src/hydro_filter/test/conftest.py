@@ -10,9 +10,9 @@ import pytest
 
 from hydro_core.signals import FloatArray
 from hydro_filter.metric import MetricDesign, ScheduledMetric
-from hydro_filter.model.loop import loop_of
+from hydro_filter.model.loop import make_loop
 from hydro_filter.model.sample import STATES
-from hydro_filter.precompile import FOUND
+from hydro_filter.precompile import EXAMPLE_EFFECTS
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
@@ -34,13 +34,13 @@ def states() -> FloatArray:
 @pytest.fixture(scope="session")
 def model(bench: Bench) -> Bench:
     """A bench file of what a diagnosis finds on most benches."""
-    return replace(bench, effects=FOUND)
+    return replace(bench, effects=EXAMPLE_EFFECTS)
 
 
 @pytest.fixture(scope="session")
 def metric(bench: Bench, model: Bench) -> ScheduledMetric:
     """Its metric for both laws, solved at rest, without rollouts."""
-    loop, c_1 = loop_of(model, bench), BoxConfig().compensated.velocity_compensation
+    loop, c_1 = make_loop(model, bench), BoxConfig().compensated.velocity_compensation
     shaped = MetricDesign(velocity_compensation=c_1, gain_low=15.0, gain_high=400.0)
-    paper, other = (ScheduledMetric.designed(loop, design) for design in (MetricDesign(gain_high=70.0), shaped))
+    paper, other = (ScheduledMetric.from_design(loop, design) for design in (MetricDesign(gain_high=70.0), shaped))
     return replace(paper, another=other)

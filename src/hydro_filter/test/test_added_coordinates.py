@@ -12,10 +12,18 @@ import pytest
 
 from hydro_core.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric import MetricDesign, ScheduledMetric, require_decay, rest_loop
-from hydro_filter.model.coordinates import LOOP
-from hydro_filter.model.loop import SUBSTEPS, Loop, coordinates_of, loop_of, rest_measurement, samples_of
-from hydro_filter.model.records import NONE, Followed, follow, law_gradient, memories, monitors, watch
+from hydro_filter.metric import MetricDesign, ScheduledMetric, linearize_at_rest, require_stable_gain
+from hydro_filter.model.coordinates import LOOP_SIZE
+from hydro_filter.model.loop import SUBSTEPS, Loop, coordinate_names, make_loop, make_samples, rest_measurement
+from hydro_filter.model.records import (
+    NO_STATE,
+    Linearization,
+    law_gradient,
+    linearize,
+    new_memories,
+    new_monitors,
+    run_monitor,
+)
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -50,19 +58,19 @@ def having(*effects: Entry) -> Bench:
 
 
 def of(case: str) -> Loop:
-    return loop_of(having(*CASES[case]), Bench.nominal())
+    return make_loop(having(*CASES[case]), Bench.nominal())
 
 
 def whole_loop(bench: Bench, gain: float) -> FloatArray:
     """One sample of bench and force law about rest, all states and the box's velocity, without an integral."""
-    model, loop = BenchModel(bench, substeps=SUBSTEPS), loop_of(bench, Bench.nominal())
+    model, loop = BenchModel(bench, substeps=SUBSTEPS), make_loop(bench, Bench.nominal())
     n, spool, memory = len(model.states), loop["whole.spool"], loop["velocity_memory"]
     k, y, _ = model.begin(model.values)
     y[n - loop["past"] :] = CLOSED  # the edges' slopes differ on both sides of zero
-    if spool != NONE:
+    if spool != NO_STATE:
         y[spool] = CLOSED
     _, slopes, _ = model.jacobian(k, y, CLOSED)
-    law = law_gradient(loop.record, samples_of(rest_measurement(loop)[None], nominal=1e-9, k_p=gain))
+    law = law_gradient(loop.record, make_samples(rest_measurement(loop)[None], nominal=1e-9, k_p=gain))
     shown = {int(one["chamber"]): int(one["signal"]) for one in loop["lagging"][: loop["lagging_count"]]}
     closed, feedback = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
     feedback[[loop["whole.cell"], 2, n]] = law[[2, 6, 7]]
@@ -81,7 +89,7 @@ def whole_loop(bench: Bench, gain: float) -> FloatArray:
 def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: str) -> None:
     """But for the sum of the pressures, which no force moves, and what the coordinates leave out of it."""
     gain = 60.0
-    free, push, feedback = rest_loop(of(case), gain)
+    free, push, feedback = linearize_at_rest(of(case), gain)
     ours, theirs = (
         np.linalg.eigvals(one) for one in (free + np.outer(push, feedback), whole_loop(having(*CASES[case]), gain))
     )
@@ -94,9 +102,9 @@ def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: 
 def test_with_two_milliseconds_and_this_valve_no_gain_decays() -> None:
     """The whole bench does not, either: no metric of it exists."""
     assert min(np.abs(np.linalg.eigvals(whole_loop(having(*CASES["2 ms"]), gain))).max() for gain in (1, 10, 90)) > 1.02
-    require_decay(of("1 ms"))
+    require_stable_gain(of("1 ms"))
     with pytest.raises(ValueError, match=r"2.3 ms late by its lag and 2.0 ms by its dead time, decays at no K_p"):
-        require_decay(of("2 ms"))
+        require_stable_gain(of("2 ms"))
 
 
 @dataclass
@@ -130,11 +138,11 @@ def run(bench: Bench, gain: float, *, noise: float = 0.0, samples: int = 700, am
 LAW = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
 
 
-def seen_by(loop: Loop, seen: Run) -> Followed:
+def seen_by(loop: Loop, seen: Run) -> Linearization:
     """What the filter makes of a run's samples."""
     fields = ("nominal", "current", "reference", "reference_rate", "k_p")
     signals = dict(zip(fields, seen.law.T, strict=True))
-    return follow(loop.record, samples_of(seen.x, **signals), linearized=np.zeros(len(seen.x), np.bool_))
+    return linearize(loop.record, make_samples(seen.x, **signals), linearized=np.zeros(len(seen.x), np.bool_))
 
 
 def test_the_pressure_behind_a_slow_sensor_is_estimated() -> None:
@@ -153,29 +161,29 @@ def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(
     """A valve that gives 40 % less; the pressures that are estimated are then wrong, and f_h tells it."""
     gain, loop = {"id": "valve_gain", "parameters": {"ratio": ratio}}, of("all of it")
     seen = run(having(*CASES["all of it"], gain), 60.0, noise=1.0, samples=2000, amplitude=250.0)
-    monitor = monitors()
-    watch(loop.record, samples_of(seen.x, current=seen.law[:, 1]), memories(), monitor)
+    monitor = new_monitors()
+    run_monitor(loop.record, make_samples(seen.x, current=seen.law[:, 1]), new_memories(), monitor)
     assert bool(monitor["broken"][0]) == (ratio < 1.0)
 
 
 def test_a_metric_of_other_coordinates_and_a_second_lag_are_refused_in_a_sentence(tmp_path: Path, bench: Bench) -> None:
     with pytest.raises(ValueError, match=r"this model's loop has .*current_1: make one with"):
         loop_parts(ScheduledMetric.load(), having(*CASES["1 ms"]), bench)
-    made = ScheduledMetric.designed(of("all of it"), MetricDesign(gain_low=40.0, gain_high=60.0))
+    made = ScheduledMetric.from_design(of("all of it"), MetricDesign(gain_low=40.0, gain_high=60.0))
     made.save(tmp_path / "wide.safetensors")
     read = ScheduledMetric.load(tmp_path / "wide.safetensors")
-    assert read.coordinates == coordinates_of(of("all of it"))
+    assert read.coordinates == coordinate_names(of("all of it"))
     np.testing.assert_array_equal(read.table, made.table)
     loop_parts(read, having(*CASES["all of it"]), bench)
     with pytest.raises(ValueError, match="a place for one lag of the pressure sensor of a, the bench file has more"):
-        loop_of(having(slow_sensor("a", 80.0), slow_sensor("a", 200.0)), bench)
+        make_loop(having(slow_sensor("a", 80.0), slow_sensor("a", 200.0)), bench)
 
 
 def test_a_bench_that_follows_its_reference_is_not_displaced() -> None:
     """Without noise, at a gain that follows well: no added coordinate stands out."""
     bench, loop = having(*CASES["all of it"]), of("all of it")
     typical = np.median(np.abs(seen_by(loop, run(bench, 80.0)).displacement)[300:], axis=0)
-    assert typical[LOOP:].max() < 2.0 * typical[:LOOP].max() and typical[LOOP:].max() < 0.1, typical
+    assert typical[LOOP_SIZE:].max() < 2.0 * typical[:LOOP_SIZE].max() and typical[LOOP_SIZE:].max() < 0.1, typical
 
 
 def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None:
@@ -185,6 +193,6 @@ def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None
     for effects in ((LAG, LEAK), (LAG, LEAK, slow)):
         bench = having(*effects)
         seen = run(bench, 60.0, samples=550)
-        found.append((seen_by(loop_of(bench, Bench.nominal()), seen).displacement[-1], seen.x[-1, 0]))
+        found.append((seen_by(make_loop(bench, Bench.nominal()), seen).displacement[-1], seen.x[-1, 0]))
     np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-3)
     assert abs(found[0][1] - found[1][1]) > 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import CorrectionStatus
-from hydro_filter.certificate import LEAST_IMPROVEMENT, closed_form
+from hydro_filter.certificate import LEAST_IMPROVEMENT, solve_qp
 from hydro_filter.validation.osqp_solver import Osqp
 
 U_MAX = 0.05
@@ -47,7 +47,7 @@ def test_osqp_agrees_with_the_closed_form() -> None:
     for a, b, low, high in spoiled(cases(10_000, seed=1), seed=1):
         osqp.compare(a, b, low, high)
         assert not osqp.differed, (a, b, low, high)
-        delta_u, status = closed_form(a, b, low, high)
+        delta_u, status = solve_qp(a, b, low, high)
         unusable = not np.isfinite([a, b, low, high]).all() or not low <= 0.0 <= high
         assert (status is CorrectionStatus.NAN) == unusable, (a, b, low, high)
         assert delta_u == 0.0 if unusable else low <= delta_u <= high
@@ -66,7 +66,7 @@ def test_a_wrong_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_closed_form_is_feasible_and_smallest() -> None:
     """Against a grid of the admissible corrections, which knows no algebra."""
     for a, b, low, high in cases(2000, seed=3):
-        delta_u, status = closed_form(a, b, low, high)
+        delta_u, status = solve_qp(a, b, low, high)
         grid = np.concatenate([np.linspace(low, high, 401), [0.0]])
         slack = 1e-9 * (abs(b) + abs(a) * U_MAX)
         fitting = grid[a * grid <= b]
@@ -82,4 +82,4 @@ def test_closed_form_is_feasible_and_smallest() -> None:
 
 @pytest.mark.parametrize("a", [0.0, 1e-300, -1e-300, 5e-324])
 def test_a_vanishing_slope_is_infeasible_not_a_full_stroke(a: float) -> None:
-    assert closed_form(a, -1.0, -0.05, 0.05) == (0.0, CorrectionStatus.INFEASIBLE)
+    assert solve_qp(a, -1.0, -0.05, 0.05) == (0.0, CorrectionStatus.INFEASIBLE)

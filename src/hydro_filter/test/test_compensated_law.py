@@ -22,11 +22,11 @@ from hydro_core.signals import (
     Waveform,
 )
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter
-from hydro_filter.metric import ScheduledMetric, lyapunov, rest_loop
-from hydro_filter.model.loop import loop_of, samples_of
-from hydro_filter.model.records import follow
+from hydro_filter.metric import ScheduledMetric, linearize_at_rest, solve_lyapunov
+from hydro_filter.model.loop import make_loop, make_samples
+from hydro_filter.model.records import linearize
 from hydro_filter.model.sample import Sample
-from hydro_filter.precompile import FOUND
+from hydro_filter.precompile import EXAMPLE_EFFECTS
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -62,7 +62,7 @@ def run(
             delta_kp = rng.uniform(*gains) - LAW.base_kp
         command = Command(arm=True, reference=SINE, delta_kp=delta_kp, delta_u=delta_u, **shaped)
         box.receive(command, k * SAMPLE_PERIOD)
-        sample = Sample.of(box.tick(x, k * SAMPLE_PERIOD), law_state(box.state[0]))
+        sample = Sample.from_record(box.tick(x, k * SAMPLE_PERIOD), law_state(box.state[0]))
         result = None if one is None else one.correct(sample)
         delta_u = 0.0 if result is None else result.delta_u
         yield sample, CorrectionStatus.PASS if result is None else result.status, box
@@ -70,12 +70,12 @@ def run(
 
 
 def test_the_integral_is_that_of_the_box(bench: Bench) -> None:
-    loop, before = loop_of(bench, bench).record, 0.0
+    loop, before = make_loop(bench, bench).record, 0.0
     for sample, _, box in run(bench, AnalyticPlant(bench), None, 0.6, (15.0, 400.0)):
-        seen = samples_of(sample.state[None], nominal=sample.nominal_current, k_p=sample.proportional_gain)
-        for name, value in zip(("followed", "followed_rate", "c_1", "c_2"), sample.followed, strict=True):
+        seen = make_samples(sample.state[None], nominal=sample.nominal_current, k_p=sample.proportional_gain)
+        for name, value in zip(("followed", "followed_rate", "c_1", "c_2"), sample.law_inputs, strict=True):
             seen[name] = value
-        assert follow(loop, seen).integral[0] == pytest.approx(before, rel=1e-6, abs=1e-5)
+        assert linearize(loop, seen).integral[0] == pytest.approx(before, rel=1e-6, abs=1e-5)
         before = float(box.state["integral"][0])
     assert abs(before) > 10.0
 
@@ -93,8 +93,8 @@ def pulsed(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> Flo
 @pytest.mark.parametrize("gain", [100.0, 300.0])
 def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(bench: Bench, gain: float) -> None:
     """Plant and box know nothing of the linearized loop; K_i at its least, it moves the eigenvalue by K_i / K_p."""
-    smooth = replace(bench, effects=tuple(each for each in FOUND if each["id"] != "friction_coulomb"))
-    free, push, feedback = rest_loop(loop_of(smooth, bench), gain, C_1)
+    smooth = replace(bench, effects=tuple(each for each in EXAMPLE_EFFECTS if each["id"] != "friction_coulomb"))
+    free, push, feedback = linearize_at_rest(make_loop(smooth, bench), gain, C_1)
     values = np.linalg.eigvals(free + np.outer(push, feedback))
     slowest = -float(np.log(np.abs(values).max())) / SAMPLE_PERIOD
     plant = AnalyticPlant(smooth, noise=0.0)
@@ -106,15 +106,15 @@ def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(
 
 def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Bench, metric: ScheduledMetric) -> None:
     """Lyapunov's inequality at rest, between the table's gains, too; at C_1 = 1 there is none above 100 1/s."""
-    loop, one = loop_of(model, bench), metric.certificates[1]
+    loop, one = make_loop(model, bench), metric.certificates[1]
     for gain in np.linspace(15.0, 400.0, 50):
-        free, push, feedback = rest_loop(loop, gain, C_1)
+        free, push, feedback = linearize_at_rest(loop, gain, C_1)
         closed, weight = free + np.outer(push, feedback), one.matrix(gain)
         kept = np.exp(-2.0 * 0.1 * SAMPLE_PERIOD)
         assert np.linalg.eigvalsh(closed.T @ weight @ closed - kept * weight).max() < 0.0
-    free, push, feedback = rest_loop(loop, 200.0)
+    free, push, feedback = linearize_at_rest(loop, 200.0)
     with pytest.raises(ValueError, match="does not decay"):
-        lyapunov(free + np.outer(push, feedback), np.ones(len(push)), 0.3)
+        solve_lyapunov(free + np.outer(push, feedback), np.ones(len(push)), 0.3)
 
 
 def test_a_file_keeps_both_and_the_shipped_one_holds_for_the_papers_law(
@@ -129,9 +129,9 @@ def test_a_file_keeps_both_and_the_shipped_one_holds_for_the_papers_law(
         np.testing.assert_array_equal(ours.gains, theirs.gains)
         assert (ours.thresholds, ours.training) == (theirs.thresholds, theirs.training)
     shipped = loop_filter(ScheduledMetric.load(), model, bench)
-    assert shipped.unknown(compensated=True) and not shipped.unknown(compensated=False)
+    assert shipped.missing_certificate(compensated=True) and not shipped.missing_certificate(compensated=False)
     alone = loop_filter(both.certificates[1], model, bench)
-    assert alone.unknown(compensated=False) and not alone.unknown(compensated=True)
+    assert alone.missing_certificate(compensated=False) and not alone.missing_certificate(compensated=True)
 
 
 def test_a_filter_of_the_papers_law_bypasses_the_compensated_one_and_begins_anew(bench: Bench) -> None:
@@ -143,7 +143,7 @@ def test_a_filter_of_the_papers_law_bypasses_the_compensated_one_and_begins_anew
 
 
 def test_under_the_law_gains_pass_and_a_c_1_without_certificate_is_corrected(bench: Bench, made: LoopFilter) -> None:
-    plant = AnalyticPlant(replace(bench, effects=FOUND))
+    plant = AnalyticPlant(replace(bench, effects=EXAMPLE_EFFECTS))
     done = [(sample, status) for sample, status, _ in run(bench, plant, made, 2.0, (15.0, 400.0))]
     statuses = {status for sample, status in done[200:]}
     assert statuses == {CorrectionStatus.PASS}
@@ -161,6 +161,6 @@ def test_gains_that_would_trip_at_another_c_1_do_not_behind_the_filter(
 
 
 def test_a_stiffer_spring_is_told_under_the_law(bench: Bench, made: LoopFilter) -> None:
-    plant = AnalyticPlant(replace(bench, spring_stiffness=3e4, effects=FOUND))
+    plant = AnalyticPlant(replace(bench, spring_stiffness=3e4, effects=EXAMPLE_EFFECTS))
     statuses = [status for _, status, _ in run(bench, plant, made, 2.0, (300.0, 400.0))]
     assert statuses[-1] is CorrectionStatus.MISMATCH

@@ -33,10 +33,10 @@ from hydro_bridge.ros.topics import (
 )
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.signals import (
-    DECIDED,
-    OUTSIDE,
+    OUTSIDE_REGION,
     PLANT_FIELDS,
     STATE_FIELDS,
+    STATUS_MASK,
     CorrectionStatus,
     Flag,
     Law,
@@ -172,9 +172,9 @@ def test_new_files_are_taken_over_while_disarmed_and_not_before(
     def play(flags: int = 1) -> CorrectionStatus:
         for record in records:
             sequence = next(number)
-            source.publish(sequence, Sample.of(record), flags=flags)
+            source.publish(sequence, Sample.from_record(record), flags=flags)
             source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
-        return CorrectionStatus(source.corrections[-1].status & DECIDED)
+        return CorrectionStatus(source.corrections[-1].status & STATUS_MASK)
 
     write(replace(model, spring_stiffness=1.5 * model.spring_stiffness))
     source, number = started("--metric", str(file), "--model", str(of), *PATIENT), itertools.count()
@@ -209,7 +209,7 @@ def test_under_the_compensated_law_a_sample_waits_for_its_law_and_is_stale_if_it
     for sequence in range(10):
         if sequence == 5:
             source.publish(sequence, sample)
-            core.skip()
+            core.reset_history()
             expected.append((sequence, CorrectionStatus.STALE, 0.0))
             continue
         turns = [lambda k=sequence: laws.publish(pack_law_state(0, k, law)),
@@ -237,10 +237,10 @@ def test_a_plant_that_goes_by_its_own_clock_has_no_stale_states(
     source = started()
     source.node.destroy_publisher(source.states)  # two plants are not answered
     start("hydro_sim sim")
-    source.wait(lambda: any(message.status & DECIDED == CorrectionStatus.PASS for message in source.corrections))
+    source.wait(lambda: any(message.status & STATUS_MASK == CorrectionStatus.PASS for message in source.corrections))
     before = len(source.corrections)
     source.wait(lambda: len(source.corrections) > before + 500)
-    later = [message.status & DECIDED for message in source.corrections[before:]]
+    later = [message.status & STATUS_MASK for message in source.corrections[before:]]
     assert later.count(CorrectionStatus.PASS) == len(later)
 
 
@@ -258,13 +258,13 @@ def test_every_state_gets_one_correction_with_the_cores_numbers_and_a_gap_a_new_
     for k, record in enumerate(records):
         if 200 <= k < 210:
             continue
-        sample, sequence = Sample.of(record), (first + k) % 2**32
+        sample, sequence = Sample.from_record(record), (first + k) % 2**32
         source.publish(sequence, sample)
         source.wait(lambda wanted=k + 1 if k < 200 else k - 9: len(source.corrections) >= wanted, timeout=5.0)
         if k == 210:
-            contraction_filter.skip()
+            contraction_filter.reset_history()
         expected, message = contraction_filter.correct(sample), source.corrections[-1]
-        assert (message.sequence, message.status & DECIDED) == (sequence, expected.status)
+        assert (message.sequence, message.status & STATUS_MASK) == (sequence, expected.status)
         assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
         assert message.certificate_before == pytest.approx(expected.before, rel=1e-9, abs=1e-12)
         assert message.active == (message.delta_u != 0.0)
@@ -298,7 +298,7 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
             nonlocal sequence
             source.publish(sequence, unstable)
             sequence += 1
-            return bool(source.corrections) and source.corrections[-1].status & DECIDED == status
+            return bool(source.corrections) and source.corrections[-1].status & STATUS_MASK == status
 
         source.wait(answered, timeout=30.0)
         last = source.corrections[-1]
@@ -322,9 +322,9 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     truth = modified_truth({"bench": {"spring_stiffness": 3e4}})
     records = record_offline(truth, [Segment(seconds=1.0, amplitude=300.0, frequency=1.0)]).states
     for k, record in enumerate(records):
-        source.publish(k, Sample.of(record))
+        source.publish(k, Sample.from_record(record))
         source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
-    statuses = [message.status & DECIDED for message in source.corrections]
+    statuses = [message.status & STATUS_MASK for message in source.corrections]
     first = statuses.index(CorrectionStatus.MISMATCH)
     assert set(statuses[first:]) == {CorrectionStatus.MISMATCH}
     assert all(message.delta_u == 0.0 and not message.active for message in source.corrections[first:])
@@ -333,7 +333,7 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     source.wait(lambda: dict_of(source.diagnostics[-1]).get("mismatch") == str(len(statuses) - first))
     told = dict_of(source.diagnostics[-1])
     assert "the model's load (the spring or its load cell) is off by" in told["fits"]
-    latched, still, sequence = create_publisher(source.node, BOX), Sample.of(records[0]), len(records)
+    latched, still, sequence = create_publisher(source.node, BOX), Sample.from_record(records[0]), len(records)
     for plant, firmware, mismatched in (("bridge", "one", True), ("sim", "one", True), ("sim", "another", False)):
         latched.publish(BoxInfo(plant=plant, firmware=firmware))  # again, by whichever node; then another box
         for _ in range(20):
@@ -372,14 +372,14 @@ def test_outside_of_the_proved_region_is_said_beside_the_status(started: Callabl
         said = []
         for index, record in enumerate(simulate(AnalyticPlant(learned_bench.load_model()), bench, plan, seed=0)):
             sequence = next(number)
-            sample = Sample.of(record)
+            sample = Sample.from_record(record)
             if 1200 <= index < 1300:
                 sample = sample._replace(proportional_gain=proportional_gain)
             source.publish(sequence, sample, flags=int(record["flags"]) | Flag.ARMED)
             source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
             status = source.corrections[-1].status
-            assert CorrectionStatus(status & DECIDED) <= CorrectionStatus.INFEASIBLE
-            said.append(bool(status & OUTSIDE))
+            assert CorrectionStatus(status & STATUS_MASK) <= CorrectionStatus.INFEASIBLE
+            said.append(bool(status & OUTSIDE_REGION))
         return said
 
     assert not any(outside(100.0, 90.0)[1000:])

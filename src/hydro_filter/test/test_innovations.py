@@ -81,7 +81,7 @@ def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilt
     long = [(becoming(at=()), case, 8.0) for case in ("wide-slow", "unstable-slow", "base")]
     short = [(becoming(at=()), "wide", 6.0), (make_plant(), "wide-slow", 6.0)]
     for seed, (plant, case, lasts) in enumerate(long + short):
-        done = played(contraction_filter, plant, lasts, CASES[case].draw(seed, lasts), seed)
+        done = played(contraction_filter, plant, lasts, CASES[case].draw_gains(seed, lasts), seed)
         assert not len(mismatches(done)) and done.bounded, case
 
 
@@ -103,9 +103,9 @@ def test_missing_samples_neither_raise_an_alarm_nor_end_one(contraction_filter: 
         contraction_filter.reset()
         for k, record in enumerate(states):
             if k % 200 == 30:
-                contraction_filter.skip()
+                contraction_filter.reset_history()
             if k % 200 >= 30:
-                contraction_filter.correct(Sample.of(record))
+                contraction_filter.correct(Sample.from_record(record))
         assert bool(contraction_filter.mismatch) == broken
 
 
@@ -115,5 +115,5 @@ def test_a_wrong_sample_is_no_mismatch(contraction_filter: LoopFilter) -> None:
     states["pressure_a"][600] += 5e6
     contraction_filter.reset()
     for record in states:
-        contraction_filter.correct(Sample.of(record))
+        contraction_filter.correct(Sample.from_record(record))
     assert not contraction_filter.mismatch

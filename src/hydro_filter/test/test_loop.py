@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.metric import rest_loop
-from hydro_filter.model.coordinates import LOOP
-from hydro_filter.model.loop import SUBSTEPS, Loop, loop_of, rest_measurement, samples_of, without_disturbances
-from hydro_filter.model.records import Followed, follow, memories, sensitivity
+from hydro_filter.metric import linearize_at_rest
+from hydro_filter.model.coordinates import LOOP_SIZE
+from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, make_samples, rest_measurement, without_disturbances
+from hydro_filter.model.records import Linearization, linearize, new_memories, sensitivity
 from hydro_filter.model.sample import POSITION, VELOCITY
-from hydro_filter.model.terms import hidden_state_numbers
+from hydro_filter.model.terms import hidden_state_indices
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.firmware import Records
@@ -41,9 +41,9 @@ def test_bounded_disturbances_are_no_part_of_the_linearized_loop(bench: Bench) -
     overlap: Entry = {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}
     law = {"coefficient": 670.0, "threshold": 0.027}
     closure = {"equation": "motion", "form": "falling friction along the stroke", "parameters": law}
-    plain = rest_loop(loop_of(of(LAG), bench), 60.0)
+    plain = linearize_at_rest(make_loop(of(LAG), bench), 60.0)
     for truth in (of(LAG, friction), of(LAG, overlap), replace(of(LAG), closures=(closure,))):
-        for with_it, without in zip(rest_loop(loop_of(truth, bench), 60.0), plain, strict=True):
+        for with_it, without in zip(linearize_at_rest(make_loop(truth, bench), 60.0), plain, strict=True):
             assert np.array_equal(with_it, without)
 
 
@@ -56,11 +56,11 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
         {"id": "pressure_sensor_bias", "chamber": "a", "parameters": {"pressure": 2e5}},
         {"id": "pressure_sensor_bias", "chamber": "b", "parameters": {"pressure": -2e5}},
     ]
-    plain, shown = loop_of(of(LAG, LEAK), bench), loop_of(of(shift, LAG, LEAK, *off), bench)
+    plain, shown = make_loop(of(LAG, LEAK), bench), make_loop(of(shift, LAG, LEAK, *off), bench)
     x = rest_measurement(shown)
     _, _, readings = (model := BenchModel(of(shift, LAG, LEAK, *off))).begin(model.values)
     assert x[[0, 2, 4, 5, 6]] == pytest.approx(readings)
-    for ours, theirs in zip(rest_loop(shown, 60.0)[:2], rest_loop(plain, 60.0)[:2], strict=True):
+    for ours, theirs in zip(linearize_at_rest(shown, 60.0)[:2], linearize_at_rest(plain, 60.0)[:2], strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
 
 
@@ -69,17 +69,17 @@ def test_a_closure_that_remembers_is_refused_in_a_sentence() -> None:
         numbers = {"coefficient": law.typical, **{one.name: one.probes[0] for one in law.numbers}}
         closure = {"equation": law.equation, "form": law.form, "parameters": numbers}
         with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
-            loop_of(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
+            make_loop(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
 
 
 def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
     bench: Bench, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    loop_of(of(LAG, LEAK), bench)
+    make_loop(of(LAG, LEAK), bench)
     capfd.readouterr()
     other = [{**one, "parameters": {**one["parameters"], name: value}} for one, name, value in (
         (LAG, "bandwidth", 90.0), (LEAK, "coefficient", 2e-13))]  # fmt: skip
-    loop_of(of(*other), replace(bench, spring_stiffness=3e4))
+    make_loop(of(*other), replace(bench, spring_stiffness=3e4))
     assert "compiling" not in capfd.readouterr().err
 
 
@@ -92,12 +92,12 @@ def test_bristles_bend_by_the_motion_that_was_measured() -> None:
         ("friction_presliding", {"stiffness": stiffness}),
     )
     model = of(*({"id": name, "parameters": each} for name, each in numbers))
-    loop, memory = loop_of(model, model), memories()
+    loop, memory = make_loop(model, model), new_memories()
     x = np.tile(rest_measurement(loop), (count, 1))
     x[:, VELOCITY] = speed
     x[:, POSITION] += speed * SAMPLE_PERIOD * np.arange(count)
-    follow(loop.record, samples_of(x), memory)
-    bent = memory["hidden"][0, hidden_state_numbers(model)["friction_presliding", 0, "bent"]]
+    linearize(loop.record, make_samples(x), memory)
+    bent = memory["hidden"][0, hidden_state_indices(model)["friction_presliding", 0, "bent"]]
     level = coulomb + breakaway * np.exp(-((speed / width) ** 2))
     moved = count * speed * SAMPLE_PERIOD
     assert bent == pytest.approx(level * (1.0 - np.exp(-stiffness * moved / level)), rel=1e-3)
@@ -110,7 +110,7 @@ Case = tuple[FloatArray, Records, float]
 
 @pytest.fixture(scope="module")
 def loop(bench: Bench) -> Loop:
-    return loop_of(load_model(), bench)
+    return make_loop(load_model(), bench)
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def cases(loop: Loop, states: FloatArray) -> list[Case]:
     """x, a memory with the spool well on one side, current."""
     rng, spool, made = np.random.default_rng(2), loop["whole.spool"], list[Case]()
     for k, side in enumerate(rng.choice([-1.0, 1.0], COUNT)):
-        memory, current = memories(), float(side * rng.uniform(2e-3, 0.05))
+        memory, current = new_memories(), float(side * rng.uniform(2e-3, 0.05))
         hidden = memory["hidden"][0]
         hidden[: len(loop.arrays["rest"])] = loop.arrays["rest"]
         hidden[spool], hidden[loop["whole.spool_rate"]] = current * rng.uniform(0.8, 1.2), rng.normal(0, 1)
@@ -128,11 +128,11 @@ def cases(loop: Loop, states: FloatArray) -> list[Case]:
     return made
 
 
-def seen_by(loop: Loop, case: Case, gain: float, scales: tuple[float, float] = (1.0, 1.0)) -> Followed:
+def seen_by(loop: Loop, case: Case, gain: float, scales: tuple[float, float] = (1.0, 1.0)) -> Linearization:
     """What the filter makes of a case as its only sample."""
     x, memory, current = case
-    sample = samples_of(x[None], nominal=current, current=current, k_p=gain, c_1=scales[0], c_2=scales[1])
-    return follow(loop.record, sample, memory.copy())
+    sample = make_samples(x[None], nominal=current, current=current, k_p=gain, c_1=scales[0], c_2=scales[1])
+    return linearize(loop.record, sample, memory.copy())
 
 
 def displaced(loop: Loop, y: FloatArray, opening: float, q: FloatArray) -> FloatArray:
@@ -175,13 +175,13 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: lis
             return np.array([force, *spool, *cell, ended[2], ended[3], speed]) / loop.scale
 
         exact = np.column_stack([seen.transition[0], seen.push[0] * 0.01])
-        numeric, width, none = np.empty((LOOP, LOOP + 1)), 1e-4, np.zeros(LOOP)
-        for i in range(LOOP):
-            q = width * np.eye(LOOP)[i]
+        numeric, width, none = np.empty((LOOP_SIZE, LOOP_SIZE + 1)), 1e-4, np.zeros(LOOP_SIZE)
+        for i in range(LOOP_SIZE):
+            q = width * np.eye(LOOP_SIZE)[i]
             sides = [shown(sign * q, 0.0) for sign in (1, -1, 2, -2)]
             numeric[:, i] = (8.0 * (sides[0] - sides[1]) - (sides[2] - sides[3])) / (12.0 * width)
         near, far = (shown(none, 0.01 * s) - shown(none, -0.01 * s) for s in (width, 2 * width))
-        numeric[:, LOOP] = (8.0 * near - far) / (12.0 * width)
+        numeric[:, LOOP_SIZE] = (8.0 * near - far) / (12.0 * width)
         assert np.abs(exact - numeric).max() <= LIMIT * np.abs(exact).max()
 
 
@@ -213,11 +213,11 @@ def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scal
             force = x[2] + 110.0
             return firmware.nominal_current(config, moved, force - moved[2], 0.0, wanted, -35.0, *scales)
 
-        numeric, width = np.zeros(LOOP), 1e-4
-        for k in range(LOOP):
-            q = width * np.eye(LOOP)[k]
+        numeric, width = np.zeros(LOOP_SIZE), 1e-4
+        for k in range(LOOP_SIZE):
+            q = width * np.eye(LOOP_SIZE)[k]
             numeric[k] = (8.0 * (law(q) - law(-q)) - (law(2 * q) - law(-2 * q))) / (12.0 * width)
-        assert law(np.zeros(LOOP)) == pytest.approx(side, rel=1e-9)
+        assert law(np.zeros(LOOP_SIZE)) == pytest.approx(side, rel=1e-9)
         if abs(g / floor - 1.0) < 0.01:
             continue  # a kink lies within the difference's reach
         np.testing.assert_allclose(seen.feedback[0], numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())

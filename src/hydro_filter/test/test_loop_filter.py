@@ -47,7 +47,7 @@ def states(bench: Bench, plant: Plant) -> StateArray:
 def test_the_certificate_holds_afterwards(bench: Bench, states: StateArray) -> None:
     one, corrected = default_filter(bench), 0
     for record in states:
-        result = one.correct(Sample.of(record))
+        result = one.correct(Sample.from_record(record))
         assert result.after <= 1e-6
         assert result.status in (CorrectionStatus.PASS, CorrectionStatus.MODIFIED)
         assert (result.before > 0.0) == (result.delta_u != 0.0)
@@ -57,7 +57,7 @@ def test_the_certificate_holds_afterwards(bench: Bench, states: StateArray) -> N
 
 def test_what_is_not_finite_gets_no_correction_and_is_forgotten(bench: Bench, states: StateArray) -> None:
     made = default_filter(bench)
-    good = Sample.of(states[500])
+    good = Sample.from_record(states[500])
     for field, bad in product(range(8), (np.nan, np.inf)):
         x = good.state.copy()
         x[field] = bad
@@ -84,7 +84,7 @@ def test_it_never_raises_and_never_leaves_the_valve(values: list[float], others:
 
 
 def test_a_disarmed_bench_and_an_old_state_are_left_alone(bench: Bench, states: StateArray) -> None:
-    made, sample = default_filter(bench), Sample.of(states[500])
+    made, sample = default_filter(bench), Sample.from_record(states[500])
     assert made.correct(sample._replace(armed=False)) == (0.0, 0.0, 0.0, CorrectionStatus.PASS)
     assert made.correct(sample, age=0.006).status is CorrectionStatus.STALE
     bypass = LoopFilter(made.parts, LoopFilterSettings(bypass=True))
@@ -114,7 +114,7 @@ def test_the_integral_cannot_wind_up_without_end(bench: Bench, plant: Plant) -> 
     made = default_filter(bench)
     none = LoopFilter(made.parts.copy())
     none.parts["integral_allowance"] = 0.0
-    sample = Sample.of(closed(bench, plant, (-30.0, 0.0), made, 0.5).states[-1])
+    sample = Sample.from_record(closed(bench, plant, (-30.0, 0.0), made, 0.5).states[-1])
     more = 3000.0 / 1.2e7  # A
     wound = sample._replace(nominal_current=sample.nominal_current + more, valve_current=sample.valve_current + more)
     change = [each.correct(wound).delta_u - each.correct(sample).delta_u for each in (made, none)]
@@ -124,7 +124,7 @@ def test_the_integral_cannot_wind_up_without_end(bench: Bench, plant: Plant) -> 
 def test_a_region_of_another_bench_is_not_used_and_that_is_said(tmp_path: Path) -> None:
     shipped = FilterChoice(bench=NOMINAL)
     assert shipped.describe()["region"] == "proved for the paper's law, proved for the compensated law"
-    assert shipped.region(MADE) is not None
+    assert shipped.make_region_monitor(MADE) is not None
     for file in shipped.files["metric"].parent.glob("default_metric.*"):
         shutil.copy(file, tmp_path)
     region = tmp_path / "default_metric.region.json"
@@ -132,4 +132,4 @@ def test_a_region_of_another_bench_is_not_used_and_that_is_said(tmp_path: Path) 
     (tmp_path / "default_metric.compensated.region.json").unlink()
     choice = FilterChoice(bench=NOMINAL, metric=str(tmp_path / "default_metric.safetensors"))
     assert choice.describe()["region"] == "default_metric.region.json is of another model or bench: not used"
-    assert choice.region(MADE) is None
+    assert choice.make_region_monitor(MADE) is None

@@ -10,9 +10,9 @@ import pytest
 
 from hydro_core.settings import check
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
-from hydro_filter.metric import MOST_STEPS, MetricDesign, ScheduledMetric, decaying_range, rest_loop
-from hydro_filter.model.loop import Loop, loop_of, without_overlap
-from hydro_filter.precompile import FOUND
+from hydro_filter.metric import TABLE_STEPS_MAX, MetricDesign, ScheduledMetric, limit_to_stable_range, linearize_at_rest
+from hydro_filter.model.loop import Loop, make_loop, without_overlap
+from hydro_filter.precompile import EXAMPLE_EFFECTS
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,
@@ -20,13 +20,13 @@ from hydro_filter.training.data import (
     DataSettings,
     Rollout,
     Windows,
-    concatenated,
-    label_of,
-    label_of_both,
+    combine_labels,
+    concatenate,
+    draw_windows,
     roll_out,
-    windows_of,
+    stability_label,
 )
-from hydro_filter.training.metric_learning import free_plant, refine, require_held_out
+from hydro_filter.training.metric_learning import plant_without_overlap, refine_factor, require_held_out
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.learned_bench import load_model, make_plant
 from hydro_sim.model.bench import Bench
@@ -45,7 +45,7 @@ def decay_rate(transition: FloatArray, weight: FloatArray) -> float:
 
 @pytest.fixture(scope="module")
 def loop(bench: Bench) -> Loop:
-    return loop_of(load_model(), bench)
+    return make_loop(load_model(), bench)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def rollouts(bench: Bench) -> list[Rollout]:
 
 @pytest.fixture(scope="module")
 def windows(rollouts: list[Rollout], loop: Loop) -> Windows:
-    made = [windows_of(rollout, loop, DATA, index) for index, rollout in enumerate(rollouts)]
-    return concatenated([each for each in made if each is not None])
+    made = [draw_windows(rollout, loop, DATA, index) for index, rollout in enumerate(rollouts)]
+    return concatenate([each for each in made if each is not None])
 
 
 def twins(growth: float) -> tuple[StateArray, StateArray]:
@@ -69,7 +69,7 @@ def twins(growth: float) -> tuple[StateArray, StateArray]:
 
 @pytest.mark.parametrize(("growth", "label"), [(-2.0, STABLE), (-0.1, NEITHER), (0.5, UNSTABLE)])
 def test_twins_say_whether_gains_are_stable(growth: float, label: int) -> None:
-    assert label_of(*twins(growth)) == label
+    assert stability_label(*twins(growth)) == label
 
 
 def test_rollouts_are_labelled_as_the_bench_is(rollouts: list[Rollout]) -> None:
@@ -82,15 +82,15 @@ def test_rollouts_are_labelled_as_the_bench_is(rollouts: list[Rollout]) -> None:
 
 
 def test_a_solved_metric_decays_with_its_loop(loop: Loop, bench: Bench) -> None:
-    metric = ScheduledMetric.designed(loop, MetricDesign())
+    metric = ScheduledMetric.from_design(loop, MetricDesign())
     for gain in metric.gains:
-        free, push, feedback = rest_loop(loop, float(gain))
+        free, push, feedback = linearize_at_rest(loop, float(gain))
         assert decay_rate(free + np.outer(push, feedback), metric.matrix(float(gain))) > 0.1
 
 
 def test_descent_makes_one_metric_decay_along_loops_that_differ(loop: Loop) -> None:
-    metric = ScheduledMetric.designed(loop, MetricDesign())
-    loops = [rest_loop(loop, gain) for gain in np.linspace(40.0, 60.0, 40)]
+    metric = ScheduledMetric.from_design(loop, MetricDesign())
+    loops = [linearize_at_rest(loop, gain) for gain in np.linspace(40.0, 60.0, 40)]
     closed = np.array([free + np.outer(push, feedback) for free, push, feedback in loops])
     row = int(np.searchsorted(metric.gains, 50.0))
 
@@ -98,47 +98,47 @@ def test_descent_makes_one_metric_decay_along_loops_that_differ(loop: Loop) -> N
         return min(decay_rate(each, one.matrix(50.0)) for each in closed)
 
     table = metric.table.copy()
-    table[row] = refine(table[row], closed, 0.4)
+    table[row] = refine_factor(table[row], closed, 0.4)
     assert slowest(metric) < -2.0
     assert slowest(replace(metric, table=table)) > 0.4
 
 
 def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: Loop, bench: Bench) -> None:
-    metric = ScheduledMetric.designed(loop, MetricDesign())
-    assert metric.unfit("own") == replace(metric, training={"violated": 3.0}).unfit("own") == ""
+    metric = ScheduledMetric.from_design(loop, MetricDesign())
+    assert metric.validity_error("own") == replace(metric, training={"violated": 3.0}).validity_error("own") == ""
     where = {"violated": 36.1, "where": "K_p 87 to 92 1/s, where the loop itself decays at 0.4 1/s"}
     for training in ({"violated": 93.0}, where, {"violated": 1.0, "foreign_violated": 50.0}):
-        assert "of the held-out" in replace(metric, training=training).unfit("own")
+        assert "of the held-out" in replace(metric, training=training).validity_error("own")
 
 
 def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: Loop) -> None:
     def slowest(gain: float) -> float:
-        free, push, feedback = rest_loop(loop, gain)
+        free, push, feedback = linearize_at_rest(loop, gain)
         return float(np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max())
 
     asked = replace(MetricDesign(), gain_high=200.0)
-    found = decaying_range(loop, asked)
+    found = limit_to_stable_range(loop, asked)
     limit = found.gain_high / asked.gain_share
     assert slowest(limit - 1.0) < 1.0 <= slowest(limit), "a reserve below the gain at which the loop decays no more"
-    assert decaying_range(loop, found) == found
+    assert limit_to_stable_range(loop, found) == found
     with pytest.raises(ValueError, match="does not decay at K_p = 150 1/s"):
-        decaying_range(loop, replace(asked, gain_low=150.0))
+        limit_to_stable_range(loop, replace(asked, gain_low=150.0))
     with pytest.raises(ValueError, match="rollouts are stable from K_p = 100 1/s on, and the loop at rest decays no m"):
-        decaying_range(loop, replace(asked, gain_low=100.0))
+        limit_to_stable_range(loop, replace(asked, gain_low=100.0))
 
 
 def test_an_overlap_makes_no_gain_stable_and_none_unstable_that_its_loop_is_not(bench: Bench) -> None:
     """It holds twins apart at a small gain, and at a high one still what the loop without it would not."""
-    model = replace(bench, effects=(*FOUND, {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}))
-    plant, free = AnalyticPlant(model), free_plant(model)
-    assert free is not None and free_plant(without_overlap(model) or model) is None
+    model = replace(bench, effects=(*EXAMPLE_EFFECTS, {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}))
+    plant, free = AnalyticPlant(model), plant_without_overlap(model)
+    assert free is not None and plant_without_overlap(without_overlap(model) or model) is None
     settings = DataSettings()
     for index, between, held, label in ((94, (35.0, 42.0), NEITHER, STABLE), (19, (120.0, 200.0), STABLE, UNSTABLE)):
         alone, asked = (roll_out(plant, bench, settings, index, one) for one in (None, free))
         assert between[0] < alone.gains[0] < between[1]
         assert (alone.label, asked.label) == (held, label)
         np.testing.assert_array_equal(alone.states, asked.states)
-    assert label_of_both(UNSTABLE, STABLE) == UNSTABLE, "what the bench itself does counts"
+    assert combine_labels(UNSTABLE, STABLE) == UNSTABLE, "what the bench itself does counts"
 
 
 def test_the_box_of_the_rollouts_admits_their_gains_and_the_table_that_of_its_law(bench: Bench) -> None:
@@ -146,7 +146,7 @@ def test_the_box_of_the_rollouts_admits_their_gains_and_the_table_that_of_its_la
     soft = replace(bench, spring_stiffness=2500.0)
     own = BoxConfig().of_bench(soft).compensated
     told = replace(own, base_kp=float(np.float32(own.base_kp)), velocity_compensation=0.25, delta_kp_min=-100.0)
-    settings = DataSettings.under(told, rollouts=8, seconds=2.0)
+    settings = DataSettings.for_law(told, rollouts=8, seconds=2.0)
     check(settings)
     assert settings.velocity_compensation == 0.25 and settings.gain_max == 1.25 * told.base_kp > 2000.0
     for index in (2, 3):
@@ -154,8 +154,8 @@ def test_the_box_of_the_rollouts_admits_their_gains_and_the_table_that_of_its_la
         assert run.gains[0] > 0.0 and not np.isclose(run.gains[0], told.base_kp, rtol=0.05)
         np.testing.assert_allclose(run.states["proportional_gain"], run.gains[0], rtol=1e-6)
     design = MetricDesign(velocity_compensation=0.25, gain_low=20.0, gain_high=float(np.ceil(told.base_kp)))
-    gains = ScheduledMetric.designed(loop_of(soft, soft), design).gains
-    assert gains[0] == 20.0 and gains[-1] == design.gain_high >= told.base_kp and len(gains) == MOST_STEPS + 1
+    gains = ScheduledMetric.from_design(make_loop(soft, soft), design).gains
+    assert gains[0] == 20.0 and gains[-1] == design.gain_high >= told.base_kp and len(gains) == TABLE_STEPS_MAX + 1
 
 
 def test_a_range_that_no_held_out_rollout_can_judge_is_refused(windows: Windows) -> None:

@@ -11,8 +11,8 @@ import pytest
 from hydro_core.signals import CorrectionStatus, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import overlap_of, without_overlap
-from hydro_filter.precompile import FOUND
+from hydro_filter.model.loop import valve_overlap, without_overlap
+from hydro_filter.precompile import EXAMPLE_EFFECTS
 from hydro_filter.validation.runs import Run, Trial, run
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -23,7 +23,7 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 
 @pytest.fixture(scope="module")
 def overlapped(bench: Bench) -> Bench:
-    return replace(bench, effects=(*FOUND, {"id": "valve_deadband", "parameters": {"half_width": WIDTH}}))
+    return replace(bench, effects=(*EXAMPLE_EFFECTS, {"id": "valve_deadband", "parameters": {"half_width": WIDTH}}))
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +45,12 @@ def test_the_overlap_is_the_bench_files(bench: Bench, overlapped: Bench) -> None
     lopsided = {
         "id": "valve_deadband", "form": "lopsided", "parameters": {"half_width": 4e-4, "half_width_negative": 2e-4},
     }  # fmt: skip
-    assert overlap_of(bench) == {"closing": 0.0, "back": 0.0, "out": 0.0} and without_overlap(bench) is None
-    assert overlap_of(overlapped) == {"closing": 0.0, "back": WIDTH, "out": WIDTH}
-    assert overlap_of(Bench.from_mapping(bench.to_mapping() | {"effects": [shift, lopsided]})) == {
+    assert valve_overlap(bench) == {"closing": 0.0, "back": 0.0, "out": 0.0} and without_overlap(bench) is None
+    assert valve_overlap(overlapped) == {"closing": 0.0, "back": WIDTH, "out": WIDTH}
+    assert valve_overlap(Bench.from_mapping(bench.to_mapping() | {"effects": [shift, lopsided]})) == {
         "closing": -1e-3, "back": 2e-4, "out": 4e-4,
     }  # fmt: skip
-    assert without_overlap(overlapped) == replace(bench, effects=FOUND)
+    assert without_overlap(overlapped) == replace(bench, effects=EXAMPLE_EFFECTS)
 
 
 def test_corrections_leap_across_the_overlap(bench: Bench, overlapped: Bench, made: LoopFilter) -> None:
@@ -67,7 +67,7 @@ def test_a_filter_that_counts_with_the_overlap_follows_closer_than_one_that_take
 ) -> None:
     """Also where the bench's overlap is a fifth narrower or wider than the file's."""
     overlap = {"id": "valve_deadband", "parameters": {"half_width": share * WIDTH}}
-    plant = AnalyticPlant(replace(bench, effects=(*FOUND, overlap)))
+    plant = AnalyticPlant(replace(bench, effects=(*EXAMPLE_EFFECTS, overlap)))
     blind = LoopFilter(made.parts.copy())
     blind.parts["back"] = blind.parts["out"] = 0.0
     runs = [closed(each, bench, plant, (250.0, 15.0)) for each in (made, blind)]

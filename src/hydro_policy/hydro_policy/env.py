@@ -27,7 +27,7 @@ from gymnasium.vector.utils import batch_space
 
 from hydro_core.settings import SettingsError, from_mapping
 from hydro_core.signals import Law
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_policy.envs.environment import Environment, Episodes
 from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.envs.vector_env import VectorBench
@@ -110,7 +110,7 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         self.simulation, self.law, self.task = source, law, task_of(law, config, believed.size)
         fixed = reference != "random"
         self._reference = from_mapping(Reference, reference, "reference").signal if fixed else None
-        ranges = resized(events.Randomisation(), NOMINAL, believed.size) if randomise else None
+        ranges = rescale(events.Randomisation(), NOMINAL, believed.size) if randomise else None
         self._episodes = Episodes(source=source.simulated(), believed=believed, randomisation=ranges)
         fleet = VectorBench([believed] * num_envs, [self._episodes.plant() for _ in range(num_envs)], config)
         self._environment = Environment(fleet, self.task, Law.COMPENSATED if law == "compensated" else Law.PAPER)

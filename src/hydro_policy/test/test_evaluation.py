@@ -72,15 +72,15 @@ def test_a_figure_of_a_run_that_was_held_up_is_marked_and_makes_nobody_the_best(
 
 
 def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path: Path) -> None:
-    ring = load_force.create(tmp_path / "load_force")
+    ring = load_force.create_ring(tmp_path / "load_force")
     trace = Trace("one", "1 Hz", 1.0, np.zeros(3, STATE_DTYPE))
-    trace.states["sequence"], trace.states["load_force"] = (7, 8, load_force.SAMPLES + 9), 1.0
+    trace.states["sequence"], trace.states["load_force"] = (7, 8, load_force.RING_SIZE + 9), 1.0
     for sequence in trace.states["sequence"]:
-        load_force.keep(ring, int(sequence), 3.0)
-    found = score(trace, 0, felt=load_force.read(tmp_path / "load_force", trace.states["sequence"]))
+        load_force.write_force(ring, int(sequence), 3.0)
+    found = score(trace, 0, felt=load_force.read_forces(tmp_path / "load_force", trace.states["sequence"]))
     assert (found.rmse, found.true_rmse) == (1.0, 3.0)
     trace.states["sequence"][2] = 9  # not kept any more
-    lost = score(trace, 0, felt=load_force.read(tmp_path / "load_force", trace.states["sequence"]))
+    lost = score(trace, 0, felt=load_force.read_forces(tmp_path / "load_force", trace.states["sequence"]))
     assert math.isnan(lost.true_rmse)
 
 

@@ -35,7 +35,7 @@ from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange
-from hydro_sim.files.learned_bench import shipped
+from hydro_sim.files.learned_bench import shipped_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
 from tests.checks import ran
@@ -87,7 +87,7 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     learnt = np.concatenate(([False], told["updates"][:-1] > 0))
     assert learnt.any() and np.isfinite(losses[:, learnt]).all() and np.isnan(losses[:, told["updates"] == 0]).all()
     assert {"config.yaml", "bench.yaml"} <= set(recording.attachments)
-    assert recording.metadata["hydro"]["model_sha256"] == sha256(shipped().read_bytes()).hexdigest()
+    assert recording.metadata["hydro"]["model_sha256"] == sha256(shipped_bench().read_bytes()).hexdigest()
 
 
 def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:

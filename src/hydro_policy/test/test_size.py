@@ -13,10 +13,10 @@ from hydro_bridge.serial.protocol import Details, encode_hello
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.settings import to_mapping
 from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import MetricDesign, ScheduledMetric, design_table
-from hydro_filter.model.loop import loop_of
+from hydro_filter.model.loop import make_loop
 from hydro_filter.validation.runs import Trial, run
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.compensation.residual import Network, Residual
@@ -30,7 +30,7 @@ from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
-from hydro_sim.excitation import Range, schedule_from
+from hydro_sim.excitation import ExcitationRange, parse_schedule
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -70,11 +70,11 @@ def test_the_size_of_the_similar_bench() -> None:
     ratios = (other.force / one.force, other.pressure / one.pressure, other.length / one.length)
     assert (*ratios, other.current / one.current) == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
     for each in (TrainingSettings(), Randomisation(), CompensatorSettings(), Sensors()):
-        assert resized(each, one, one) == each
-    limits = resized(TrainingSettings(), one, other).monitor
+        assert rescale(each, one, one) == each
+    limits = rescale(TrainingSettings(), one, other).monitor
     assert (limits.peak_error, limits.chatter) == pytest.approx((FORCE * one.force, CURRENT * 14.0 * one.current))
     assert BoxConfig().of_bench(Bench.nominal()) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
-    assert Range.of_force(one.force) == Range()
+    assert ExcitationRange.of_force(one.force) == ExcitationRange()
 
 
 def learning(bench: Bench) -> Pretraining:
@@ -87,7 +87,7 @@ def learning(bench: Bench) -> Pretraining:
         training=training, benches=2, randomisation=Randomisation(), examined=1,
         evaluation=EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5),
     )  # fmt: skip
-    pretraining = Pretraining(resized(usual, NOMINAL, bench.size), bench, bench)
+    pretraining = Pretraining(rescale(usual, NOMINAL, bench.size), bench, bench)
     while not pretraining.finished:
         pretraining.round()
     return pretraining
@@ -135,7 +135,7 @@ def test_a_box_takes_references_as_far_as_its_line_tells() -> None:
             other = replace(bench, piston_area=share * bench.piston_area)
             config = BoxConfig().of_bench(other)
             box = Box(other, config)
-            box.take(encode_hello(0, 0))
+            box.feed(encode_hello(0, 0))
             box.tick(np.zeros(8), 0.0)
             (details,) = (frame for frame in Decoder().feed(b"\0" + box.frames()) if isinstance(frame, Details))
             assert box.settings["high"][0, 0] == details.details.force_range
@@ -146,7 +146,7 @@ def test_a_schedule_goes_with_the_size_and_may_be_of_any() -> None:
     assert here == list(DEFAULT_SCHEDULE)
     assert [each.amplitude for each in there] == pytest.approx([FORCE * each.amplitude for each in here])
     segments = [replace(each, amplitude=1e3 * each.amplitude, delta_u=0.5) for each in there]
-    assert schedule_from({"segments": [to_mapping(each) for each in segments]}, "own") == segments
+    assert parse_schedule({"segments": [to_mapping(each) for each in segments]}, "own") == segments
 
 
 def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
@@ -174,7 +174,7 @@ def tracked(bench: Bench) -> FloatArray:
     settings = EvaluationSettings(frequencies=(1.0,), measure=6.0, amplitude=size.force)
     box = BoxConfig().of_bench(bench)
     fleet = VectorBench([bench], [AnalyticPlant(bench, settings=Sensors.of_size(size))], box)
-    estimator = Compensator(settings=resized(CompensatorSettings(), NOMINAL, size), law=box.compensated)
+    estimator = Compensator(settings=rescale(CompensatorSettings(), NOMINAL, size), law=box.compensated)
     residual = Residual(1, Network.load(), estimator.settings.force_scale)
     steps = vector_runs.run(fleet, settings.cases, lambda _: np.zeros((1, 2)), settings, 7, estimator, residual)
     return np.concatenate([step.samples["load_force"][0].copy() for step in steps]) / size.force
@@ -188,5 +188,5 @@ def test_the_compensated_law_and_its_residual_track_alike() -> None:
 
 
 def test_the_metric_of_a_similar_bench_is_the_same_table() -> None:
-    here, there = (design_table(loop_of(bench, bench), MetricDesign()) for bench in similar(effects=True))
+    here, there = (design_table(make_loop(bench, bench), MetricDesign()) for bench in similar(effects=True))
     np.testing.assert_allclose(there["table"], here["table"], rtol=1e-6, atol=1e-6 * float(np.abs(here["table"]).max()))

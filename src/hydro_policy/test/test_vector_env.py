@@ -111,7 +111,7 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
         want = box.tick(measurement, 0.001 * k)
         assert sample["valve_current"] == want["valve_current"], k
         assert sample["flags"] == want["flags"], k
-        result = beside.correct(Sample.of(want))
+        result = beside.correct(Sample.from_record(want))
         assert result.status is not CorrectionStatus.MISMATCH, "which the fleet does not watch for"
         delta_u = result.delta_u
         measurement = plant.step(float(want["valve_current"]))

@@ -37,7 +37,7 @@ Stats = dict[str, list[int]]
 
 
 def remove_stale_caches(*packages: Path) -> bool:
-    """Delete the cached compilations under the first folder that a changed source has made stale.
+    """Delete numba's caches of the first package where a source that they depend on has changed.
 
     Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
     its caches elsewhere, and nothing is done: sources that cannot be written do not change.
@@ -79,13 +79,13 @@ def remove_stale_caches(*packages: Path) -> bool:
 
 
 def file_stats(paths: Iterable[Path]) -> Stats:
-    """Size and time of files, to detect changes."""
+    """Return size and modification time of files, to detect changes."""
     found = {str(path): path.stat() for path in sorted(paths)}
     return {path: [stat.st_mtime_ns, stat.st_size] for path, stat in found.items()}
 
 
 def imported_sources(modules: Iterable[Path], packages: tuple[Path, ...]) -> set[Path]:
-    """Sources of `packages` that the modules import from, directly or through others, and themselves.
+    """Return the modules and all sources of `packages` that they import, directly or indirectly.
 
     A package's `__init__` counts where something is imported from it, not where it only stands around a module.
     """
@@ -142,12 +142,12 @@ def _read(text: str) -> dict[str, dict[str, object]]:
     return {"all": {}, "modules": {}}
 
 
-VARIABLE = "HYDRO_COMPILATIONS"
+LOG_VARIABLE = "HYDRO_COMPILATIONS"
 
 
 def record_compilations() -> None:
     """Start recording if the environment asks for it. Call it once, before anything is compiled."""
-    name = os.environ.get(VARIABLE)
+    name = os.environ.get(LOG_VARIABLE)
     if not name:
         return
     file = Path(name)
@@ -167,7 +167,7 @@ def record_compilations() -> None:
 
 
 def read_compilations(file: Path) -> list[dict[str, Any]]:
-    """Recorded compilations; empty if there is no such file."""
+    """Return the recorded compilations; empty without such a file."""
     return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
 
 

@@ -37,7 +37,7 @@ class Reference:
 
     @property
     def signal(self) -> ReferenceSignal:
-        """Return the reference as it is sent to the box."""
+        """Reference signal as sent to the box."""
         return ReferenceSignal(
             waveform=Waveform[self.waveform.upper()],
             amplitude=self.amplitude,
@@ -62,10 +62,10 @@ def load_schedule(path: str | Path) -> list[Segment]:
 
     Raises SettingsError: the file cannot be read, or a segment has an unknown key or a value out of range.
     """
-    return schedule_from(read_yaml(path), Path(path).name)
+    return parse_schedule(read_yaml(path), Path(path).name)
 
 
-def schedule_from(data: object, where: str) -> list[Segment]:
+def parse_schedule(data: object, where: str) -> list[Segment]:
     """Return segments from plain YAML data; raises SettingsError like `load_schedule`."""
     entries = data.get("segments") if isinstance(data, dict) and set(data) == {"segments"} else None
     if not isinstance(entries, list) or not entries:
@@ -81,7 +81,7 @@ def save_schedule(segments: Sequence[Segment], path: str | Path) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Range:
+class ExcitationRange:
     """Ranges of the excitation. The defaults do not trip the nominal bench or the emulator's default truth."""
 
     seconds: tuple[float, float] = (2.0, 6.0)
@@ -102,7 +102,7 @@ class Range:
     """1/s^2, what the guard lets through."""
 
     @classmethod
-    def of_force(cls, force: float) -> Range:
+    def of_force(cls, force: float) -> ExcitationRange:
         """Return the defaults for a bench whose size has this force [N]."""
         share, usual = force / NOMINAL.force, cls()
         return cls(
@@ -111,16 +111,16 @@ class Range:
         )  # fmt: skip
 
 
-SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Waveform.SMOOTH_STEP: 0.15}
+WAVEFORM_SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Waveform.SMOOTH_STEP: 0.15}
 """Probability of each waveform."""
 
-STEEPNESS = {Waveform.HOLD: 0.0, Waveform.SINE: 1.0, Waveform.MULTISINE: 1.8, Waveform.SMOOTH_STEP: 4.0}
+WAVEFORM_STEEPNESS = {Waveform.HOLD: 0.0, Waveform.SINE: 1.0, Waveform.MULTISINE: 1.8, Waveform.SMOOTH_STEP: 4.0}
 """Peak rate of each waveform over amplitude times 2 pi frequency (protocol.md)."""
 
 
-def draw(seconds: float, seed: int, limits: Range | None = None) -> list[Segment]:
-    """Draw a schedule of that length [s]; the same seed gives the same one."""
-    limits, generator = limits or Range(), np.random.default_rng(seed)
+def draw_schedule(seconds: float, seed: int, limits: ExcitationRange | None = None) -> list[Segment]:
+    """Draw a random schedule of `seconds`, reproducible by `seed`."""
+    limits, generator = limits or ExcitationRange(), np.random.default_rng(seed)
     segments: list[Segment] = []
     left = round(seconds, 3)
     while left > 0.0:
@@ -130,11 +130,11 @@ def draw(seconds: float, seed: int, limits: Range | None = None) -> list[Segment
     return segments
 
 
-def _segment(seconds: float, limits: Range, generator: np.random.Generator) -> Segment:
-    waveform = list(SHARES)[int(generator.choice(len(SHARES), p=list(SHARES.values())))]
+def _segment(seconds: float, limits: ExcitationRange, generator: np.random.Generator) -> Segment:
+    waveform = list(WAVEFORM_SHARES)[int(generator.choice(len(WAVEFORM_SHARES), p=list(WAVEFORM_SHARES.values())))]
     offset = generator.uniform(-limits.offset_max, limits.offset_max)
     frequency = np.exp(generator.uniform(log(limits.frequency[0]), log(limits.frequency[1])))
-    steep = STEEPNESS[waveform] * 2.0 * pi * frequency
+    steep = WAVEFORM_STEEPNESS[waveform] * 2.0 * pi * frequency
     largest = min(limits.force_max - abs(offset), limits.force_rate_max / max(steep, 1e-9))
     amplitude = generator.uniform(0.05, 1.0) * largest if waveform != Waveform.HOLD else 0.0
     phase, kp, ki = generator.uniform(0.0, 2.0 * pi), generator.uniform(*limits.kp), generator.uniform(*limits.ki)

@@ -106,15 +106,15 @@ def figure(
         write_whole(Path(path), content.getvalue())
 
 
-def draw(axes: Axes, states: StateArray, field: str, **style: Any) -> None:
-    """Draw a field over time in its display unit."""
+def plot_field(axes: Axes, states: StateArray, field: str, **style: Any) -> None:
+    """Plot a field over time in its display unit."""
     name, unit, factor = UNITS[field]
     axes.plot(states["time"], factor * states[field], label=style.pop("label", name), **style)
     axes.set_ylabel(f"[{unit}]")
 
 
-def legend(axes: Axes) -> None:
-    """Put a legend above the axes, in a row, where it covers nothing."""
+def add_legend(axes: Axes) -> None:
+    """Add a legend in one row above the axes."""
     entries = len(axes.get_legend_handles_labels()[0])
     if entries:
         axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, borderaxespad=0.2)

@@ -16,7 +16,7 @@ from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.identification import bench_learning
-from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Scored, prediction_errors
+from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, ScoredRun, prediction_errors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -45,7 +45,7 @@ def _learning() -> None:
     run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_SECONDS)
     data = recordings.split({"recording": simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), run)})
     found = bench_learning.learn(Bench.nominal(), data, count=4)
-    scored = [Scored(run=run, truth=None) for run in data.training]
+    scored = [ScoredRun(run=run, truth=None) for run in data.training]
     for predictor in (BenchPrediction(found.bench, data.training), AnalyticModel(Bench.nominal())):
         states = [predictor.estimate(item.run) for item in scored]
         prediction_errors(predictor, states, scored, recorded=True, horizon=70, stride=500)
@@ -60,7 +60,7 @@ def _emulator() -> None:
 def _emulator_offline() -> None:
     for precision in STRUCTURES:
         Machine(profile("default"), precision=precision).warm_up()
-    record_offline(profile("default"), excitation.draw(0.1, 0))
+    record_offline(profile("default"), excitation.draw_schedule(0.1, 0))
 
 
 STEPS: dict[str, Callable[[], None]] = {

@@ -7,7 +7,7 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from hydro_bridge.ros.companion import page_wanted
+from hydro_bridge.ros.companion import dashboard_enabled
 from hydro_core.cli.launch_arguments import refuse_unknown_arguments
 
 
@@ -18,7 +18,9 @@ def generate_launch_description() -> LaunchDescription:
         [
             DeclareLaunchArgument("pace", default_value="plant", description="plant, real, or times real time"),
             DeclareLaunchArgument(
-                "dashboard", default_value=str(page_wanted()).lower(), description="whether to serve the live page"
+                "dashboard",
+                default_value=str(dashboard_enabled()).lower(),
+                description="whether to serve the live page",
             ),
             Node(
                 package="hydro_bridge",

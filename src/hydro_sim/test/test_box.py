@@ -21,7 +21,7 @@ from hydro_core.signals import (
     Law,
     ReferenceSignal,
     Waveform,
-    matrix,
+    to_matrix,
 )
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.model.bench import Bench
@@ -201,7 +201,7 @@ def test_the_compensated_law_closes_its_loop_alike_on_every_bench(bench: Bench) 
         states = simulate(AnalyticPlant(one, noise=0.0), one, plan, config=config)[2000:]
         turning = np.exp(s * states["time"])
         terms = np.column_stack((turning.real, turning.imag, np.ones(len(states)), states["time"]))
-        forces = matrix(states, ("load_force", "reference_force"))
+        forces = to_matrix(states, ("load_force", "reference_force"))
         followed, wanted = np.linalg.lstsq(terms, forces)[0][:2].T @ (1.0, -1j)
         volume_a = one.dead_volume_a + one.piston_area * middle
         volume_b = one.dead_volume_b + one.area_ratio * one.piston_area * (one.stroke - middle)

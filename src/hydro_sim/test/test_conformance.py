@@ -20,12 +20,12 @@ from hydro_bridge.conformance.command import (
     NOT_JUDGED,
     PASS,
     Result,
-    chosen,
-    read,
-    run,
-    shipped,
+    parse_cases,
+    run_cases,
+    select_cases,
+    shipped_cases,
 )
-from hydro_bridge.conformance.host import Host, UnreadableError
+from hydro_bridge.conformance.host import Host, NoFrameError
 from hydro_core.errors import UserError
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
@@ -107,7 +107,7 @@ def box_of(
 
 
 def outcomes(line: InStep, *, moving: bool = True, bench: Bench = NOMINAL) -> dict[str, tuple[str, str]]:
-    results = run(shipped(), lambda: Host(line, line.clock), bench.to_mapping(), moving=moving)
+    results = run_cases(shipped_cases(), lambda: Host(line, line.clock), bench.to_mapping(), moving=moving)
     return {result.case.id: (result.outcome, result.found) for result in results}
 
 
@@ -145,8 +145,11 @@ def test_the_time_that_a_line_takes_is_not_held_against_a_box(memory: Any) -> No
 
 
 def only(line: InStep, *names: str) -> list[Result]:
-    return run(
-        chosen(shipped(), list(names)), lambda: Host(line, line.clock), Bench.nominal().to_mapping(), moving=True
+    return run_cases(
+        select_cases(shipped_cases(), list(names)),
+        lambda: Host(line, line.clock),
+        Bench.nominal().to_mapping(),
+        moving=True,
     )
 
 
@@ -160,7 +163,7 @@ def test_the_shaping_is_judged_alike_from_whatever_force_the_box_fades_in(memory
 def test_a_box_whose_frames_cannot_be_read_is_told_so_once(memory: Any) -> None:
     box = box_of(memory)
     with pytest.raises(
-        UnreadableError, match=r"\d+ bytes came and no frame in them for \d+ s: \d+ pieces with a wrong CRC"
+        NoFrameError, match=r"\d+ bytes came and no frame in them for \d+ s: \d+ pieces with a wrong CRC"
     ):
         only(Corrupt(box.machine, box.link, box.memory), "framing.stream", "hello.answered")
 
@@ -178,7 +181,7 @@ def test_without_moving_nothing_arms_and_the_piston_rests(memory: Any) -> None:
     line = box_of(memory)
     before = float(line.machine.plant.chain[0]["clean"][6])
     found = outcomes(line, moving=False)
-    moved = {case.id for case in shipped() if case.moving}
+    moved = {case.id for case in shipped_cases() if case.moving}
     assert {case for case, (outcome, _) in found.items() if outcome == LEFT_OUT} == moved
     assert all(outcome == PASS for case, (outcome, _) in found.items() if case not in moved)
     assert abs(float(line.machine.plant.chain[0]["clean"][6]) - before) < 1e-5
@@ -186,7 +189,7 @@ def test_without_moving_nothing_arms_and_the_piston_rests(memory: Any) -> None:
 
 def test_a_case_that_arms_and_does_not_say_so_is_refused() -> None:
     with pytest.raises(UserError, match="is not marked as moving"):
-        read([{"id": "x", "says": "y", "steps": [{"commands": {"samples": 1, "arm": True}}]}])
+        parse_cases([{"id": "x", "says": "y", "steps": [{"commands": {"samples": 1, "arm": True}}]}])
 
 
 BROKEN: dict[str, tuple[str, set[str], str, str]] = {
@@ -332,7 +335,7 @@ class Unconnected(Machine):
 
     def tick(self) -> np.void:
         sample = self.box.tick(self.plant.measurement(), self.time)
-        truth.advance(*self.records, self.plant.work, self.plant.noise.row(), 0.0)
+        truth.advance_sample(*self.records, self.plant.work, self.plant.noise.row(), 0.0)
         self.samples += 1
         return sample
 
@@ -348,4 +351,4 @@ def test_a_box_whose_valve_is_not_connected_passes_all_but_the_sign(memory: Any)
 
 def test_each_case_fails_on_a_box_that_is_broken_there() -> None:
     seen = {"law.sign"}.union(*(wanted for _, wanted, *_ in BROKEN.values()))
-    assert seen == {case.id for case in shipped()}
+    assert seen == {case.id for case in shipped_cases()}

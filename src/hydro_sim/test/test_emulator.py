@@ -20,12 +20,12 @@ from hydro_core.signals import STATE_DTYPE, Command, StateArray
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator import offline
 from hydro_sim.emulator.command import main
-from hydro_sim.emulator.line.faults import CHANCES, FaultyLine, LinkFaults
+from hydro_sim.emulator.line.faults import FAULT_NAMES, FaultyLine, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.realtime import execute
+from hydro_sim.emulator.realtime import execute_command
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.excitation import Segment
@@ -37,11 +37,11 @@ def test_the_emulated_bench_is_the_box_s_where_the_truth_does_not_say_otherwise(
     own = replace(Bench.nominal(), piston_area=1e-3, moving_mass=9.0, load_cell_bandwidth=None)
     file = tmp_path / "truth.yaml"
     file.write_text("profile: nominal\nbench: {moving_mass: 8}\n")
-    emulated = vars(offline.truth(str(file), own).bench)
+    emulated = vars(offline.load_truth_config(str(file), own).bench)
     assert {name: emulated[name] for name in own.to_mapping()} == own.to_mapping() | {"moving_mass": 8.0}
     assert emulated["load_cell_bandwidth"] is None
-    assert offline.truth(None, own).bench.piston_area == 1e-3
-    assert offline.truth(None, Bench.nominal()) == profile("default")
+    assert offline.load_truth_config(None, own).bench.piston_area == 1e-3
+    assert offline.load_truth_config(None, Bench.nominal()) == profile("default")
 
 
 REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
@@ -125,9 +125,9 @@ def test_command_writes_a_bag_and_keeps_the_truth_out_of_it(tmp_path: Path) -> N
 
 def test_each_fault_comes_as_often_as_it_says_and_changes_what_passes() -> None:
     frames = [bytes([0, *([1 + k % 200] * 20), 0]) for k in range(2000)]
-    for name in CHANCES:
+    for name in FAULT_NAMES:
         line = FaultyLine(LinkFaults(**{name: 0.2}), np.random.default_rng(0))
-        changed = sum(line.carry(frame, 0.0) != frame for frame in frames)
+        changed = sum(line.transmit(frame, 0.0) != frame for frame in frames)
         assert line.counts[name] == pytest.approx(370, abs=80) and changed >= 0.9 * line.counts[name], name
 
 
@@ -207,14 +207,14 @@ def test_a_place_taken_by_a_file_is_refused_and_the_file_kept(tmp_path: Path) ->
 
 
 def test_orders_are_obeyed_or_refused_in_one_sentence(link: BoxLink, machine: Machine) -> None:
-    execute("corrupt 0.25", machine, link, 0.0)
-    execute("duplicate 0.5", machine, link, 0.0)
+    execute_command("corrupt 0.25", machine, link, 0.0)
+    execute_command("duplicate 0.5", machine, link, 0.0)
     assert link.up.faults == link.down.faults == LinkFaults(corrupt=0.25, duplicate=0.5)
-    execute("clear", machine, link, 0.0)
+    execute_command("clear", machine, link, 0.0)
     assert link.up.faults == LinkFaults()
     machine.tick()
-    execute("reboot", machine, link, 0.0)
+    execute_command("reboot", machine, link, 0.0)
     assert machine.time == 0.0 and int(machine.tick()["sequence"]) == 0
     for order in ("", "melt", "corrupt", "corrupt 2", "corrupt x", "clear 1", "unplug -1"):
         with pytest.raises(SettingsError, match="order"):
-            execute(order, machine, link, 0.0)
+            execute_command(order, machine, link, 0.0)

@@ -19,7 +19,7 @@ from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.realtime import Running
+from hydro_sim.emulator.realtime import RealtimeEmulator
 from hydro_sim.emulator.truth.config import profile
 from tests.checks import wait
 
@@ -33,7 +33,7 @@ class Host:
         machine = Machine(profile("nominal"))
         machine.warm_up()
         self.link = BoxLink(Terminal(folder / "port"), machine.box, faults)
-        self.running = Running(machine, self.link, None)
+        self.running = RealtimeEmulator(machine, self.link, None)
         self._stopped, self._sequence, self._decoder = False, 0, Decoder()
         self._thread = threading.Thread(target=self.running.run, args=(None, lambda: self._stopped), daemon=True)
         self._thread.start()

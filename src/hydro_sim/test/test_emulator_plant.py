@@ -44,7 +44,7 @@ def run(plant: TruthPlant, currents: FloatArray) -> tuple[FloatArray, FloatArray
     log = np.empty((len(currents), len(TRUTH_FIELDS)))
     for k, current in enumerate(currents):
         noisy[k], clean[k] = plant.step(float(current)), plant.chain["clean"][0]
-        truth_plant.physical(plant.state, log[k])
+        truth_plant.copy_physical(plant.state, log[k])
     return noisy, clean, log
 
 
@@ -302,7 +302,7 @@ def test_play_drags_the_springs_end_and_loses_its_width_at_each_reversal() -> No
     p = truth(backlash={"width": 2e-3, "form": "play"}).parameters[0]
     end, forces = REST, []
     for position in (0.05, 0.0485, 0.047):
-        end = dynamics.dragged(p, position, end)
+        end = dynamics.drag_spring_end(p, position, end)
         forces.append(dynamics.load_force(p, position, end, 0.0))
     assert forces == pytest.approx([180.0, 180.0, 160.0])
 

@@ -14,7 +14,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from hydro_bridge.conformance.reference import shape
+from hydro_bridge.conformance.reference import evaluate_signal
 from hydro_bridge.serial.protocol import (
     CommandFrame,
     Details,
@@ -138,7 +138,7 @@ def test_a_greeted_box_tells_what_it_was_configured_with() -> None:
         Sensors(velocity_age=2e-3),
     )
     box = Box(bench, config, sensors, epoch=7)
-    box.take(encode_hello(0, 0))
+    box.feed(encode_hello(0, 0))
     box.tick(np.zeros(8), 0.25)
     frames: dict[type[Frame], Frame] = {type(frame): frame for frame in Decoder().feed(b"\0" + box.frames())}
     hello, details, law = frames[Hello], frames[Details], frames[LawFrame]
@@ -165,7 +165,7 @@ def test_planning_sees_the_reference_that_conformance_derives(waveform: Waveform
     signal = ReferenceSignal(waveform=waveform, amplitude=120.0, offset=-20.0, frequency=1.7, phase=0.4)
     times = np.linspace(0.0, 3.0, 3001)
     values, rates = reference_force(signal, times)
-    expected = np.array([shape(signal, time)[:2] for time in times])
+    expected = np.array([evaluate_signal(signal, time)[:2] for time in times])
     np.testing.assert_allclose(values, expected[:, 0], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(rates, expected[:, 1], rtol=0.0, atol=1e-6)
 
@@ -187,7 +187,7 @@ def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(
             frame = encode_command(k + 1, 0, command)
             sent = decode(frame[1:-1])
             assert isinstance(sent, CommandFrame)
-            line.take(frame)
+            line.feed(frame)
             past.receive(sent.command, k * 1e-3)
         sample = line.tick(x, k * 1e-3)
         assert bits(sample) == bits(past.tick(x, k * 1e-3)), k
@@ -239,7 +239,7 @@ def test_single_precision_stays_within_its_rounding(law: Law) -> None:
     data, x = next(source)
     for k in range(20_000 - 1):
         for box in (double, single):
-            box.take(data)
+            box.feed(data)
         a, b = double.tick(x, k * 1e-3), single.tick(x, k * 1e-3)
         assert (int(a["flags"]) ^ int(b["flags"])) & ~Flag.SATURATED == 0
         for name in STATE_FIELDS:

@@ -75,10 +75,10 @@ def test_a_velocity_is_as_old_as_its_setting_says(age: float) -> None:
     times, acceleration = 1e-3 * np.arange(400), 3.0
     constants, last, x = Sensors(velocity_age=age).constants(0.0), np.zeros(1, CONDITIONING_DTYPE), np.zeros(8)
     raw, velocity = np.zeros(5), [0.0]
-    sensors.restart(last[0], raw, x)
+    sensors.reset_conditioning(last[0], raw, x)
     for position in 0.5 * acceleration * times[1:] ** 2:
         raw[4] = position
-        sensors.condition(constants[0], last[0], raw, x)
+        sensors.condition_readings(constants[0], last[0], raw, x)
         velocity.append(x[7])
     np.testing.assert_allclose(velocity[100:], acceleration * (times[100:] - age), rtol=1e-9)
 

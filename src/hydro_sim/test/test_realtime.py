@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.pace import COMMANDS, CORRECTS, Pace, PaceSettings
+from hydro_bridge.safety.pace import COMMANDER_WINDOW, FILTER_WINDOW, Pace, PaceSettings
 from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
@@ -54,7 +54,7 @@ class Graph:
             Box(bench), plant, self.guard, SimSettings(**settings), self._on_state, self.said.append, self.pace
         )
         for name in peers.split():
-            self.pace.answered(name, None, {"filter": CORRECTS, "trainer": COMMANDS}[name])
+            self.pace.on_answer(name, None, {"filter": FILTER_WINDOW, "trainer": COMMANDER_WINDOW}[name])
         self.threads = [threading.Thread(target=target, daemon=True) for target in (self._peer, self.simulation.run)]
         for thread in self.threads:
             thread.start()
@@ -72,12 +72,12 @@ class Graph:
         with self.simulation.lock:
             now = self.simulation.now()
             self.guard.set_correction(delta_u, CorrectionStatus.PASS, fields[1], now)
-        self.pace.corrected(fields[1])
+        self.pace.on_correction(fields[1])
 
     def gain(self, sequence: int, delta_kp: float) -> None:
         with self.simulation.lock:
             self.guard.set_gains(delta_kp, 0.0, self.simulation.now())
-        self.pace.answered("trainer", sequence, COMMANDS)
+        self.pace.on_answer("trainer", sequence, COMMANDER_WINDOW)
 
     def close(self) -> None:
         self.simulation.stop()

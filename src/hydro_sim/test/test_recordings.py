@@ -13,17 +13,17 @@ import yaml
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.files import bench_file
-from hydro_core.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, matrix
+from hydro_core.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, to_matrix
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping
-from hydro_sim.excitation import draw
+from hydro_sim.excitation import draw_schedule
 from hydro_sim.files import recordings, weights
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, header_of, mismatch, read_provenance, with_provenance
 from hydro_sim.files.recordings import DataError, Run
 from hydro_sim.identification import bench_learning, learn, validate
-from hydro_sim.identification.bench_states import noise_of
-from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Scored
+from hydro_sim.identification.bench_states import estimate_noise
+from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, ScoredRun
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.quality import Quality
 from tests.checks import status_of
@@ -57,7 +57,7 @@ def test_runs_do_not_cross_gaps_or_faults():
     states = np.delete(recording(24_000), [5000, 5001])
     states["flags"][12000] |= np.uint32(Flag.SENSOR_FAULT)
     states["load_force"][15000] = np.nan
-    found = recordings.runs("r", states)
+    found = recordings.split_runs("r", states)
     assert [(run.first, len(run)) for run in found] == [(0, 5000), (5000, 7000), (12001, 2999), (15001, 8997)]
 
 
@@ -131,7 +131,7 @@ DRAG = {"equation": "motion", "form": "quadratic drag", "parameters": {"coeffici
 
 @pytest.fixture(scope="module")
 def states() -> StateArray:
-    return record_offline(truth_from_mapping(TRUTH), draw(20.0, 3), seed=3).states
+    return record_offline(truth_from_mapping(TRUTH), draw_schedule(20.0, 3), seed=3).states
 
 
 @pytest.fixture(scope="module")
@@ -150,7 +150,7 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     assert result.quality.over_noise < 1.2
     assert result.bench.effects[0]["parameters"]["ratio"] == pytest.approx(ratio.value, rel=1e-6)
     assert result.bench.closures[0]["form"] == "quadratic drag" and "id" not in result.bench.closures[0]
-    assert result.with_quality().unfit == ""
+    assert result.with_quality().rejection_reason == ""
 
 
 def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
@@ -168,8 +168,8 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
     printed = capsys.readouterr().out
     assert "NOT fit for the filter" in printed.splitlines()[-1] and "load_force" in printed
     found = Bench.load(tmp_path / "out.yaml")
-    assert "more than 3" in found.unfit and (tmp_path / "table.json").exists()
-    assert replace(found, viscous_friction=61.0).unfit == ""
+    assert "more than 3" in found.rejection_reason and (tmp_path / "table.json").exists()
+    assert replace(found, viscous_friction=61.0).rejection_reason == ""
     assert bench_file.digest(yaml.safe_load((tmp_path / "out.yaml").read_text())) == found.digest
     assert replace(found, learned=None).digest == found.digest
 
@@ -177,7 +177,7 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
 @pytest.mark.study
 def test_the_usual_effects_are_learnt_where_a_file_names_none() -> None:
     """The default truth from the bare bench file, in a minute: predictions are at the noise, numbers are its own."""
-    states = record_offline(truth_from_mapping({"profile": "default"}), draw(60.0, 11), seed=11).states
+    states = record_offline(truth_from_mapping({"profile": "default"}), draw_schedule(60.0, 11), seed=11).states
     result = bench_learning.learn(Bench.nominal(), recordings.split({"one": states}))
     found = {one.name: one.value for one in result.parameters}
     assert found["spring_stiffness.ratio"] == pytest.approx(1.0, abs=2e-3)
@@ -199,7 +199,7 @@ def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordin
     starts = np.arange(700, len(run) - 71, 100)
     predicted = predictor.predict(predictor.estimate(run)[starts], run.u[starts[:, None] + np.arange(70)])
     error = predicted - run.x[starts[:, None] + np.arange(1, 71)]
-    noise = noise_of([run])
+    noise = estimate_noise([run])
     rates = 0.4 * np.sqrt(2.0) * noise[:2] / 1e-3  # the differentiator takes two fifths of each difference
     left = np.sqrt(np.mean(error**2, axis=(0, 1)))
     assert (left[[0, 2, 4, 5]] < 1.3 * noise[:4]).all() and left[6] < 3e-6 and predictor.quality.unfit == ""
@@ -212,9 +212,9 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 @pytest.fixture(scope="module")
 def held_out():
     """A recording that no training has seen, with its noise-free log."""
-    recording = record_offline(profile("default"), draw(12.0, 977), seed=977)
-    run = Run(name="held out", x=matrix(recording.states), u=recording.states["valve_current"].copy())
-    return Scored(run=run, truth=matrix(recording.noise_free))
+    recording = record_offline(profile("default"), draw_schedule(12.0, 977), seed=977)
+    run = Run(name="held out", x=to_matrix(recording.states), u=recording.states["valve_current"].copy())
+    return ScoredRun(run=run, truth=to_matrix(recording.noise_free))
 
 
 @pytest.fixture(scope="module")
@@ -236,5 +236,5 @@ def test_predictions_reach_the_papers_level(shipped, held_out):
 
 def test_estimates_look_only_back(shipped, held_out):
     whole = shipped.estimate(held_out.run)
-    part = shipped.estimate(held_out.run.part(0, 2500))
+    part = shipped.estimate(held_out.run.slice(0, 2500))
     assert np.array_equal(whole[:2500], part)

@@ -2,10 +2,10 @@
 """Recordings as arrays by field name, from a rosbag2 folder or a single .mcap of any writer; their check and repair.
 
 >>> states = read_bag("runs/tuesday").state          # doctest: +SKIP
->>> states["load_force"].mean(), continuity(states)  # doctest: +SKIP
+>>> states["load_force"].mean(), count_gaps(states)  # doctest: +SKIP
 
-`read_bag` returns everything, `stream_bag` one topic block by block in bounded memory, `messages` the bytes as
-recorded, `objects` the messages of a topic whose type is not numbers only.
+`read_bag` returns everything, `stream_bag` one topic block by block in bounded memory, `read_serialized` the bytes as
+recorded, `read_messages` the messages of a topic whose type is not numbers only.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from hydro_bridge.serial.stream import LinkCounts, SequenceTracker
 from hydro_core.signals import STATE_DTYPE, StateArray
 
 __all__ = [
-    "STATE_TOPIC", "BagWriter", "Extent", "Recording", "RecordingError", "TopicQos", "as_states", "continuity",
-    "messages", "objects", "read_bag", "stream_bag",
+    "STATE_TOPIC", "BagWriter", "Extent", "Recording", "RecordingError", "TopicQos", "as_states", "count_gaps",
+    "read_serialized", "read_messages", "read_bag", "stream_bag",
 ]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Extent:
-    """What is known of all numbers of a field of which a table holds every `every`-th."""
+    """Count and range of a field's finite numbers, where the table keeps only every `every`-th row."""
 
     every: int
     count: int = 0
@@ -43,8 +43,8 @@ class Extent:
     low: float = inf
     high: float = -inf
 
-    def with_values(self, values: npt.ArrayLike) -> Extent:
-        """That of more numbers."""
+    def merge(self, values: npt.ArrayLike) -> Extent:
+        """Return the extent with further numbers included."""
         numbers = np.asarray(values, dtype=np.float64)
         finite = numbers[np.isfinite(numbers)]
         low, high = float(np.min(finite, initial=self.low)), float(np.max(finite, initial=self.high))
@@ -98,7 +98,7 @@ class _Column:
     def extend(self, piece: Table) -> None:
         if self.rows is not None:
             for name in piece.dtype.names or ():
-                self.extents[name] = self.extents.get(name, Extent(1)).with_values(piece[name])
+                self.extents[name] = self.extents.get(name, Extent(1)).merge(piece[name])
             first, self.seen = -self.seen % self.every, self.seen + len(piece)
             piece = piece[first :: self.every]
         if self.count + len(piece) > len(self.table):
@@ -138,7 +138,7 @@ def read_bag(
             columns.setdefault(channel.topic, _Column(np.empty(0, piece.dtype), rows)).extend(piece)
     for topic in topics or ():
         if topic not in types:
-            raise source.without(topic, types)
+            raise source.missing_topic_error(topic, types)
     return Recording(
         path=source.path,
         topics=types,
@@ -172,7 +172,7 @@ def stream_bag(
         notes += source.notes
 
 
-def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
+def read_serialized(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
     """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; errors as `read_bag`."""
     spans: list[tuple[int, int, str, str, int]] = []
     source, last = BagSource(Path(path)), b""
@@ -186,12 +186,12 @@ def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
     yield from _ordered(last, spans)
 
 
-def objects(path: Path | str, topic: str, *, salvages: bool = False) -> Iterator[tuple[float, Any]]:
+def read_messages(path: Path | str, topic: str, *, salvages: bool = False) -> Iterator[tuple[float, Any]]:
     """Yield log time [s] and message object of a topic of any type such as /diagnostics; errors as `read_bag`."""
     source = BagSource(Path(path), salvages)
     decoder = MessageDecoder(source)
     for scan, channel, block, span in source.spans(topic):
-        yield from decoder.objects(scan, channel, block, span)
+        yield from decoder.decode(scan, channel, block, span)
 
 
 def as_states(table: Table, path: Path) -> StateArray:
@@ -212,8 +212,8 @@ def _ordered(block: bytes, spans: list[tuple[int, int, str, str, int]]) -> Itera
         yield topic, type_name, time, block[start : start + size]
 
 
-def continuity(states: StateArray) -> LinkCounts:
-    """Count what is lost, duplicate or reordered in `STATE_DTYPE` records, and restarts of the box."""
+def count_gaps(states: StateArray) -> LinkCounts:
+    """Count lost, duplicate and reordered samples in `STATE_DTYPE` records, and restarts of the box."""
     tracker = SequenceTracker()
     for sequence in states["sequence"].tolist():
         tracker.accept(sequence)

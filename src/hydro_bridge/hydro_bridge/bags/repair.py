@@ -4,7 +4,7 @@
 Each file is copied record by record, as it is: definitions, channels, times, metadata and attachments of whoever wrote
 it. What cannot be read is left out and told. The copies are read back and counted before they take the places of the
 files, which are kept in a sub-folder: a repair removes nothing. A recording that is still being written is refused: our
-recorder holds a lock on its file (`locked`), another's has it open.
+recorder holds a lock on its file (`try_lock`), another's has it open.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ import yaml
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from hydro_bridge.bags.storage import OF_SEVERAL, McapScan, listed_topics, mcap_files, message_head
+from hydro_bridge.bags.storage import MIXED_FILES, McapScan, listed_topics, mcap_files, message_head
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.bags.writer import TopicEntry, information, locked
+from hydro_bridge.bags.writer import TopicEntry, bag_metadata, try_lock
 
-BEFORE = "before_repair"
-"""Sub-folder in which the files are kept as they were."""
+BACKUP_FOLDER = "before_repair"
+"""Sub-folder that keeps the original files."""
 _RECENT, _GROWS = 10.0, 1.5
 """s since a file was written within which it is watched, and for how long."""
 
 
 @dataclass
-class Copy:
-    """What has been copied of one file."""
+class CopiedFile:
+    """Statistics of the readable part of one file while it is copied."""
 
     path: Path
     topics: dict[str, TopicEntry] = field(default_factory=dict)
@@ -52,7 +52,7 @@ class Copy:
 
 
 def repair(folder: Path | str) -> tuple[int, list[str]]:
-    """Finish a recording, so that other readers can open it too.
+    """Repair a recording in place: copy what is readable and write indexes and metadata.yaml.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
     if folder.is_file():
         raise RecordingError(f"{folder} is a file: name the folder of the recording, with its .mcap alone in it")
     files, notes = mcap_files(folder)
-    if any(OF_SEVERAL in note for note in notes):
+    if any(MIXED_FILES in note for note in notes):
         raise RecordingError(f"{folder} holds files of several recordings: move each into a folder of its own first")
     if strange := sorted(path.name for path in set(folder.glob("*.mcap")) - set(files)):
         raise RecordingError(
@@ -94,9 +94,9 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
     return count, [*missing, f"the files as they were are in {before}: remove them once the new ones are what you want"]
 
 
-def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> Copy:
+def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> CopiedFile:
     """Copy one file record by record, and check that all is there; `listed`: topics and types of metadata.yaml."""
-    copy, scan = Copy(target), McapScan(path, salvages=True)
+    copy, scan = CopiedFile(target), McapScan(path, salvages=True)
     schemas: dict[int, int] = {}
     channels: dict[int, int] = {}
     unknown: Counter[int] = Counter()
@@ -111,7 +111,7 @@ def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> Copy:
             )
             for start, size, number in starts:
                 if number not in scan.channels and scan.ours:
-                    scan.declare(number, listed)
+                    scan.add_channel(number, listed)
                 if number not in scan.channels:
                     unknown[number] += 1
                     continue
@@ -152,7 +152,7 @@ def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> Copy:
     return copy
 
 
-def _write_metadata(scratch: Path, copies: list[Copy]) -> None:
+def _write_metadata(scratch: Path, copies: list[CopiedFile]) -> None:
     topics: dict[str, TopicEntry] = {}
     for copy in copies:
         for name, topic in copy.topics.items():
@@ -160,7 +160,7 @@ def _write_metadata(scratch: Path, copies: list[Copy]) -> None:
             topics[name] = topic.with_count(count + topic.count)
     said = "; ".join(sentence for copy in copies for sentence in copy.missing) or "metadata.yaml"
     custom = {**{key: value for copy in copies for key, value in copy.custom.items()}, "repaired": said}
-    content = information(topics, [(copy.path.name, *copy.span, copy.count) for copy in copies], custom)
+    content = bag_metadata(topics, [(copy.path.name, *copy.span, copy.count) for copy in copies], custom)
     text = yaml.safe_dump({"rosbag2_bagfile_information": content}, sort_keys=False)
     (scratch / "metadata.yaml").write_text(text, encoding="utf-8")
 
@@ -168,7 +168,9 @@ def _write_metadata(scratch: Path, copies: list[Copy]) -> None:
 def _exchange(folder: Path, scratch: Path, files: list[Path]) -> Path:
     """Move the files into a sub-folder, and the new ones into their places; return the sub-folder."""
     before = next(
-        path for n in range(1, 10**6) if not (path := folder / (BEFORE if n == 1 else f"{BEFORE}_{n}")).exists()
+        path
+        for n in range(1, 10**6)
+        if not (path := folder / (BACKUP_FOLDER if n == 1 else f"{BACKUP_FOLDER}_{n}")).exists()
     )
     before.mkdir()
     for path in (*files, folder / "metadata.yaml"):
@@ -183,7 +185,7 @@ def _exchange(folder: Path, scratch: Path, files: list[Path]) -> Path:
 def _at_rest(path: Path) -> Iterator[None]:
     """Hold the lock of a file that nobody writes; raises RecordingError."""
     with path.open("rb") as file:
-        if not locked(file):
+        if not try_lock(file):
             raise RecordingError(f"{path} is being written by a recorder: end that first")
         if writer := _writer_of(path):
             raise RecordingError(f"{path} is open for writing in process {writer}: end that first")

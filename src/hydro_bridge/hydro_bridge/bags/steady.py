@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times of a recording whose clock was set, or which stood still for long: they go on behind the message before."""
+"""Monotonic times of a recording whose clock was set, or that has long gaps."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ import numpy as np
 
 from hydro_core.signals import FloatArray
 
-BACK = 0.1
-"""s by which messages of two topics may be out of order; more is a clock that was set back."""
+BACKWARD_TOLERANCE = 0.1
+"""s by which messages of two topics may be out of order; a larger step back means that the clock was set."""
 
 
-class SteadyTimes:
-    """Makes times without jumps of stamps that may have some.
+class MonotonicTimes:
+    """Converts stamps into monotonic times: jumps of the clock are removed and recorded.
 
-    `ahead`: s from one message to the next beyond which the clock was set, or nothing was recorded that is worth
-    waiting for or showing.
+    `ahead`: s between two messages beyond which a gap counts as a jump and is removed, too.
     """
 
     def __init__(self, ahead: float) -> None:
@@ -24,12 +23,12 @@ class SteadyTimes:
         self.jumps: list[tuple[float, float]] = []
         """Time on the steady clock, and step, of each jump [s]."""
 
-    def take(self, stamps: FloatArray) -> FloatArray:
-        """Return the times [s] of the next messages by their stamps [s], both of shape (n,)."""
+    def convert(self, stamps: FloatArray) -> FloatArray:
+        """Return the monotonic times [s] of the next messages from their stamps [s], both of shape (n,)."""
         if not len(stamps):
             return stamps
         steps = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
-        jumps = (steps < -BACK) | (steps > self._ahead)
+        jumps = (steps < -BACKWARD_TOLERANCE) | (steps > self._ahead)
         offsets = self._offset - np.cumsum(np.where(jumps, steps, 0.0))
         self._last, self._offset = float(stamps[-1]), float(offsets[-1])
         times: FloatArray = stamps + offsets

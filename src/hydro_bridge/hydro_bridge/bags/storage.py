@@ -27,11 +27,11 @@ from mcap.summary import Summary
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
-from hydro_bridge.bags.location import is_stored, opened, parted
+from hydro_bridge.bags.location import is_remote, open_file, split_location
 from hydro_bridge.bags.types import RecordingError, UnknownTypeError, definition
 
-OF_SEVERAL = ", of several recordings"
-"""In the note on a folder whose files differ in more than their number."""
+MIXED_FILES = ", of several recordings"
+"""Part of the note on a folder whose file names belong to several recordings."""
 
 
 def _to_mcap(path: Path) -> str:
@@ -48,14 +48,14 @@ def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
         raise RecordingError(f"{path} is a bag of ROS 1: {_to_mcap(path)}")
     if path.is_file() and path.suffix == ".db3":
         raise RecordingError(f"{path} is a file of an SQLite bag: name its folder")
-    if path.is_file() or is_stored(path):
+    if path.is_file() or is_remote(path):
         return [path], []
     if not path.is_dir():
         raise RecordingError(f"{path} does not exist")
     if not (path / "metadata.yaml").is_file():
         files = sorted(path.glob("*.mcap"), key=_by_number)
         several = len({re.sub(r"(_\d+)?$", "", file.stem) for file in files}) > 1
-        notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (OF_SEVERAL if several else "")]
+        notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (MIXED_FILES if several else "")]
     else:
         files, notes = _found(path, _listed(path))
     if not files and list(path.glob("*.db3")):
@@ -147,15 +147,15 @@ class Span:
     log_times: npt.NDArray[np.int64]
     """ns."""
 
-    def within(self, begin: float, end: float) -> Span:
-        """The messages from a log time [ns] up to another."""
+    def slice(self, begin: float, end: float) -> Span:
+        """Return the part with `begin` <= log time < `end` [ns]."""
         kept = (self.log_times >= begin) & (self.log_times < end)
         return Span(starts=self.starts[kept], sizes=self.sizes[kept], log_times=self.log_times[kept])
 
 
 @dataclass
 class McapScan:
-    """Contents of the file; filled in while `blocks` runs."""
+    """Content of one .mcap file; filled in while `blocks` iterates."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -189,19 +189,19 @@ class McapScan:
                     yield block, self._split(block)
                 return
             for block in self._indexed_blocks(stream):
-                spans = {channel: span.within(*self.part) for channel, span in self._split(block).items()}
+                spans = {channel: span.slice(*self.part) for channel, span in self._split(block).items()}
                 yield block, {channel: span for channel, span in spans.items() if len(span.starts)}
 
     def times(self) -> tuple[int, int]:
-        """Log times [ns] of the first message and of the last, by the index; raises RecordingError as `blocks`."""
+        """Return the log times [ns] of the first and last message from the index; raises RecordingError as `blocks`."""
         with self._opened() as (stream, _):
             statistics = self._index(stream).statistics
         return (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
 
-    def stretches(self, gap: float) -> list[tuple[int, int]]:
-        """Return log times [ns] of first and last messages between which nothing was logged for more than `gap` s.
+    def contiguous_intervals(self, gap: float) -> list[tuple[int, int]]:
+        """Return first and last log time [ns] of each interval without a gap longer than `gap` s.
 
-        By the index, in order of the file. Raises RecordingError, as `blocks`.
+        Found by the index, in file order. Raises RecordingError, as `blocks`.
         """
         found: list[tuple[int, int]] = []
         with self._opened() as (stream, _):
@@ -219,7 +219,7 @@ class McapScan:
     @contextmanager
     def _opened(self) -> Iterator[tuple[BinaryIO, int]]:
         try:
-            stream, size = opened(self.path)
+            stream, size = open_file(self.path)
             with stream:
                 if stream.read(len(_MAGIC)) != _MAGIC:
                     empty = "is empty" if size == 0 else "is not an MCAP file"
@@ -228,8 +228,8 @@ class McapScan:
         except OSError as error:
             raise RecordingError(f"{self.path} cannot be read: {error.strerror or error}") from None
 
-    def declare(self, number: int, listed: list[tuple[str, str]]) -> None:
-        """Describe a channel whose own description is lost, by topics and types in the order of metadata.yaml."""
+    def add_channel(self, number: int, listed: list[tuple[str, str]]) -> None:
+        """Add a channel whose description is lost, as entry `number` of the topics and types in metadata.yaml."""
         with suppress(UnknownTypeError, IndexError):
             topic, type_name = listed[number - 1]
             text = definition(type_name).text.encode()
@@ -399,7 +399,7 @@ class BagSource:
     _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        whole, part = parted(self.path)
+        whole, part = split_location(self.path)
         files, self.notes = mcap_files(whole)
         self.scans = _in_time([McapScan(path, salvages=self.salvages) for path in files])
         if part is not None:
@@ -428,23 +428,25 @@ class BagSource:
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
                 )
         if topic is not None and not found:
-            raise self.without(topic, {channel.topic for scan in self.scans for channel in scan.channels.values()})
+            raise self.missing_topic_error(
+                topic, {channel.topic for scan in self.scans for channel in scan.channels.values()}
+            )
 
-    def stretches(self, gap: float) -> list[tuple[float, float]]:
-        """Return begins and ends [s since the first message] between which nothing was logged for more than `gap` s.
+    def contiguous_intervals(self, gap: float) -> list[tuple[float, float]]:
+        """Return begin and end [s since the first message] of each interval without a gap longer than `gap` s.
 
-        By the index, in order of time; raises RecordingError.
+        Found by the index, in order of time; raises RecordingError.
         """
         first = self.scans[0].times()[0]
         merged: list[list[int]] = []
-        for begin, end in sorted(stretch for scan in self.scans for stretch in scan.stretches(gap)):
+        for begin, end in sorted(stretch for scan in self.scans for stretch in scan.contiguous_intervals(gap)):
             if merged and begin - merged[-1][1] <= 1e9 * gap:
                 merged[-1][1] = max(merged[-1][1], end)
             else:
                 merged.append([begin, end])
         return [(1e-9 * (begin - first), 1e-9 * (end - first)) for begin, end in merged]
 
-    def without(self, topic: str, topics: Collection[str]) -> RecordingError:
+    def missing_topic_error(self, topic: str, topics: Collection[str]) -> RecordingError:
         """Return the error that `topic` is not among the `topics` that were read."""
         there = f"there is {', '.join(sorted(topics)) or 'nothing'}"
         if damaged := sum(scan.damaged for scan in self.scans):
@@ -486,7 +488,7 @@ class MessageDecoder:
         self._source, self._store = source, get_typestore(Stores.EMPTY)
         self._known: set[str] = set()
 
-    def objects(self, scan: McapScan, channel: Channel, block: bytes, span: Span) -> Iterator[tuple[float, Any]]:
+    def decode(self, scan: McapScan, channel: Channel, block: bytes, span: Span) -> Iterator[tuple[float, Any]]:
         """Yield log time [s] and message of one channel in one block; raises RecordingError."""
         name, text = self._source.type_of(scan, channel)
         if name not in self._known:

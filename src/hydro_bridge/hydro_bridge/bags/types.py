@@ -21,7 +21,7 @@ from hydro_core.errors import UserError
 
 
 class RecordingError(UserError):
-    """A recording cannot be read or written; the message is one clear sentence."""
+    """A recording cannot be read or written; the message is one sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +63,7 @@ class TopicQos:
         }
 
 
-PACKAGED = (
+BUNDLED_TYPES = (
     "hydro_msgs/msg/Authority",
     "hydro_msgs/msg/BenchState",
     "hydro_msgs/msg/BoxInfo",
@@ -136,7 +136,7 @@ def _packaged() -> dict[str, dict[str, str]]:
 
 def main() -> None:
     """Regenerate the package data from the installed messages."""
-    packaged = {name: vars(installed_definition(name)) for name in PACKAGED}
+    packaged = {name: vars(installed_definition(name)) for name in BUNDLED_TYPES}
     path = Path(__file__).with_name("schemas.json")
     path.write_text(json.dumps(packaged, indent=1) + "\n", encoding="utf-8")
     print(f"{path}: {len(packaged)} types")

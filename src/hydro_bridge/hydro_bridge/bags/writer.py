@@ -26,7 +26,7 @@ from hydro_bridge.bags.types import RecordingError, TopicQos, definition
 from hydro_core.signals import StateArray
 
 VERSION = 9
-NOT_FINISHED = "recording was not finished"
+UNFINISHED = "recording was not finished"
 """Value of custom_data `hydro` in metadata.yaml while the recording runs."""
 
 
@@ -54,14 +54,14 @@ class TopicEntry:
         )
 
     def with_count(self, count: int) -> TopicEntry:
-        """Return the same with another number of messages."""
+        """Return a copy with another number of messages."""
         return replace(self, count=count)
 
 
-def locked(file: BinaryIO) -> bool:
-    """Take the lock of an .mcap file, which whoever writes or repairs it holds; False: another process has it.
+def try_lock(file: BinaryIO) -> bool:
+    """Try to lock an .mcap file for writing or repair; False: another process holds the lock.
 
-    It ends with the file's last descriptor, also of a process that is killed.
+    The lock is released when the last descriptor of the file is closed, even by a kill.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -100,14 +100,14 @@ class BagWriter:
         self._schemas: dict[str, int] = {}
         self._span = (2**63 - 1, 0)
         self._file = self.path.open("wb")
-        locked(self._file)  # as long as it is written
+        try_lock(self._file)  # as long as it is written
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="hydro_bridge")
         for name, data in (attachments or {}).items():
             self._writer.add_attachment(0, 0, name, "text/plain" if name.endswith(".yaml") else "", data)
         if self._metadata:
             self._writer.add_metadata("hydro", self._metadata)
-        self._write_metadata_yaml({"hydro": NOT_FINISHED})
+        self._write_metadata_yaml({"hydro": UNFINISHED})
         self.flush()
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | None = None) -> None:
@@ -126,7 +126,7 @@ class BagWriter:
         self._topics[topic] = TopicEntry(
             type_name=type_name, profiles=[qos.as_rosbag2()], type_hash=known.type_hash, channel=channel
         )
-        self._write_metadata_yaml({"hydro": NOT_FINISHED})
+        self._write_metadata_yaml({"hydro": UNFINISHED})
 
     def write(self, topic: str, data: bytes, time_ns: int) -> None:
         """Add one serialized message (CDR) at log time `time_ns`."""
@@ -173,10 +173,10 @@ class BagWriter:
     def _information(self, custom: Mapping[str, str] | None) -> dict[str, object]:
         count = sum(topic.count for topic in self._topics.values())
         start, end = self._span if count else (0, 0)
-        return information(self._topics, [(self.path.name, start, end, count)], custom)
+        return bag_metadata(self._topics, [(self.path.name, start, end, count)], custom)
 
 
-def information(
+def bag_metadata(
     topics: Mapping[str, TopicEntry], files: Sequence[tuple[str, int, int, int]], custom: Mapping[str, str] | None
 ) -> dict[str, object]:
     """Return the content of metadata.yaml with all keys of version 9: rosbag2 throws on a missing one.
@@ -233,7 +233,7 @@ def code_version() -> str:
             return "unknown"
 
 
-def sequence_of(data: bytes) -> int:
+def decode_sequence(data: bytes) -> int:
     """Return `sequence`, the field after the header, of a serialized BenchState (little-endian CDR)."""
     (length,) = unpack_from("<I", data, 12)
     return int(unpack_from("<I", data, 4 + -(-(12 + length) // 4) * 4)[0])

@@ -13,7 +13,7 @@ from math import copysign, isclose, isfinite
 from typing import Any
 
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.conformance.reference import Point, expected, nominal_current
+from hydro_bridge.conformance.reference import Derivatives, expected_references, nominal_current
 from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, LawState, State
 from hydro_core.files import bench_file
 from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
@@ -22,19 +22,19 @@ Bench = Mapping[str, Any] | None
 """Numbers of the bench file, if one was given."""
 
 
-class OpenError(Exception):
-    """What was seen decides nothing: the case is not judged."""
+class InconclusiveError(Exception):
+    """The observations are inconclusive: the case gets no verdict."""
 
 
-class NotToldError(Exception):
+class NotReportedError(Exception):
     """The box does not report a value that a check needs and that is optional: the case is skipped."""
 
 
-SINGLE = 1e-6
+FLOAT32_TOLERANCE = 1e-6
 """Relative error of a float32, with room for one operation."""
 
 
-def value(state: State, name: str) -> float:
+def state_value(state: State, name: str) -> float:
     """Return a float field of a state by its name."""
     return state.values[STATE_FIELDS.index(name)]
 
@@ -45,61 +45,61 @@ def box_info(host: Host) -> BoxInfo:
     return host.hello.info
 
 
-def followed(host: Host) -> str:
-    """Return the field of the force that the box's law follows: as given in DETAILS, else the load force."""
+def feedback_field(host: Host) -> str:
+    """Return the name of the force field that the box feeds back: as given in DETAILS, else `load_force`."""
     told = host.details.details.feedback if host.details else ""
     return f"{told or 'load'}_force"
 
 
-def settled(host: Host) -> Sequence[State]:
-    """Return the states from the one that confirms the step's first command on."""
+def confirmed_states(host: Host) -> Sequence[State]:
+    """Return the states of this step, starting with the one that confirms its first command."""
     sent = host.sent[host.marked_sent :]
-    return host.states[host.confirmed(sent[0].sequence) :] if sent else host.new_states
+    return host.states[host.confirmation_index(sent[0].sequence) :] if sent else host.new_states
 
 
-def near(one: float, other: float) -> bool:
+def equal_float32(one: float, other: float) -> bool:
     """Return whether two numbers agree as float32."""
-    return isclose(one, other, rel_tol=SINGLE, abs_tol=1e-12)
+    return isclose(one, other, rel_tol=FLOAT32_TOLERANCE, abs_tol=1e-12)
 
 
-def flags(host: Host, bench: Bench, has: Sequence[str] = (), lacks: Sequence[str] = ()) -> str:
-    """Check which flags are set in every settled state, and which in none."""
+def check_flags(host: Host, bench: Bench, has: Sequence[str] = (), lacks: Sequence[str] = ()) -> str:
+    """Check that every confirmed state has the flags `has` and none of `lacks`."""
     wanted, unwanted = (sum(Flag[name] for name in names) for names in (has, lacks))
-    for state in settled(host):
+    for state in confirmed_states(host):
         if state.flags & wanted != wanted or state.flags & unwanted:
             return f"STATE {state.sequence} has {flag_names(state.flags)}"
-    return "" if settled(host) else "no command was confirmed"
+    return "" if confirmed_states(host) else "no command was confirmed"
 
 
-def field(
+def check_field(
     host: Host, bench: Bench, name: str, equals: Sequence[str | float], tolerance: float = 1e-3, last: int = 0
 ) -> str:
-    """Check that a field equals the sum of numbers and entries of HELLO, in every settled state or the last ones."""
+    """Check that a field equals a sum of numbers and HELLO entries in all confirmed states, or the `last` ones."""
     wanted = sum(getattr(box_info(host), each) if isinstance(each, str) else float(each) for each in equals)
-    states = settled(host)[-last:]
+    states = confirmed_states(host)[-last:]
     for state in states:
-        if not abs(value(state, name) - wanted) <= tolerance:
-            return f"{name} is {value(state, name):g} in STATE {state.sequence}, {wanted:g} is right"
+        if not abs(state_value(state, name) - wanted) <= tolerance:
+            return f"{name} is {state_value(state, name):g} in STATE {state.sequence}, {wanted:g} is right"
     return "" if states else "no command was confirmed"
 
 
-def taken(host: Host, bench: Bench, yes: bool = True) -> str:
-    """Check whether the last command sent was accepted."""
+def check_command_accepted(host: Host, bench: Bench, yes: bool = True) -> str:
+    """Check that the last command sent was accepted, or rejected where `yes` is false."""
     sequence = host.sent[-1].sequence
     found = any(state.last_command == sequence for state in host.new_states)
     return "" if found == yes else f"command {sequence} was {'not ' if yes else ''}taken"
 
 
-def unchanged(host: Host, bench: Bench, name: str) -> str:
+def check_unchanged(host: Host, bench: Bench, name: str) -> str:
     """Check that a field keeps the value from before the step in every state."""
-    before = value(host.states[host.marked - 1], name)
-    now = {value(state, name) for state in host.new_states}
+    before = state_value(host.states[host.marked - 1], name)
+    now = {state_value(state, name) for state in host.new_states}
     return "" if now <= {before} else f"{name} was {before:g}, and became {max(now):g}"
 
 
-def first_flag(host: Host, bench: Bench, flag: str, samples: tuple[int, int]) -> str:
-    """Check how many samples after the last accepted command a flag first appears."""
-    begin = host.confirmed(host.states[-1].last_command)
+def check_flag_delay(host: Host, bench: Bench, flag: str, samples: tuple[int, int]) -> str:
+    """Check that a flag first appears within a range of `samples` after the last accepted command."""
+    begin = host.confirmation_index(host.states[-1].last_command)
     states = host.states[begin:]
     found = next((n for n, state in enumerate(states) if state.flags & Flag[flag]), None)
     if found is None:
@@ -107,22 +107,25 @@ def first_flag(host: Host, bench: Bench, flag: str, samples: tuple[int, int]) ->
     return "" if samples[0] <= found <= samples[1] else f"{flag} came {found} samples behind the last command"
 
 
-def late(host: Host, bench: Bench) -> str:
+def check_watchdog_response(host: Host, bench: Bench) -> str:
     """Check that the box runs base gains, no correction and FILTER_STALE while WATCHDOG is set."""
     info = box_info(host)
     for state in host.new_states:
         if not state.flags & Flag.WATCHDOG:
             continue
-        gains = value(state, "proportional_gain"), value(state, "integral_gain")
-        if not all(map(near, gains, (info.base_kp, info.base_ki))) or not state.flags & Flag.FILTER_STALE:
+        gains = state_value(state, "proportional_gain"), state_value(state, "integral_gain")
+        if not all(map(equal_float32, gains, (info.base_kp, info.base_ki))) or not state.flags & Flag.FILTER_STALE:
             return f"gains {gains[0]:g} and {gains[1]:g}, {flag_names(state.flags)}"
-        if value(state, "valve_current") != value(state, "nominal_valve_current") and not state.flags & Flag.SATURATED:
+        if (
+            state_value(state, "valve_current") != state_value(state, "nominal_valve_current")
+            and not state.flags & Flag.SATURATED
+        ):
             return "the correction is still added"
     return "" if any(state.flags & Flag.WATCHDOG for state in host.new_states) else "WATCHDOG did not come"
 
 
-def refused(host: Host, bench: Bench, values: int, references: int) -> str:
-    """Check how many values and references the box counted as refused in this step, per accepted command."""
+def check_refusal_counts(host: Host, bench: Bench, values: int, references: int) -> str:
+    """Check how many values and references the box refused in this step, by its own counters."""
     before, after = host.states[host.marked - 1], host.states[-1]
     found = [
         after.refused - before.refused, after.refused_references - before.refused_references
@@ -130,20 +133,23 @@ def refused(host: Host, bench: Bench, values: int, references: int) -> str:
     return "" if found == [values, references] else f"it counted {found[0]} values and {found[1]} references"
 
 
-def idle(host: Host, bench: Bench, last: int = 0) -> str:
+def check_disarmed_state(host: Host, bench: Bench, last: int = 0) -> str:
     """Check the state of a disarmed box: no current, and the reference equal to the followed force."""
-    force = followed(host)
-    for state in settled(host)[-last:]:
-        if any(value(state, name) != 0.0 for name in ("valve_current", "nominal_valve_current")):
+    force = feedback_field(host)
+    for state in confirmed_states(host)[-last:]:
+        if any(state_value(state, name) != 0.0 for name in ("valve_current", "nominal_valve_current")):
             return "a current is not 0"
-        if value(state, "reference_force") != value(state, force) or value(state, "reference_force_rate") != 0.0:
+        if (
+            state_value(state, "reference_force") != state_value(state, force)
+            or state_value(state, "reference_force_rate") != 0.0
+        ):
             return f"reference_force is not {force}, or its rate is not 0"
         if state.flags & Flag.ARMED:
             return "it is armed"
-    return "" if settled(host) else "no command was confirmed"
+    return "" if confirmed_states(host) else "no command was confirmed"
 
 
-def undisturbed(host: Host, bench: Bench) -> str:
+def check_stream_integrity(host: Host, bench: Bench) -> str:
     """Check that no sample is missing or repeated, and that every frame is complete."""
     steps = {(b.sequence - a.sequence) % 2**32 for a, b in pairwise(host.new_states)}
     counts = host.decoder.counts
@@ -152,7 +158,7 @@ def undisturbed(host: Host, bench: Bench) -> str:
     return f"{counts.crc_errors} check sums, {counts.malformed} frames are wrong" if counts.malformed else ""
 
 
-def clock(host: Host, bench: Bench, jitter: float = 200.0, share: float = 0.01) -> str:
+def check_clock(host: Host, bench: Bench, jitter: float = 200.0, share: float = 0.01) -> str:
     """Check the box's clock: each step within `jitter` [us] of a period, and its rate within `share` of the host's."""
     times = [state.time_us for state in host.new_states]
     steps = [b - a for a, b in pairwise(times)]
@@ -163,22 +169,22 @@ def clock(host: Host, bench: Bench, jitter: float = 200.0, share: float = 0.01) 
     return "" if abs(pace - 1.0) <= share else f"{pace:.4f} s of the box are 1 s of the host"
 
 
-def hello(host: Host, bench: Bench) -> str:
+def check_hello(host: Host, bench: Bench) -> str:
     """Check that HELLO is complete: a name, ordered limits that include zero, 1 ms, a form of the integral."""
     info = box_info(host)
     if not info.name:
         return "it has no name"
     if not info.integral:
         return "it does not tell the form of its integral"
-    if not near(info.sample_period, SAMPLE_PERIOD):
+    if not equal_float32(info.sample_period, SAMPLE_PERIOD):
         return f"its sample period is {info.sample_period:g} s"
     if not (info.delta_kp_min <= 0.0 <= info.delta_kp_max and info.delta_ki_min <= 0.0 <= info.delta_ki_max):
         return "its limits of the gains do not hold 0"
     return "" if info.valve_current_max > 0.0 <= info.delta_u_max else "its limits of the current are not positive"
 
 
-def greeted(host: Host, bench: Bench, within: int) -> str:
-    """Check that the last HELLO was answered, with sequence 1 or more, within some samples plus the line's lag."""
+def check_hello_reply(host: Host, bench: Bench, within: int) -> str:
+    """Check that HELLO was answered within `within` samples plus the line's lag, by a sequence number of 1 or more."""
     answers = [(n - host.greeted_at, each) for n, each in host.hellos if n >= host.greeted_at]
     if not answers or answers[0][0] > within + host.lag:
         return f"no HELLO came within {within + host.lag} samples"
@@ -187,7 +193,7 @@ def greeted(host: Host, bench: Bench, within: int) -> str:
     return ""
 
 
-def details(host: Host, bench: Bench) -> str:
+def check_details(host: Host, bench: Bench) -> str:
     """Check that DETAILS are complete: an epoch, times and ranges in order."""
     if host.details is None:
         return "none came"
@@ -202,10 +208,10 @@ def details(host: Host, bench: Bench) -> str:
     return "" if ordered and told.load_force_limit > 0.0 < told.force_range else "a limit is 0, or a range is empty"
 
 
-def believes(host: Host, bench: Bench) -> str:
-    """Check that HELLO and DETAILS agree with the bench file."""
+def check_bench_digest(host: Host, bench: Bench) -> str:
+    """Check that current limit and bench digest in HELLO and DETAILS agree with the bench file."""
     assert bench is not None
-    if not near(box_info(host).valve_current_max, bench["valve_current_max"]):
+    if not equal_float32(box_info(host).valve_current_max, bench["valve_current_max"]):
         return (
             f"valve_current_max {box_info(host).valve_current_max:g} A, the file has {bench['valve_current_max']:g} A"
         )
@@ -222,7 +228,7 @@ _CORRECTION_HOLD = 3500
 """us, duration for which the correction of a command acts."""
 
 
-def current(host: Host, bench: Bench) -> str:
+def check_valve_current(host: Host, bench: Bench) -> str:
     """Check valve_current = clamp(nominal + delta_u), delta_u for 3.5 ms from acceptance; SATURATED if clamped."""
     limit, commands = box_info(host).valve_current_max, {each.sequence: each.command for each in host.sent}
     newest, since = None, 0
@@ -233,25 +239,25 @@ def current(host: Host, bench: Bench) -> str:
         if n < host.marked or not state.flags & Flag.ARMED or command is None:
             continue
         delta = command.delta_u if state.time_us - since <= _CORRECTION_HOLD else 0.0
-        wanted = value(state, "nominal_valve_current") + delta
+        wanted = state_value(state, "nominal_valve_current") + delta
         clamped = min(max(wanted, -limit), limit)
-        if not abs(value(state, "valve_current") - clamped) <= 1e-7 + SINGLE * abs(clamped):
-            found = f"valve_current is {value(state, 'valve_current'):g} A in STATE {state.sequence}"
+        if not abs(state_value(state, "valve_current") - clamped) <= 1e-7 + FLOAT32_TOLERANCE * abs(clamped):
+            found = f"valve_current is {state_value(state, 'valve_current'):g} A in STATE {state.sequence}"
             return f"{found}, {clamped:g} A is right"
         if abs(abs(wanted) - limit) > 1e-6 and bool(state.flags & Flag.SATURATED) != (abs(wanted) > limit):
             return f"{wanted:g} A of {limit:g} A and {flag_names(state.flags)} in STATE {state.sequence}"
     return ""
 
 
-def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) -> str:
+def check_force_law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) -> str:
     """Check u_nom since arming against the force law for the box's measurements and its form of the integral.
 
     The integral stands still while the current is at its limit and K_i e has the current's sign. Whether the current
-    includes the correction is checked by `current`.
+    includes the correction is checked by `check_valve_current`.
     """
     assert bench is not None
-    integral, armed, form, force = 0.0, False, box_info(host).integral, followed(host)
-    full = (1.0 - SINGLE) * box_info(host).valve_current_max
+    integral, armed, form, force = 0.0, False, box_info(host).integral, feedback_field(host)
+    full = (1.0 - FLOAT32_TOLERANCE) * box_info(host).valve_current_max
     for state in host.states:
         names = dict(zip(STATE_FIELDS, state.values, strict=True))
         if not state.flags & Flag.ARMED:
@@ -273,10 +279,10 @@ def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) 
     return "" if armed else "it was not armed"
 
 
-def reference(host: Host, bench: Bench, tolerance: float = 0.01, rate_tolerance: float = 0.5) -> str:
+def check_reference(host: Host, bench: Bench, tolerance: float = 0.01, rate_tolerance: float = 0.5) -> str:
     """Check f_r and f_r' against the definition of the accepted references, cross-fades included."""
-    allowed = host.size * tolerance, host.size * rate_tolerance
-    return _either(_played(host, points, allowed) for points in expected(host, followed(host)))
+    allowed = host.force_scale * tolerance, host.force_scale * rate_tolerance
+    return _either(_played(host, points, allowed) for points in expected_references(host, feedback_field(host)))
 
 
 def _either(found: Iterable[str]) -> str:
@@ -285,72 +291,74 @@ def _either(found: Iterable[str]) -> str:
     return "" if "" in sentences else sentences[0]
 
 
-def _played(host: Host, points: Sequence[Point | None], allowed: tuple[float, float]) -> str:
+def _played(host: Host, points: Sequence[Derivatives | None], allowed: tuple[float, float]) -> str:
     for state, point in zip(host.states, points, strict=True):
         for name, right, off in zip(_REFERENCE, point or (), allowed, strict=False):
-            if not abs(value(state, name) - right) <= off + 1e-4 * abs(right):
-                return f"{name} is {value(state, name):g} in STATE {state.sequence}, {right:g} is right"
+            if not abs(state_value(state, name) - right) <= off + 1e-4 * abs(right):
+                return f"{name} is {state_value(state, name):g} in STATE {state.sequence}, {right:g} is right"
     return "" if any(points) else "it was not armed"
 
 
-def follows(host: Host, bench: Bench, by: float) -> str:
-    """Check that the followed force moved with the reference, by so many N in the box's size: the signs are right.
+def check_force_direction(host: Host, bench: Bench, by: float) -> str:
+    """Check that the feedback force moved towards the reference by at least `by` [N, in the box's size].
 
-    Not judged where the current stayed small and the force stood: a valve with overlap does not open then.
-    Raises OpenError.
+    Raises InconclusiveError: the current stayed small and the force constant, as with a valve's overlap.
     """
-    states, force, by = settled(host), followed(host), host.size * by
-    moved = value(states[-1], force) - value(states[0], force)
-    asked = value(states[-1], "reference_force") - value(states[0], force)
+    states, force, by = confirmed_states(host), feedback_field(host), host.force_scale * by
+    moved = state_value(states[-1], force) - state_value(states[0], force)
+    asked = state_value(states[-1], "reference_force") - state_value(states[0], force)
     if moved * asked > 0.0 and abs(moved) >= by:
         return ""
-    largest = max(abs(value(state, "valve_current")) for state in states)
-    drives = value(states[-1], "valve_current") * asked > 0.0
+    largest = max(abs(state_value(state, "valve_current")) for state in states)
+    drives = state_value(states[-1], "valve_current") * asked > 0.0
     if drives and abs(moved) < by and largest < _SMALL * box_info(host).valve_current_max:
         why = "an overlap holds the piston there, or the valve is not connected: its sign is not proven"
-        raise OpenError(f"the force stood while the current stayed within {1e3 * largest:.2g} mA: {why}")
+        raise InconclusiveError(f"the force stood while the current stayed within {1e3 * largest:.2g} mA: {why}")
     return f"asked for {asked:g} N, the force went by {moved:g} N"
 
 
-def rates(host: Host, bench: Bench) -> str:
+def check_rates(host: Host, bench: Bench) -> str:
     """Check that rates are differences through a first-order low-pass with the lags given in DETAILS."""
     if host.details is None:
-        raise NotToldError("no DETAILS came, which tell the ages of the rates")
+        raise NotReportedError("no DETAILS came, which tell the ages of the rates")
     told = host.details.details
     pairs = (("hydraulic_force", "hydraulic_force_rate", told.force_rate_age, 0.5),
              ("load_force", "load_force_rate", told.force_rate_age, 0.5),
              ("piston_position", "piston_velocity", told.velocity_age, 3e-5))  # fmt: skip
     if not any(age for _, _, age, _ in pairs):
-        raise NotToldError("DETAILS do not tell the ages of the rates")
+        raise NotReportedError("DETAILS do not tell the ages of the rates")
     for reading, rate, age, tolerance in pairs:
         if age == 0.0:
             host.notes.append(f"the age of {rate} is not told")
             continue
         memory = (age / SAMPLE_PERIOD - 0.5) / (age / SAMPLE_PERIOD + 0.5)
         for a, b in pairwise(host.new_states):
-            slope = (value(b, reading) - value(a, reading)) / SAMPLE_PERIOD
-            wanted = memory * value(a, rate) + (1.0 - memory) * slope
-            if not abs(value(b, rate) - wanted) <= tolerance + 1e-3 * abs(wanted):
-                found = f"{rate} is {value(b, rate):g} in STATE {b.sequence}"
+            slope = (state_value(b, reading) - state_value(a, reading)) / SAMPLE_PERIOD
+            wanted = memory * state_value(a, rate) + (1.0 - memory) * slope
+            if not abs(state_value(b, rate) - wanted) <= tolerance + 1e-3 * abs(wanted):
+                found = f"{rate} is {state_value(b, rate):g} in STATE {b.sequence}"
                 return f"{found}, {wanted:g} is right for an age of {1e3 * age:g} ms"
     return ""
 
 
-def units(host: Host, bench: Bench, share: float = 0.05) -> str:
+def check_units(host: Host, bench: Bench, share: float = 0.05) -> str:
     """Check that readings are in Pa, m and N: within the bench's ranges, with f_h equal to that of the pressures.
 
     `share`: of piston area times supply pressure, by which f_h may differ.
     """
     assert bench is not None
     for state in host.new_states:
-        a, b, position = (value(state, name) for name in ("pressure_a", "pressure_b", "piston_position"))
+        a, b, position = (state_value(state, name) for name in ("pressure_a", "pressure_b", "piston_position"))
         if not all(-0.1 * bench["supply_pressure"] <= p <= 1.5 * bench["supply_pressure"] for p in (a, b)):
             return f"pressures of {a:g} and {b:g} Pa"
         if not -0.1 * bench["stroke"] <= position <= 1.1 * bench["stroke"]:
             return f"a position of {position:g} m"
         wanted = bench["piston_area"] * (a - bench["area_ratio"] * b)
-        if not abs(value(state, "hydraulic_force") - wanted) <= share * bench["piston_area"] * bench["supply_pressure"]:
-            return f"hydraulic_force is {value(state, 'hydraulic_force'):g} N, the pressures give {wanted:g} N"
+        if (
+            not abs(state_value(state, "hydraulic_force") - wanted)
+            <= share * bench["piston_area"] * bench["supply_pressure"]
+        ):
+            return f"hydraulic_force is {state_value(state, 'hydraulic_force'):g} N, the pressures give {wanted:g} N"
         if not all(map(isfinite, state.values)):
             return "a value is not finite"
     return ""
@@ -365,8 +373,8 @@ _KINK = 4e-3
 """Time constant [s] with which a jump of f_r'' comes into f_c."""
 
 
-def law_told(host: Host, bench: Bench) -> str:
-    """Check that the safe state that LAW tells is within its limits, and acts while the box is disarmed."""
+def check_law_limits(host: Host, bench: Bench) -> str:
+    """Check that the safe state in the LAW frame is within its limits, and acts while the box is disarmed."""
     law = _record(host)
     for entry in fields(law):
         number = getattr(law, entry.name)
@@ -377,16 +385,19 @@ def law_told(host: Host, bench: Bench) -> str:
             return f"{safe:g} is safe, the limits are {low:g} and {high:g}, the fastest change is {rate:g} a second"
     if not (law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max):
         return "its limits of the gains do not hold 0"
-    for state in settled(host):
+    for state in confirmed_states(host):
         acting = state.law_state
-        if acting.law is not Law.COMPENSATED or not all(map(near, acting.coefficients, NEUTRAL)):
+        if acting.law is not Law.COMPENSATED or not all(map(equal_float32, acting.coefficients, NEUTRAL)):
             return f"law {acting.law.name} with {acting.coefficients} acts in STATE {state.sequence}"
-        if acting.compensated_reference != value(state, followed(host)) or acting.compensated_reference_rate != 0.0:
+        if (
+            acting.compensated_reference != state_value(state, feedback_field(host))
+            or acting.compensated_reference_rate != 0.0
+        ):
             return f"f_c is {acting.compensated_reference:g} N while it is disarmed"
-    return "" if settled(host) else "no command was confirmed"
+    return "" if confirmed_states(host) else "no command was confirmed"
 
 
-def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
+def check_compensated_reference(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
     """Check gains, shaping and f_c of each armed sample against the one before and the command in force.
 
     `tolerance` is of f_c [N], in the box's size, and 50 times as much of f_c' [N/s].
@@ -394,10 +405,13 @@ def compensation(host: Host, bench: Bench, tolerance: float = 0.02) -> str:
     The shaping goes to the one that was commanded, within its limits, no faster than LAW says; to the safe one where
     the command is late or for the paper's law. f_r and f_r' are the box's own, f_r'' and f_r''' those of its command.
     """
-    return _either(_compensation(host, points, host.size * tolerance) for points in expected(host, followed(host)))
+    return _either(
+        _compensation(host, points, host.force_scale * tolerance)
+        for points in expected_references(host, feedback_field(host))
+    )
 
 
-def _compensation(host: Host, points: Sequence[Point | None], tolerance: float) -> str:
+def _compensation(host: Host, points: Sequence[Derivatives | None], tolerance: float) -> str:
     law, commands = _record(host), {each.sequence: each.command for each in host.sent}
     low, safe, high, rate = law.shaping
     room = [_CLOSE * max(abs(least), abs(most)) for least, most in zip(low, high, strict=True)]
@@ -407,8 +421,8 @@ def _compensation(host: Host, points: Sequence[Point | None], tolerance: float) 
             old, second, third = safe, 0.0, 0.0
             continue
         wanted, gains = _wanted(law, commands.get(state.last_command), late=bool(state.flags & Flag.WATCHDOG))
-        shown = value(state, "proportional_gain"), value(state, "integral_gain")
-        if not all(map(near, shown, gains)):
+        shown = state_value(state, "proportional_gain"), state_value(state, "integral_gain")
+        if not all(map(equal_float32, shown, gains)):
             return f"the gains are {shown} in STATE {state.sequence}, {gains} is right"
         found = _numbers(state.law_state)
         for number, last, new, least, most, fastest, off in zip(found, old, wanted, low, high, rate, room, strict=True):
@@ -418,7 +432,7 @@ def _compensation(host: Host, points: Sequence[Point | None], tolerance: float) 
         middle = second + 0.5 * SAMPLE_PERIOD * (point[3] + third)
         second = middle + (point[2] - middle) * SAMPLE_PERIOD / (SAMPLE_PERIOD + _KINK)
         third = point[3]
-        wave = value(state, "reference_force"), value(state, "reference_force_rate")
+        wave = state_value(state, "reference_force"), state_value(state, "reference_force_rate")
         slopes = wave[1], point[2], third + (point[2] - second) / _KINK, 0.0
         if sentence := _reference(law, state, old, (*wave, second, 1.0), slopes, tolerance):
             return sentence
@@ -471,12 +485,27 @@ def _record(host: Host) -> BoxLaw:
 
 
 CHECKS: dict[str, Callable[..., str]] = {
-    check.__name__: check
-    for check in (
-        flags, field, taken, unchanged, first_flag, late, refused, idle,
-        undisturbed, clock, hello, greeted, details, believes,
-        current, law, reference, follows, rates, units,
-        law_told, compensation,
-    )
-}  # fmt: skip
+    "flags": check_flags,
+    "field": check_field,
+    "taken": check_command_accepted,
+    "unchanged": check_unchanged,
+    "first_flag": check_flag_delay,
+    "late": check_watchdog_response,
+    "refused": check_refusal_counts,
+    "idle": check_disarmed_state,
+    "undisturbed": check_stream_integrity,
+    "clock": check_clock,
+    "hello": check_hello,
+    "greeted": check_hello_reply,
+    "details": check_details,
+    "believes": check_bench_digest,
+    "current": check_valve_current,
+    "law": check_force_law,
+    "reference": check_reference,
+    "follows": check_force_direction,
+    "rates": check_rates,
+    "units": check_units,
+    "law_told": check_law_limits,
+    "compensation": check_compensated_reference,
+}
 """Checks by their names in `cases.yaml`."""

@@ -16,11 +16,19 @@ from typing import Any
 import msgspec
 import yaml
 
-from hydro_bridge.conformance.checks import CHECKS, NotToldError, OpenError
-from hydro_bridge.conformance.host import PUNCTUAL, VERBS, Host, SilentError, UnreadableError, begin, end
+from hydro_bridge.conformance.checks import CHECKS, InconclusiveError, NotReportedError
+from hydro_bridge.conformance.host import (
+    READ_INTERVAL_MAX,
+    VERBS,
+    Host,
+    NoFrameError,
+    NoStateError,
+    close_session,
+    open_session,
+)
 from hydro_bridge.conformance.reference import force_gain
-from hydro_bridge.serial.port import Port, PortSettings, no_port
-from hydro_core.cli.console import Table, add_json_argument, command, command_line, progress
+from hydro_bridge.serial.port import Port, PortSettings, describe_non_port
+from hydro_core.cli.console import Table, add_json_argument, command, make_parser, progress
 from hydro_core.errors import UserError
 from hydro_core.files import bench_file
 
@@ -50,13 +58,13 @@ class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 raise UserError(f"conformance case {self.id!r} asks the box to arm and is not marked as moving")
 
 
-def shipped() -> tuple[Case, ...]:
+def shipped_cases() -> tuple[Case, ...]:
     """Return the cases shipped with this package."""
     text = resources.files("hydro_bridge.conformance").joinpath("cases.yaml").read_text(encoding="utf-8")
-    return read(yaml.safe_load(text))
+    return parse_cases(yaml.safe_load(text))
 
 
-def read(content: Any) -> tuple[Case, ...]:
+def parse_cases(content: Any) -> tuple[Case, ...]:
     """Parse the cases from a file's content.
 
     Raises UserError: a verb is unknown, or a case that is not marked as moving asks a box to arm;
@@ -79,22 +87,22 @@ class Result:
     """Reason why it did not pass, or what was not examined."""
 
 
-def run(
+def run_cases(
     cases: Iterable[Case],
     make_host: Callable[[], Host],
     bench: Mapping[str, Any] | None,
     *,
     moving: bool,
 ) -> list[Result]:
-    """Return all results in order; each case opens its own conversation, which disarms, and ends disarmed.
+    """Run the cases in order and return their results; each begins and ends disarmed.
 
-    Raises UnreadableError: no frame arrived before the first result: no case can be run.
+    Raises NoFrameError: no frame arrived before the first result.
     """
     results: list[Result] = []
     for case in cases:
         try:
             results.append(_judged(case, make_host, bench, moving))
-        except UnreadableError as error:
+        except NoFrameError as error:
             if not results:
                 raise
             results.append(Result(case, FAIL, str(error)))
@@ -106,7 +114,7 @@ def _judged(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] 
     for _ in range(2):
         host = make_host()
         result = _one(case, host, bench, moving)
-        if result.outcome != FAIL or host.silence <= PUNCTUAL:
+        if result.outcome != FAIL or host.silence <= READ_INTERVAL_MAX:
             return result
     return Result(case, NOT_JUDGED, f"this host was silent for {1e3 * host.silence:.0f} ms; {result.found}")
 
@@ -119,19 +127,19 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
     checked: list[tuple[Host, dict[str, Any]]] = []
     silent = ""
     try:
-        begin(host)
+        open_session(host)
         if bench is not None:
-            host.correction = min(1.0, host.size * NOMINAL_FORCE_GAIN / force_gain(bench))
+            host.correction = min(1.0, host.force_scale * NOMINAL_FORCE_GAIN / force_gain(bench))
         if "compensated law" in case.needs and host.law is None:
             return Result(case, LEFT_OUT, "the box runs the paper's law only")
         for step in case.steps:
             ((verb, words),) = step.items()
             if verb == "check":
-                checked.append((host.kept(), words))
+                checked.append((host.snapshot(), words))
             else:
                 VERBS[verb](host, words)
-        end(host)
-    except SilentError as error:
+        close_session(host)
+    except NoStateError as error:
         silent = str(error)
     return _verdict(case, checked, bench, silent)
 
@@ -145,9 +153,9 @@ def _verdict(
             for name, parameters in words.items():
                 if found := CHECKS[name](host, bench, **(parameters or {})):
                     return Result(case, FAIL, f"{name}: {found}")
-    except NotToldError as missing:
+    except NotReportedError as missing:
         return Result(case, LEFT_OUT, str(missing))
-    except OpenError as undecided:
+    except InconclusiveError as undecided:
         return Result(case, NOT_JUDGED, str(undecided))
     notes = [note for host, _ in checked for note in host.notes]
     return Result(case, FAIL if silent else PASS, silent or "; ".join(notes))
@@ -165,8 +173,8 @@ COLUMNS = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """Parser of the command line."""
-    parser = command_line("conformance", __doc__)
+    """Return the argument parser."""
+    parser = make_parser("conformance", __doc__)
     parser.add_argument("--port", help="device of the box, or link to one")
     parser.add_argument("--baud", type=int, default=PortSettings().baud, help="bit/s; default: %(default)s")
     parser.add_argument(
@@ -181,10 +189,10 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def chosen(cases: tuple[Case, ...], beginnings: list[str]) -> tuple[Case, ...]:
-    """The cases whose id begins with one of these; all without any.
+def select_cases(cases: tuple[Case, ...], beginnings: list[str]) -> tuple[Case, ...]:
+    """Return the cases whose id begins with one of `beginnings`; all if it is empty.
 
-    Raises UserError: one of them is the beginning of none.
+    Raises UserError: no case begins with one of them.
     """
     for each in beginnings:
         if not any(case.id.startswith(each) for case in cases):
@@ -192,8 +200,8 @@ def chosen(cases: tuple[Case, ...], beginnings: list[str]) -> tuple[Case, ...]:
     return tuple(case for case in cases if not beginnings or case.id.startswith(tuple(beginnings)))
 
 
-def table(results: list[Result]) -> Table:
-    """The results for people and programs."""
+def results_table(results: list[Result]) -> Table:
+    """Return the results as a table, one row per case."""
     outcomes = (PASS, FAIL, LEFT_OUT, NOT_JUDGED)
     counts = {outcome: sum(result.outcome == outcome for result in results) for outcome in outcomes}
     made = Table(COLUMNS, title=", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
@@ -202,8 +210,8 @@ def table(results: list[Result]) -> Table:
     return made
 
 
-def status(results: list[Result]) -> int:
-    """The exit status."""
+def exit_status(results: list[Result]) -> int:
+    """Return the exit status: 1 if a case failed, 3 if one got no verdict, else 0."""
     found = {result.outcome for result in results}
     return 1 if FAIL in found else _LATE if NOT_JUDGED in found else 0
 
@@ -212,7 +220,7 @@ def status(results: list[Result]) -> int:
 def main() -> int:
     """Entry point; exit status 1 if a case failed, else 3 if this host was too late to judge one."""
     options = parser().parse_args()
-    cases = chosen(shipped(), options.only)
+    cases = select_cases(shipped_cases(), options.only)
     if options.listed:
         listing = Table({"case": "", "moving": "", "needs": "", "says": ""})
         for case in cases:
@@ -222,15 +230,15 @@ def main() -> int:
     if options.port is None:
         raise UserError("--port: which device is the box at? Only --list goes without")
     bench = bench_file.read_numbers(options.bench) if options.bench else None
-    if (kind := no_port(options.port)) is not None:
+    if (kind := describe_non_port(options.port)) is not None:
         raise UserError(f"{options.port} is {kind}, not a serial port")
     port = Port(PortSettings(path=options.port, baud=options.baud))
     port.open()
     try:
-        results = run(
+        results = run_cases(
             progress(cases, label="conformance", unit=" cases"), lambda: Host(port), bench, moving=options.moving
         )
     finally:
         port.close()
-    table(results).show(options.json)
-    return status(results)
+    results_table(results).show(options.json)
+    return exit_status(results)

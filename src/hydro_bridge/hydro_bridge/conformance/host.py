@@ -22,11 +22,11 @@ from hydro_bridge.serial.protocol import (
     LawFrame,
     State,
     encode_command,
+    encode_frame,
     encode_hello,
-    foreign_box,
-    wrap,
+    version_mismatch_message,
 )
-from hydro_bridge.serial.stream import Decoder, LinkCounts, without_frames
+from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
 from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
 
@@ -35,11 +35,11 @@ _PATIENCE = 1.0
 """s without a STATE after which a box counts as silent."""
 _LOOK = 0.005
 """s, longest wait of one read of the line."""
-PUNCTUAL = 0.015
+READ_INTERVAL_MAX = 0.015
 """s, longest interval between two reads with which this host is in time: a read ends whatever the box does."""
 
 
-class Line(Protocol):
+class Transport(Protocol):
     """Byte transport: a `serial.port.Port`, or a box that is run in step."""
 
     def read(self, timeout: float) -> bytes:
@@ -49,16 +49,16 @@ class Line(Protocol):
         """Send bytes without waiting; return False if they were dropped."""
 
 
-class SilentError(UserError):
+class NoStateError(UserError):
     """The box sends no STATE."""
 
 
-class UnreadableError(UserError):
+class NoFrameError(UserError):
     """Nothing received since the port was opened is a frame."""
 
 
 @dataclass(frozen=True)
-class Sent:
+class SentCommand:
     """A command and its time of sending."""
 
     sequence: int
@@ -69,12 +69,12 @@ class Sent:
 
 @dataclass
 class Host:
-    """One conversation with a box.
+    """One session with a box: commands sent, states received.
 
     `line`: transport of the bytes. `clock`: returns seconds; the line's own clock where the box is run in step.
     """
 
-    line: Line
+    line: Transport
     clock: Callable[[], float] = time.monotonic
     sequence: int = 0
     hello: Hello | None = None
@@ -84,7 +84,7 @@ class Host:
     states: list[State] = field(default_factory=list)
     arrived: list[float] = field(default_factory=list)
     hellos: list[tuple[int, Hello]] = field(default_factory=list)
-    sent: list[Sent] = field(default_factory=list)
+    sent: list[SentCommand] = field(default_factory=list)
     command: Command = field(default_factory=Command)
     decoder: Decoder = field(default_factory=Decoder)
     marked: int = 0
@@ -101,24 +101,24 @@ class Host:
     notes: list[str] = field(default_factory=list)
     """Aspects that a passed check could not examine."""
 
-    def mark(self) -> None:
-        """Mark the beginning of a step: checks examine what is received from here on."""
+    def begin_step(self) -> None:
+        """Begin a step of a case: checks examine what is received from here on."""
         self.marked, self.marked_sent = len(self.states), len(self.sent)
 
-    def forget(self) -> None:
-        """Discard all but the newest state received before the conversation began: it may be of the previous one."""
+    def discard_history(self) -> None:
+        """Discard everything received before the session but the newest state."""
         self.states, self.arrived = self.states[-1:], self.arrived[-1:]
         self.hellos, self.sent, self.silence = [], [], 0.0
-        self.mark()
+        self.begin_step()
 
-    def kept(self) -> Host:
-        """Return a copy of the conversation so far, evaluated once it is over: the box does not wait."""
+    def snapshot(self) -> Host:
+        """Return a copy of the session so far, for evaluation after the case."""
         states, arrived, hellos, sent = list(self.states), list(self.arrived), list(self.hellos), list(self.sent)
         return replace(self, states=states, arrived=arrived, hellos=hellos, sent=sent, notes=[])
 
     @property
-    def size(self) -> float:
-        """Forces of the cases are for a box of the nominal load force limit: those of this box over them."""
+    def force_scale(self) -> float:
+        """Ratio of this box's load force limit to the nominal one, by which forces of the cases are scaled."""
         told = self.details.details.load_force_limit if self.details else 0.0
         return told / _LOAD_FORCE_LIMIT if told > 0.0 else 1.0
 
@@ -127,7 +127,7 @@ class Host:
         """States since the step began."""
         return self.states[self.marked :]
 
-    def confirmed(self, sequence: int) -> int:
+    def confirmation_index(self, sequence: int) -> int:
         """Return the index of the first state that confirms this command or a later one; the number of states if none.
 
         Only equal numbers confirm: the newest may be of the previous conversation, and larger.
@@ -138,22 +138,21 @@ class Host:
         return next((n for n in range(begin, len(self.states)) if self.states[n].last_command in behind),
                     len(self.states))  # fmt: skip
 
-    def greet(self) -> None:
-        """Open a new conversation; the box's answer is stored when it arrives."""
+    def send_hello(self) -> None:
+        """Send HELLO, which opens a new session; the reply is stored when it arrives."""
         self.line.write(encode_hello(0, int(1e6 * self.clock())))
 
     def send(self, sequence: int | None = None, **changes: Any) -> None:
         """Send the last command with changes, under the next sequence number unless one is given."""
-        self.command = changed(self.command, changes)
+        self.command = apply_changes(self.command, changes)
         self.sequence = (self.sequence + 1 if sequence is None else sequence) % _CIRCLE
-        self.sent.append(Sent(self.sequence, self.command, len(self.states)))
+        self.sent.append(SentCommand(self.sequence, self.command, len(self.states)))
         self.line.write(encode_command(self.sequence, int(1e6 * self.clock()), self.command))
 
-    def listen(self, samples: int, each: Callable[[], None] | None = None) -> None:
-        """Wait for a number of states, and call a function after each.
+    def receive(self, samples: int, each: Callable[[], None] | None = None) -> None:
+        """Receive a number of states, calling `each` after each.
 
-        Raises SilentError: no state arrives for a second; UnreadableError: no state arrives for a second, and no frame
-        had arrived before.
+        Raises NoStateError: no state arrives for a second; NoFrameError: nor has any frame arrived before.
         """
         wanted, last = len(self.states) + samples, self.clock()
         while len(self.states) < wanted:
@@ -181,10 +180,10 @@ class Host:
     def _give_up(self) -> None:
         counts = self.decoder.counts
         if self.decoder.foreign_version is not None and not self.states:
-            raise UnreadableError(foreign_box(self.decoder.foreign_version))
+            raise NoFrameError(version_mismatch_message(self.decoder.foreign_version))
         if counts.frames:
-            raise SilentError(f"the box sent no STATE for {_PATIENCE:g} s")
-        raise UnreadableError(without_frames(counts, LinkCounts(), _PATIENCE))
+            raise NoStateError(f"the box sent no STATE for {_PATIENCE:g} s")
+        raise NoFrameError(no_frames_message(counts, LinkCounts(), _PATIENCE))
 
 
 _LOAD_FORCE_LIMIT = 700.0
@@ -195,8 +194,8 @@ _FORCES = ("amplitude", "offset")
 _SHAPE = ("amplitude", "offset", "frequency", "phase")
 
 
-def changed(command: Command, changes: dict[str, Any]) -> Command:
-    """Return a command with changes by name; those of the reference are in the same mapping, its waveform by name."""
+def apply_changes(command: Command, changes: dict[str, Any]) -> Command:
+    """Return a command with fields replaced by name, those of its reference included; the waveform is given by name."""
     shape: dict[str, Any] = {name: float(changes[name]) for name in _SHAPE if name in changes}
     if "waveform" in changes:
         shape["waveform"] = Waveform[str(changes["waveform"]).upper()]
@@ -217,8 +216,8 @@ _CHANGED = {"waveform 4": (_WAVEFORM, 4), "version 9": (_VERSION, 9), "type 200"
 """Offset and value of each change; the types from 200 are free for experiments."""
 
 
-def damaged(frame: bytes, how: str) -> bytes:
-    """Return the frame damaged by `how`: `bit flipped`, `truncated`, `too long`, `too short`, or one of `_CHANGED`.
+def corrupt_frame(frame: bytes, how: str) -> bytes:
+    """Return a corrupted frame; `how`: `bit flipped`, `truncated`, `too long`, `too short`, or one of `_CHANGED`.
 
     All but the first two have a valid check sum. Raises KeyError for an unknown kind of damage.
     """
@@ -236,50 +235,50 @@ def damaged(frame: bytes, how: str) -> bytes:
     else:
         place, value = _CHANGED[how]
         body[place] = value
-    return wrap(bytes(body))
+    return encode_frame(bytes(body))
 
 
-ANSWER = 300
+REPLY_SAMPLES = 300
 """Samples within which a HELLO must be answered, and a command confirmed."""
 _APART = 1000
 """Offset of a conversation's sequence numbers from those of the previous one."""
 
 
-def begin(host: Host) -> None:
-    """Greet until the box answers, then send safe commands until it confirms one."""
-    for n in range(3 * ANSWER):
-        if n % ANSWER == 0:
-            host.greet()
-        host.listen(1)
+def open_session(host: Host) -> None:
+    """Send HELLO until the box replies, then safe commands until it confirms one."""
+    for n in range(3 * REPLY_SAMPLES):
+        if n % REPLY_SAMPLES == 0:
+            host.send_hello()
+        host.receive(1)
         if host.hello is not None:
             break
     else:
-        raise SilentError(f"the box answered no HELLO within {3 * ANSWER} samples")
-    host.listen(2)
+        raise NoStateError(f"the box answered no HELLO within {3 * REPLY_SAMPLES} samples")
+    host.receive(2)
     host.sequence = (host.states[-1].last_command + _APART) % 2**32  # not a number of the previous conversation
     host.command = Command()
-    host.mark()
+    host.begin_step()
     host.send()
-    host.lag = until_confirmed(host, host.send)
-    host.listen(20, host.send)
+    host.lag = wait_for_confirmation(host, host.send)
+    host.receive(20, host.send)
     host.command = Command()
-    host.forget()
+    host.discard_history()
 
 
-def until_confirmed(host: Host, each: Callable[[], None] | None = None) -> int:
+def wait_for_confirmation(host: Host, each: Callable[[], None] | None = None) -> int:
     """Wait until the step's first command, or a later one, is confirmed; return the delay in samples."""
     first = host.sent[host.marked_sent]
-    for _ in range(ANSWER):  # a lagging host reads old samples first, and the line may buffer bytes
-        if (at := host.confirmed(first.sequence)) < len(host.states):
+    for _ in range(REPLY_SAMPLES):  # a lagging host reads old samples first, and the line may buffer bytes
+        if (at := host.confirmation_index(first.sequence)) < len(host.states):
             return at - first.after
-        host.listen(1, each)
+        host.receive(1, each)
     return 0
 
 
-def end(host: Host) -> None:
-    """Disarm the box, whatever the case did."""
+def close_session(host: Host) -> None:
+    """Disarm the box at the end of a case."""
     host.command = Command()
-    host.listen(10, host.send)
+    host.receive(10, host.send)
 
 
 def _commands(host: Host, words: dict[str, Any]) -> None:
@@ -294,46 +293,46 @@ def _commands(host: Host, words: dict[str, Any]) -> None:
             for _ in range(times):
                 host.send()
 
-    host.mark()
+    host.begin_step()
     host.send(**changes)
-    until_confirmed(host, each)
-    host.listen(int(words["samples"]), each)
+    wait_for_confirmation(host, each)
+    host.receive(int(words["samples"]), each)
 
 
 def _once(host: Host, words: dict[str, Any]) -> None:
     """Send one command; `sequence` counts from the last one sent, 0 repeats it."""
     changes = _changes(host, words, "sequence", "samples", "goes_on")
     before, step = host.sequence, int(words.get("sequence", 1))
-    host.mark()
+    host.begin_step()
     host.send((before + step) % 2**32, **changes)
     samples = int(words.get("samples", 15))
     if step == 1 or words.get("goes_on"):
-        until_confirmed(host)
+        wait_for_confirmation(host)
     else:  # never confirmed: wait for it to arrive
         host.sequence = before
         samples += host.lag
-    host.listen(samples)
+    host.receive(samples)
 
 
 def _greet(host: Host, words: dict[str, Any]) -> None:
     """Greet; checks begin after the answer, if there is one."""
-    host.mark()
+    host.begin_step()
     host.details, host.law, host.greeted_at = None, None, len(host.states)
-    host.greet()
-    for _ in range(ANSWER):
+    host.send_hello()
+    for _ in range(REPLY_SAMPLES):
         if host.hellos and host.hellos[-1][0] >= host.greeted_at:
-            host.mark()
+            host.begin_step()
             host.marked = host.hellos[-1][0]
             break
-        host.listen(1)
-    host.listen(int(words.get("samples", 50)))
+        host.receive(1)
+    host.receive(int(words.get("samples", 50)))
 
 
 def _garbage(host: Host, words: dict[str, Any]) -> None:
     """Send noise, none of it a frame, before a command after every `every`-th sample, for a number of samples."""
     random, seen = Random(int(words["seed"])), 0
-    host.command = changed(host.command, _changes(host, words, "samples", "every", "seed", "longest"))
-    host.mark()
+    host.command = apply_changes(host.command, _changes(host, words, "samples", "every", "seed", "longest"))
+    host.begin_step()
 
     def each() -> None:
         nonlocal seen
@@ -342,17 +341,17 @@ def _garbage(host: Host, words: dict[str, Any]) -> None:
             host.line.write(random.randbytes(random.randint(1, int(words["longest"]))) + b"\0")
             host.send()
 
-    host.listen(int(words["samples"]), each)
-    host.listen(5 + host.lag)
+    host.receive(int(words["samples"]), each)
+    host.receive(5 + host.lag)
 
 
 def _damaged(host: Host, words: dict[str, Any]) -> None:
     """Send a command that would change the gains, damaged in a way that a box must detect."""
     changes = {key: value for key, value in words.items() if key != "how"}
-    frame = encode_command(host.sequence + 1, 0, changed(Command(), changes))
-    host.mark()
-    host.line.write(damaged(frame, str(words["how"])))
-    host.listen(10 + host.lag)
+    frame = encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
+    host.begin_step()
+    host.line.write(corrupt_frame(frame, str(words["how"])))
+    host.receive(10 + host.lag)
 
 
 def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
@@ -365,7 +364,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
         if key not in ("waveform", "law") and isinstance(value, str):
             changes[key] = getattr(host.details.details, value) if host.details else 0.0
         elif key in _FORCES and abs(value) < _UNPLAYABLE:
-            changes[key] = host.size * value
+            changes[key] = host.force_scale * value
         elif key == "delta_u":
             changes[key] = host.correction * value
     return changes
@@ -374,7 +373,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
 VERBS: dict[str, Callable[[Host, Any], None]] = {
     "commands": _commands,
     "once": _once,
-    "wait": lambda host, samples: host.listen(int(samples)),
+    "wait": lambda host, samples: host.receive(int(samples)),
     "greet": _greet,
     "garbage": _garbage,
     "damaged": _damaged,

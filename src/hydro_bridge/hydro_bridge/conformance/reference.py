@@ -10,22 +10,22 @@ from typing import Any
 from hydro_bridge.conformance.host import Host
 from hydro_core.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 
-FADE = 0.3
+FADE_TIME = 0.3
 """s, length of a cross-fade."""
 
 _RATIOS = tuple(map(sqrt, (1.0, 3.0, 7.0, 13.0)))
 _WEIGHTS = tuple(1.0 / ratio / sum(1.0 / other for other in _RATIOS) for ratio in _RATIOS)
 
-Point = tuple[float, ...]
+Derivatives = tuple[float, ...]
 """Value [N] and its first three derivatives by time [s]."""
 
 
-def shape(signal: ReferenceSignal, time: float) -> Point:
-    """Return a signal's point at `time` [s] after the box accepted it."""
+def evaluate_signal(signal: ReferenceSignal, time: float) -> Derivatives:
+    """Return value [N] and three time derivatives of a signal `time` [s] after the box accepted it."""
     omega = 2.0 * pi * signal.frequency
     angle = omega * time + signal.phase
     if signal.waveform is Waveform.HOLD:
-        form: Point = (0.0,) * 4
+        form: Derivatives = (0.0,) * 4
     elif signal.waveform is Waveform.SINE:
         form = _sine(angle, omega)
     elif signal.waveform is Waveform.MULTISINE:
@@ -38,11 +38,11 @@ def shape(signal: ReferenceSignal, time: float) -> Point:
     return signal.offset + value, *rates
 
 
-def _sine(angle: float, omega: float, weight: float = 1.0) -> Point:
+def _sine(angle: float, omega: float, weight: float = 1.0) -> Derivatives:
     return tuple(weight * omega**n * sin(angle + n * pi / 2) for n in range(4))
 
 
-def _smooth_step(angle: float, omega: float) -> Point:
+def _smooth_step(angle: float, omega: float) -> Derivatives:
     """Return a step from -1 to 1 in the eighth of a period after angle 0, and back after pi."""
     turn = angle / (2.0 * pi) % 1.0
     side, inside = (1.0, turn) if turn < 0.5 else (-1.0, turn - 0.5)
@@ -51,12 +51,17 @@ def _smooth_step(angle: float, omega: float) -> Point:
     return _sine(8.0 * pi * inside - pi / 2, 4.0 * omega, side)
 
 
-def faded(old: Point, new: Point, time: float, end: float) -> Point:
-    """Return the point at `time` [s] into a cross-fade, from `end` [s] on the new one."""
+def cross_fade(old: Derivatives, new: Derivatives, time: float, end: float) -> Derivatives:
+    """Return value and derivatives `time` [s] into the cross-fade from `old` to `new`, which lasts until `end` [s]."""
     if time >= end:
         return new
-    z = time / FADE
-    share = 3.0 * z**2 - 2.0 * z**3, 6.0 * z * (1.0 - z) / FADE, (6.0 - 12.0 * z) / FADE**2, -12.0 / FADE**3
+    z = time / FADE_TIME
+    share = (
+        3.0 * z**2 - 2.0 * z**3,
+        6.0 * z * (1.0 - z) / FADE_TIME,
+        (6.0 - 12.0 * z) / FADE_TIME**2,
+        -12.0 / FADE_TIME**3,
+    )
     gap = [after - before for before, after in zip(old, new, strict=True)]
     return tuple(old[n] + sum(comb(n, j) * share[j] * gap[n - j] for j in range(n + 1)) for n in range(4))
 
@@ -85,7 +90,7 @@ def _volumes(bench: Mapping[str, Any], position: float) -> tuple[float, float]:
     )
 
 
-def floor(bench: Mapping[str, Any]) -> float:
+def gain_floor(bench: Mapping[str, Any]) -> float:
     """Return g_min [N/s/A], from the bench at rest with p_a = alpha p_b, p_a + p_b = p_s and the spring relaxed."""
     alpha = bench["area_ratio"]
     pressure_b = bench["supply_pressure"] / (1.0 + alpha)
@@ -97,7 +102,7 @@ def nominal_current(
 ) -> float:
     """Return u_nom [A] of one STATE, by field name, where `reference_force` and its rate are f_c and f_c'.
 
-    `integral` is I [N/s], `force` the name of the followed force, `scales` are C_1 and C_2.
+    `integral` is I [N/s], `force` the name of the feedback force's field, `scales` are C_1 and C_2.
     """
     position = min(max(values["piston_position"], 0.0), bench["stroke"])
     volume_a, volume_b = _volumes(bench, position)
@@ -106,7 +111,7 @@ def nominal_current(
     wanted = values["reference_force_rate"] + values["proportional_gain"] * error + integral
     driven = wanted + scales[0] * stiffness * values["piston_velocity"]
     gain = scales[1] * _gain(bench, position, (values["pressure_a"], values["pressure_b"]), driven)
-    return driven / max(gain, floor(bench))
+    return driven / max(gain, gain_floor(bench))
 
 
 def force_gain(bench: Mapping[str, Any]) -> float:
@@ -118,7 +123,7 @@ _ROUNDING = 1e-6
 """s: rounding of the clock decides whether a fade ends at its 300th or 301st sample."""
 
 
-def playable(signal: ReferenceSignal, force_range: float) -> bool:
+def is_acceptable(signal: ReferenceSignal, force_range: float) -> bool:
     """Return whether a box with this force range [N] must accept the reference."""
     numbers = (signal.amplitude, signal.offset, signal.phase, signal.frequency)
     if not all(abs(number) < 3.4e38 for number in numbers):  # NaN, too
@@ -128,19 +133,19 @@ def playable(signal: ReferenceSignal, force_range: float) -> bool:
     return signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
 
 
-def expected(host: Host, force: str) -> Iterator[list[Point | None]]:
-    """Yield the points of all states, None where the box is not armed: with either rounding of a fade's end.
+def expected_references(host: Host, force: str) -> Iterator[list[Derivatives | None]]:
+    """Yield the expected reference at each state, None where disarmed; twice, for both roundings of a fade's end.
 
-    `force`: field of the followed force.
+    `force`: name of the feedback force's field.
     """
     reach = host.details.details.force_range if host.details else 0.0
     commands = {each.sequence: each.command for each in host.sent}
-    for fade in (FADE - _ROUNDING, FADE + _ROUNDING):
-        wanted, points = ReferenceSignal(), list[Point | None]()
+    for fade in (FADE_TIME - _ROUNDING, FADE_TIME + _ROUNDING):
+        wanted, points = ReferenceSignal(), list[Derivatives | None]()
         old = new = (wanted, 0.0)  # with the time of acceptance, s
         for state in host.states:
             command, time = commands.get(state.last_command), state.time_us * 1e-6
-            if command is not None and playable(command.reference, reach or 1e6):
+            if command is not None and is_acceptable(command.reference, reach or 1e6):
                 wanted = command.reference
             if not state.flags & Flag.ARMED:
                 points.append(None)
@@ -150,6 +155,6 @@ def expected(host: Host, force: str) -> Iterator[list[Point | None]]:
                 old, new = (held, time), (wanted, time)
             elif time - new[1] >= fade and wanted != new[0]:
                 old, new = new, (wanted, time)
-            before, after = (shape(signal, time - begun) for signal, begun in (old, new))
-            points.append(faded(before, after, time - new[1], fade))
+            before, after = (evaluate_signal(signal, time - begun) for signal, begun in (old, new))
+            points.append(cross_fade(before, after, time - new[1], fade))
         yield points

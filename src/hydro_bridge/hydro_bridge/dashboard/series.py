@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Columns that the page plots, extracted from serialized messages, and their thinning to screen resolution.
 
-`described` gives the page names and units. A slot keeps minimum and maximum: a pulse of one sample stays visible.
+`column_descriptions` gives the page names and units. A slot keeps minimum and maximum: a pulse of one sample stays
+visible.
 
-`Thinner`, of a live series, keeps the last minute in a ring::
+`Downsampler`, of a live series, keeps the last minute in a ring::
 
     ring, shape (kept, columns, 2):   slot n is row n % kept;   [..., 0] minimum, [..., 1] maximum, NaN: no sample
     n = floor(time / SLOT)            ... | closed | closed | open |    the open slot is still filling, not yet shown
 
-`GrowingThinner`, of a recording of unknown length, lets its slots grow with it::
+`GrowingDownsampler`, of a recording of unknown length, lets its slots grow with it::
 
     slots of 10 ms   | 0 | 1 | 2 | 3 | ... | limit - 1 |     full, and another sample arrives:
     slots of 20 ms   |   0   |   1   | ... |           |     pairs are merged; and so on
@@ -70,13 +71,13 @@ SERIES = ((*STATE_COLUMNS, *STATE_EXTRA), CORRECTION_COLUMNS, LAW_COLUMNS)
 """Columns of states, corrections and laws."""
 
 
-def described() -> list[list[dict[str, str]]]:
+def column_descriptions() -> list[list[dict[str, str]]]:
     """Return names and units of the columns of the series, states, corrections and laws, for the page."""
     return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in SERIES]
 
 
-def decoded(layout: FixedLayout, messages: Sequence[bytes]) -> npt.NDArray[np.void]:
-    """Return serialized messages with a header as a table; skips messages of another length than the last."""
+def decode_messages(layout: FixedLayout, messages: Sequence[bytes]) -> npt.NDArray[np.void]:
+    """Decode serialized messages into a table; messages of another length than the last are skipped."""
     alike = [message for message in messages if len(message) == len(messages[-1])]
     rows = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), -1)
     return layout.decode(rows, np.zeros(len(alike), np.int64))
@@ -93,37 +94,37 @@ def state_values(table: npt.NDArray[np.void]) -> FloatArray:
     return np.column_stack([*(table[column.field] * column.scale for column in STATE_COLUMNS), *extra])
 
 
-def values(columns: Sequence[Column], table: npt.NDArray[np.void]) -> FloatArray:
-    """Return these columns of messages, shape (n, columns)."""
+def column_values(columns: Sequence[Column], table: npt.NDArray[np.void]) -> FloatArray:
+    """Return the columns of a message table in the page's units, shape (n, columns)."""
     return np.column_stack([table[column.field] * column.scale for column in columns])
 
 
-SLOT = 0.01
+SLOT_TIME = 0.01
 """s; a page of 10 s has 1000 slots, about one per pixel of a plot."""
-KEPT = 6000
+HISTORY_SLOTS = 6000
 """Slots kept for viewers that connect later: 60 s."""
 
 
 @dataclass(frozen=True)
 class Slots:
-    """Consecutive closed slots."""
+    """Consecutive complete slots of a downsampled series."""
 
     first: int
     """Number of the first one: floor(time / SLOT)."""
     values: npt.NDArray[np.float32]
     """Minimum and maximum, shape (slots, columns, 2)."""
 
-    def encoded(self, series: int) -> bytes:
+    def encode(self, series: int) -> bytes:
         """Return the bytes for the page: u32 series, u32 columns, f64 first, float32 values, all little endian."""
         head = np.array([series, self.values.shape[1]], "<u4").tobytes() + np.array([self.first], "<f8").tobytes()
         return head + np.ascontiguousarray(self.values, "<f4").tobytes()
 
 
-class Thinner:
-    """Thins one stream of samples; `columns`: number of values in a sample."""
+class Downsampler:
+    """Reduces a live stream to minimum and maximum per slot of `SLOT_TIME`; `columns`: number of values in a sample."""
 
     def __init__(self, columns: int) -> None:
-        self._ring = np.full((KEPT, columns, 2), np.nan, np.float32)
+        self._ring = np.full((HISTORY_SLOTS, columns, 2), np.nan, np.float32)
         self._begin = self._taken = self._open = 0
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
@@ -136,7 +137,7 @@ class Thinner:
         """
         if not len(times):
             return
-        slots = np.floor(times / SLOT).astype(np.int64)
+        slots = np.floor(times / SLOT_TIME).astype(np.int64)
         kept = len(self._ring)
         if not self._open or abs(int(slots[-1]) - self._open) >= kept:
             self._restart(max(int(slots[0]), int(slots[-1]) - kept + 1))
@@ -147,14 +148,14 @@ class Thinner:
         self._open_until(int(slots[-1]))
         _reduce_into(self._ring, slots, values)
 
-    def take(self) -> Slots:
+    def poll(self) -> Slots:
         """Return the slots closed since the last call."""
         slots = self._between(self._taken, self._open)
         self._taken = self._open
         return slots
 
     def history(self) -> Slots:
-        """Return all taken slots that are still in the ring, which a new viewer gets before the next `take`."""
+        """Return all polled slots still in the ring, for a new viewer the next `poll`."""
         return self._between(max(self._begin, self._open - len(self._ring) + 1), self._taken)
 
     def _restart(self, slot: int) -> None:
@@ -172,23 +173,23 @@ class Thinner:
         return Slots(first, self._ring[rows])
 
 
-LIMIT = 2**16
+SLOTS_MAX = 2**16
 """Number of slots: 655 s at 10 ms; an hour is 5.6 times that, in slots of 80 ms."""
 
 
-class GrowingThinner:
-    """Thins one stream of samples from `begin` on.
+class GrowingDownsampler:
+    """Reduces a stream of unknown length to minimum and maximum per slot; the slots double as it grows.
 
     `columns`: number of values in a sample. `begin`: start of the first slot, s. `limit`: number of slots kept, even.
     """
 
-    def __init__(self, columns: int, begin: float, limit: int = LIMIT) -> None:
+    def __init__(self, columns: int, begin: float, limit: int = SLOTS_MAX) -> None:
         self._begin = begin
         self.end = begin
         """Time of the latest sample, s, on the clock of the samples."""
         self._table = np.full((limit, columns, 2), np.nan, np.float32)
         self._count = 0
-        self.slot = SLOT
+        self.slot = SLOT_TIME
         """s."""
 
     def add(self, times: FloatArray, values: FloatArray) -> None:

@@ -5,11 +5,11 @@
 
     publish(frames, welcome) ──> viewer 1     frames: sent to all viewers now
                              ──> viewer 2     welcome: sent first to a new viewer
-                             ─x─ viewer 3     has not read `BEHIND` bytes: gets no frames until it has
+                             ─x─ viewer 3     has not read `BACKLOG_MAX` bytes: gets no frames until it has
     act(text) <── command, from any viewer    answered independently, so that a disarm waits for nothing
 
 No viewer can delay `publish`. Requests from a foreign page or under a foreign host name are refused, so that a page on
-the internet cannot reach the plant through its visitor's browser. `check` accepts or refuses commands:
+the internet cannot reach the plant through its visitor's browser. `authorize` accepts or refuses commands:
 
 =========  ======================================  ==========================================
 command    needs                                   what it does
@@ -84,7 +84,7 @@ class PageCommand(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 _DECODER = msgspec.json.Decoder(PageCommand)
 
 
-def read(text: str | bytes) -> PageCommand:
+def parse_command(text: str | bytes) -> PageCommand:
     """Parse a received command. Raises RefusedError: the text is not a command."""
     try:
         command = _DECODER.decode(text)
@@ -95,8 +95,8 @@ def read(text: str | bytes) -> PageCommand:
     return command
 
 
-def check(command: PageCommand, token: str, epoch: int) -> None:
-    """Accept or refuse a command.
+def authorize(command: PageCommand, token: str, epoch: int) -> None:
+    """Check token and epoch of a command.
 
     `token`: as the terminal shows it. `epoch`: the plant's present one, 0 if no plant has announced one. Raises
     RefusedError: the command is refused.
@@ -119,11 +119,11 @@ def check(command: PageCommand, token: str, epoch: int) -> None:
 
 PORT = 8765
 """Default port; if it is taken, any free one."""
-VIEWERS = 16
+VIEWERS_MAX = 16
 """Maximum number of simultaneous viewers."""
-BEHIND = 256 * 1024
+BACKLOG_MAX = 256 * 1024
 """Bytes queued for a viewer beyond which frames for it are dropped."""
-ANSWER_WITHIN = 3.0
+COMMAND_TIMEOUT = 3.0
 """s, time-out of a command."""
 
 _PENDING = 20  # pending commands of one viewer
@@ -215,13 +215,13 @@ class PageServer:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the page's files; None for its WebSocket, which the library handles."""
-        if is_foreign(request, self._host):
+        if is_cross_origin(request, self._host):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "another page may not talk to this one\n")
         path = urlsplit(request.path).path
         if path == "/live":
-            if self.viewers < VIEWERS:
+            if self.viewers < VIEWERS_MAX:
                 return None
-            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS} viewers look already\n")
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS_MAX} viewers look already\n")
         if path not in self._files:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
         return file_response(*self._files[path], _POLICY)
@@ -253,13 +253,13 @@ class PageServer:
             broadcast(new, message)
         with self._lock:
             self._viewers |= {viewer for viewer in new if viewer.state == viewer.state.OPEN}
-        reading = [viewer for viewer in self._viewers if viewer.transport.get_write_buffer_size() < BEHIND]
+        reading = [viewer for viewer in self._viewers if viewer.transport.get_write_buffer_size() < BACKLOG_MAX]
         for message in frames:
             broadcast(reading, message)
 
 
 def file_response(body: bytes, kind: str, policy: str) -> Response:
-    """Return the answer that holds a file of a page, with its content's type and security policy."""
+    """Return an HTTP response with a file; `kind`: content type, `policy`: content security policy."""
     headers = {
         "Content-Type": kind,
         "Content-Length": str(len(body)),
@@ -272,14 +272,14 @@ def file_response(body: bytes, kind: str, policy: str) -> Response:
     return Response(200, "OK", Headers(headers), body)
 
 
-def is_foreign(request: Request, given: str) -> bool:
-    """Return whether a request comes from another page, or under a name that is not of this machine."""
+def is_cross_origin(request: Request, given: str) -> bool:
+    """Return whether a request has another site's Origin, or a Host that is not this machine."""
     host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-    return not own_name(host, given) or (origin is not None and urlsplit(origin).netloc != host)
+    return not is_own_host(host, given) or (origin is not None and urlsplit(origin).netloc != host)
 
 
-def own_name(host: str, given: str) -> bool:
-    """Return whether a request's Host is this machine's number or own name: a foreign name may resolve anywhere."""
+def is_own_host(host: str, given: str) -> bool:
+    """Return whether a Host header is an IP address or a name of this machine, against DNS rebinding."""
     name = urlsplit(f"//{host}").hostname or ""
     if name in ("localhost", given.lower(), gethostname().lower()):
         return True

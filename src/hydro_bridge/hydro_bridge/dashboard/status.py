@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Status of the graph for the page, besides the series: holder of the lease, state of the nodes, learning progress.
 
-All of it is bounded: the latest status of each node, and a curve of at most `CURVE` episodes.
+All of it is bounded: the latest status of each node, and a curve of at most `CURVE_POINTS_MAX` episodes.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import msgspec
 
 from hydro_core.signals import CorrectionStatus, Flag
 
-CURVE = 1000
+CURVE_POINTS_MAX = 1000
 """Maximum number of points of the learning curve; beyond it every second one is dropped."""
-NODES = 32
+NODES_MAX = 32
 """Number of nodes whose diagnostics are kept: those heard last."""
-VALUES = 60
+VALUES_MAX = 60
 """Number of values kept of each node."""
 PHASES = ("waiting", "training", "evaluating", "paused", "finished")
 """TrainingStatus.phase in words."""
-DEAD_AFTER = 0.5
+PLANT_TIMEOUT = 0.5
 """s without a sample after which the plant counts as lost."""
 
 
-def encoded(kind: str, content: Mapping[str, Any]) -> str:
+def encode_message(kind: str, content: Mapping[str, Any]) -> str:
     """Encode a message to the page; non-finite values become null."""
     return msgspec.json.encode({"kind": kind, **content}).decode()
 
@@ -36,7 +36,7 @@ def flag_labels(flags: int) -> list[str]:
     return [str(flag.name).lower().replace("_", " ") for flag in Flag if flag & flags]
 
 
-class Curve:
+class LearningCurve:
     """Learning curve: results of the finished episodes."""
 
     KEYS = ("episode", "rmse", "return", "critic_loss", "actor_loss")
@@ -62,15 +62,15 @@ class Curve:
         self._result = result
         under_way = PHASES[phase : phase + 1] == ("training",)
         self._rows.append((episode - 1 if under_way else episode, rmse, episode_return, critic_loss, actor_loss))
-        if len(self._rows) > CURVE:
+        if len(self._rows) > CURVE_POINTS_MAX:
             del self._rows[::2]
 
     def content(self) -> dict[str, Any]:
-        """For the page: a list per key of `KEYS`."""
+        """Return the curve for the page: a list of values for each key of `KEYS`."""
         return {key: [row[column] for row in self._rows] for column, key in enumerate(self.KEYS)}
 
 
-class Nodes:
+class NodeStatuses:
     """Latest status of each node on /diagnostics."""
 
     def __init__(self) -> None:
@@ -78,17 +78,17 @@ class Nodes:
 
     def update(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
         """Add a status; `now` [s] of any one clock."""
-        kept = dict(list(values.items())[:VALUES])
+        kept = dict(list(values.items())[:VALUES_MAX])
         self._heard.pop(name, None)
         self._heard[name] = (now, {"name": name, "level": level, "message": message, "values": kept})
-        while len(self._heard) > NODES:
+        while len(self._heard) > NODES_MAX:
             del self._heard[next(iter(self._heard))]
 
     def content(self, now: float) -> list[dict[str, Any]]:
-        """For the page, each with its `age` [s]."""
+        """Return the statuses for the page, sorted by node, each with its `age` [s]."""
         return [{**said, "age": round(now - heard, 1)} for _, (heard, said) in sorted(self._heard.items())]
 
 
-def counted(statuses: Mapping[int, int]) -> dict[str, int]:
-    """Return counts of the filter's decisions in words, from those by their numbers."""
+def count_statuses(statuses: Mapping[int, int]) -> dict[str, int]:
+    """Return the filter's decision counts by status name, from counts by status number."""
     return {known.name.lower(): statuses[known] for known in CorrectionStatus if known in statuses}

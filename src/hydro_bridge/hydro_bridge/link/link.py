@@ -6,7 +6,7 @@ sample. Other threads set the guard's inputs (under `lock`) and may `send` at on
 
 The line is alive by frames, not by bytes: without a new sample, and before a box has greeted without a frame, for
 `silence_max` it is closed and opened anew, and what came in their place is told. What is said of a box, armed or not,
-is younger than `FRESH`.
+is younger than `SAMPLE_AGE_MAX`.
 
 An emulator that goes by its own clock says so (CLOCK): stamps and ages are then in its time. Where it waits, one
 command is sent for each sample, with the sample's time, once the graph has answered (`pace`).
@@ -24,7 +24,7 @@ from enum import Enum
 from functools import partial
 from math import inf, isclose
 
-from hydro_bridge.safety.guard import CommandGuard, GuardSettings, narrowed
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings, intersect_limits
 from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import (
@@ -41,26 +41,26 @@ from hydro_bridge.serial.protocol import (
     encode_clock,
     encode_command,
     encode_hello,
-    foreign_box,
+    version_mismatch_message,
 )
-from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker, without_frames
+from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker, no_frames_message
 from hydro_core.clock import BoxClock, HostClock, clock_step_message
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import STATE_FIELDS, Command, Flag, Law, flag_names
 
-NO_LAW = "only the paper's force law can be run: the box offers no other"
+NO_COMPENSATED_LAW = "only the paper's force law can be run: the box offers no other"
 
 
-def incomplete(details: BoxDetails | None) -> str:
-    """Return a sentence on a box whose HELLO is not followed by what belongs to it."""
+def incomplete_handshake(details: BoxDetails | None) -> str:
+    """Return an error message for a box whose HELLO is not followed by DETAILS, or DETAILS by LAW."""
     said, missing = ("DETAILS", "LAW") if details else ("HELLO", "DETAILS")
     return f"the box sends no {missing} behind its {said}: no command is sent"
 
 
-def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails, law: BoxLaw | None) -> list[str]:
-    """Return sentences for the log; none for a box with both laws that allows everything the guard is set to."""
-    said = [] if law else [NO_LAW]
-    allowed = narrowed(wanted, info)
+def connection_warnings(wanted: GuardSettings, info: BoxInfo, details: BoxDetails, law: BoxLaw | None) -> list[str]:
+    """Return log messages on a new connection: limits narrower than the guard's, and a missing compensated law."""
+    said = [] if law else [NO_COMPENSATED_LAW]
+    allowed = intersect_limits(wanted, info)
     changed = [
         f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"
         for entry in fields(wanted)
@@ -82,9 +82,11 @@ def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails
     return said
 
 
-UNANSWERED = "frames of a box come, and it does not answer: does the line to it work, and does nobody else talk to it?"
+NO_HELLO_REPLY = (
+    "frames of a box come, and it does not answer: does the line to it work, and does nobody else talk to it?"
+)
 
-FRESH = 0.1
+SAMPLE_AGE_MAX = 0.1
 """s, age of the last sample up to which what it says still holds; of a box in real time."""
 
 _RECENT = 256  # number of samples and commands kept
@@ -149,7 +151,7 @@ class LinkReport:
         if arrived is not None:
             self.turnaround.add(now - arrived)
 
-    def forget(self) -> None:
+    def discard_pending(self) -> None:
         """Discard pending measurements: sequence numbers restart."""
         self._arrived.clear()
         self._sent.clear()
@@ -324,7 +326,7 @@ class Link:
             return self.state is not LinkState.CONNECTED or (heard and bool(self.flags & Flag.ARMED) == arm)
 
         if self.paced:
-            confirmed = self.pace.confirm(done)
+            confirmed = self.pace.run_until(done)
         else:
             with self._news:
                 self._asked = True  # each sample is news
@@ -336,17 +338,17 @@ class Link:
             return ""
         with self.lock:
             self.guard.set_arm(False)
-        if self.mute:
-            return f"the box sends no samples: {self.mute}"
+        if self.no_sample_message:
+            return f"the box sends no samples: {self.no_sample_message}"
         return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
 
     @property
-    def mute(self) -> str:
-        """Sentence on a connected box in real time whose last sample is older than `FRESH`; empty if there is none."""
+    def no_sample_message(self) -> str:
+        """Message if the last sample of a connected real-time box is older than `SAMPLE_AGE_MAX`, else empty."""
         age = time.monotonic() - self._sampled
-        if self.state is not LinkState.CONNECTED or not self.real_time or age < FRESH:
+        if self.state is not LinkState.CONNECTED or not self.real_time or age < SAMPLE_AGE_MAX:
             return ""
-        return without_frames(self.counts, self._framed, age)
+        return no_frames_message(self.counts, self._framed, age)
 
     def _converse(self) -> None:
         """Read until the port is lost."""
@@ -371,11 +373,11 @@ class Link:
                     self._give_sign()
                     next_sign = now + _SIGN_PERIOD
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
-                self._complain(foreign_box(self._decoder.foreign_version))
+                self._complain(version_mismatch_message(self._decoder.foreign_version))
             elif self.state is LinkState.OPEN and frames and now - opened > self.port.settings.silence_max:
-                self._complain(UNANSWERED)
+                self._complain(NO_HELLO_REPLY)
             if time.monotonic() - alive > (limit := self._silence_max):
-                raise _MuteError(f"{self.port.settings.path}: {without_frames(self.counts, self._framed, limit)}")
+                raise _MuteError(f"{self.port.settings.path}: {no_frames_message(self.counts, self._framed, limit)}")
 
     @property
     def _silence_max(self) -> float:
@@ -409,7 +411,7 @@ class Link:
             self._restarted()
             return
         if self.paced and not self._met:
-            self.pace.meet(self._give_sign)
+            self.pace.wait_for_peers(self._give_sign)
             self._met = True
         self._sampled, self._samples = now, self._samples + 1
         missed, self._corrected = not self._corrected, False
@@ -426,7 +428,7 @@ class Link:
         self._correct(*sample)
         publish = partial(self._on_state, *sample)
         if self.paced:
-            self.pace.publishes(frame.sequence, publish)
+            self.pace.begin_sample(frame.sequence, publish)
         publish()
         if not self.paced and missed and not self._corrected:  # nor of the sample before: a command is sent regardless
             self.report.heartbeats += 1
@@ -442,14 +444,14 @@ class Link:
         """Return the time [ns] at which the sample was taken: ROS time, or the emulator's own."""
         if self.emulated is not None:
             return 1000 * self._box_us
-        step = self.host_clock.look()
+        step = self.host_clock.detect_step()
         if step:
             self._warn(clock_step_message(step))
         return self.host_clock.ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
 
     def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
         if not frame.version_min <= VERSION <= frame.version_max:
-            self._complain(foreign_box(frame.version_max))
+            self._complain(version_mismatch_message(frame.version_max))
             return
         if self.state is LinkState.CONNECTED:
             if frame.sequence != 0:
@@ -457,7 +459,7 @@ class Link:
             self._restarted()
         if frame.sequence != 0:  # the HELLO of power-on answers no greeting
             if self._greeted is not None:
-                self._complain(incomplete(self._told))
+                self._complain(incomplete_handshake(self._told))
             self._greeted, self._told = info, None
 
     def _take_details(self, details: BoxDetails) -> None:
@@ -476,13 +478,13 @@ class Link:
             self.box, self.details, self.law = info, details, law
             self.state = LinkState.CONNECTED
             self._follow_clock()
-            self.guard.settings = narrowed(self._wanted_limits, info)
+            self.guard.settings = intersect_limits(self._wanted_limits, info)
             self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
         self.report.reconnects += self._connected_before
         self._connected_before, self._corrected, self.complaint = True, False, ""
         self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}; disarmed")
-        for sentence in connection_remarks(self._wanted_limits, info, details, law):
+        for sentence in connection_warnings(self._wanted_limits, info, details, law):
             self._log(sentence)
         self._on_box(info)
 
@@ -523,7 +525,7 @@ class Link:
         with self.lock:
             self.guard.set_arm(False)
             self.guard.note_sample(None)
-            self.report.forget()
+            self.report.discard_pending()
         self._note_flags(0)
         self._tracker.reset()
         self.clock.reset()

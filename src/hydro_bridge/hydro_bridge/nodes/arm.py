@@ -14,16 +14,16 @@ import argparse
 
 from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import CLAIM_SERVICE
-from hydro_core.cli.console import UserError, command, command_line, number
+from hydro_core.cli.console import UserError, bounded_number, command, make_parser
 from hydro_msgs.srv import Claim
 
 
 def parser() -> argparse.ArgumentParser:
-    """Build the parser of the command line."""
-    result = command_line("arm", __doc__)
+    """Return the argument parser."""
+    result = make_parser("arm", __doc__)
     result.add_argument("--off", action="store_true", help="disarm: the valve closes")
     result.add_argument("--for", dest="whom", default="", metavar="NODE", help="arm only if this node commands it")
-    result.add_argument("--timeout", type=number(0.01), default=10.0, metavar="S", help="for each step (10 s)")
+    result.add_argument("--timeout", type=bounded_number(0.01), default=10.0, metavar="S", help="for each step (10 s)")
     return result
 
 

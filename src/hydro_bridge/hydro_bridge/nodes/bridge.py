@@ -18,10 +18,10 @@ from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode, run_plant
 from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments
-from hydro_bridge.safety.box_info import differences, known_box
+from hydro_bridge.safety.box_info import bench_mismatches, known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.safety.pace import Pace, PaceSettings
-from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, no_port
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, describe_non_port
 from hydro_bridge.serial.protocol import BoxInfo, State
 from hydro_core.cli.console import UserError, command
 from hydro_core.files import bench_file, site
@@ -29,7 +29,7 @@ from hydro_core.settings import describe
 from hydro_core.size import Size
 
 
-class BridgeSide(Link):
+class SerialPlant(Link):
     """A link with its status for /diagnostics."""
 
     foreign = ""
@@ -52,12 +52,12 @@ class BridgeSide(Link):
             "state in to correction out": report.turnaround.sentence(),
             "command out to confirmation in": report.round_trip.sentence(),
             "low latency mode": self.port.low_latency,
-            "each sample waits for": self.pace.waits if self.paced else "nobody: real time",
+            "each sample waits for": self.pace.peers if self.paced else "nobody: real time",
         }
         if self.state is not LinkState.CONNECTED:
             why = f": {self.complaint}" if self.complaint else ""
             return Status(level=Level.ERROR, message=f"no box: the port is {self.state.value}{why}", values=values)
-        if mute := self.mute:
+        if mute := self.no_sample_message:
             return Status(level=Level.ERROR, message=f"no samples: {mute}", values=values)
         differs = f", the box differs: {self.foreign}" if self.foreign else ""
         return Status(level=Level.WARN if differs else Level.OK, message=mode(self.flags) + differs, values=values)
@@ -75,13 +75,13 @@ class BridgeNode(PlantNode):
         realtime: bool,
     ) -> None:
         super().__init__("bridge", corrector)
-        size = Size.if_known(bench)
+        size = Size.of_known_bench(bench)
         usual = GuardSettings() if size is None else GuardSettings.of_size(size)
         guard = CommandGuard(settings=declare_parameters(self, usual, "guard."))
         port = Port(declare_parameters(self, settings))
         logger, self._bench = self.get_logger(), bench
         pace = Pace(declare_parameters(self, PaceSettings(), "pace."), logger.info)
-        self.link = BridgeSide(
+        self.link = SerialPlant(
             port, guard, partial(self._on_sample, self.publish_sample), logger.info, logger.warning, self._on_box, pace,
             partial(self._on_sample, self.correct),
         )  # fmt: skip
@@ -93,7 +93,7 @@ class BridgeNode(PlantNode):
 
     def _on_box(self, info: BoxInfo) -> None:
         """Handle a new connection, possibly to another box."""
-        self.link.foreign = differences(info, self._bench, self.link.details)
+        self.link.foreign = bench_mismatches(info, self._bench, self.link.details)
         if self.link.foreign:
             self.get_logger().warning(
                 f"this box is not what was expected: {self.link.foreign}: give the bridge its own bench.yaml by --bench"
@@ -102,7 +102,7 @@ class BridgeNode(PlantNode):
 
 
 def parser() -> argparse.ArgumentParser:
-    """Build the parser of the command line."""
+    """Return the argument parser."""
     result = argparse.ArgumentParser(
         prog="bridge",
         description="The box on a serial line as topics: /hydro/state; gains, correction, reference, /hydro/arm.",
@@ -125,7 +125,7 @@ def refuse_unusable_port(settings: PortSettings) -> None:
 
     A second bridge would answer /hydro/arm as well. A missing port may still appear: the link waits for it.
     """
-    if (kind := no_port(settings.path)) is not None:
+    if (kind := describe_non_port(settings.path)) is not None:
         raise UserError(f"{settings.path} is {kind}, not a serial port")
     port, end = Port(settings), time.monotonic() + 2.0
     while True:
@@ -142,15 +142,15 @@ def refuse_unusable_port(settings: PortSettings) -> None:
             return
 
 
-def plant(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
-    """Return what makes the node that this command line asks for, given a filter in its process.
+def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
+    """Return a factory of the node for this command line; it takes the filter in this process, or None.
 
     Ends the program if the port cannot be used.
     """
     options = parser().parse_args(own)
-    site.take_site(options, bench=site.BENCH)
-    port, file = PortSettings(path=options.port, baud=options.baud), options.bench or bench_file.shipped()
-    bench = bench_file.read_believed(file) if file else None
+    site.apply_site_option(options, bench=site.BENCH)
+    port, file = PortSettings(path=options.port, baud=options.baud), options.bench or bench_file.shipped_bench_file()
+    bench = bench_file.read_box_bench(file) if file else None
     refuse_unusable_port(port)
     return lambda corrector: BridgeNode(port, bench, corrector, realtime=options.realtime)
 
@@ -159,5 +159,5 @@ def plant(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    make = plant(own)
+    make = plant_factory(own)
     run_plant(lambda: make(None), ros)

@@ -33,8 +33,16 @@ from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.bags.cdr import fixed_layout
 from hydro_bridge.dashboard import series, status
-from hydro_bridge.dashboard.series import SLOT, Thinner
-from hydro_bridge.dashboard.server import ANSWER_WITHIN, PORT, PageCommand, PageServer, RefusedError, check, read
+from hydro_bridge.dashboard.series import SLOT_TIME, Downsampler
+from hydro_bridge.dashboard.server import (
+    COMMAND_TIMEOUT,
+    PORT,
+    PageCommand,
+    PageServer,
+    RefusedError,
+    authorize,
+    parse_command,
+)
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
@@ -56,24 +64,24 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_core.cli.console import command, command_line, number
-from hydro_core.signals import DECIDED
+from hydro_core.cli.console import bounded_number, command, make_parser
+from hydro_core.signals import STATUS_MASK
 from hydro_msgs.msg import Authority, TrainingStatus
 from hydro_msgs.srv import Claim, OverrideGains
 
-QUEUE = 500
+QUEUE_DEPTH = 500
 """Messages per topic that wait for the next frame: half a second."""
 
 
-class Samples:
-    """Takes the messages received since the last frame."""
+class SampleReceiver:
+    """Subscribes to the topics published at every sample, and downsamples them for the page."""
 
     def __init__(self) -> None:
         self._mailbox = Mailbox("dashboard")
         kinds = {STATE: series.STATE_TYPE, CORRECTION: series.CORRECTION_TYPE, LAW_STATE: series.LAW_TYPE}
         self._queues = {topic: (self._queued(topic), fixed_layout(kind)) for topic, kind in kinds.items()}
         self._sequence = -1
-        self.series = tuple(Thinner(len(columns)) for columns in series.SERIES)
+        self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES)
         """Thinners of the samples, of the corrections and of the compensated law."""
         self.decided: Counter[int] = Counter()
         """Number of corrections of each status since this was last cleared."""
@@ -88,34 +96,34 @@ class Samples:
         """Samples missing in the sequence."""
 
     @property
-    def contested(self) -> bool:
+    def has_several_plants(self) -> bool:
         """Whether more than one plant publishes samples."""
         return bool(self._queues[STATE][0].get_publisher_count() > 1)
 
-    def take(self, now: float) -> None:
-        """Take all queued messages at `now` [s, monotonic]."""
+    def poll(self, now: float) -> None:
+        """Process all queued messages; `now`: monotonic time [s]."""
         self._take_states(now)
         if (table := self._fetched(CORRECTION)) is not None:
-            self.decided.update((table["status"] & DECIDED).tolist())
-            self.series[1].add(table["time"], series.values(series.CORRECTION_COLUMNS, table))
+            self.decided.update((table["status"] & STATUS_MASK).tolist())
+            self.series[1].add(table["time"], series.column_values(series.CORRECTION_COLUMNS, table))
         if (table := self._fetched(LAW_STATE)) is not None:
             self.compensated_at = now
-            self.series[2].add(table["time"], series.values(series.LAW_COLUMNS, table))
+            self.series[2].add(table["time"], series.column_values(series.LAW_COLUMNS, table))
 
     def close(self) -> None:
         """Leave the graph."""
         self._mailbox.close()
 
     def _queued(self, topic: str) -> Subscription:
-        qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         return self._mailbox.subscribe(topic, GRAPH[topic][0], qos)
 
     def _fetched(self, topic: str) -> npt.NDArray[np.void] | None:
         """Return the queued messages as a table; None if there are none, or of a plant of another version."""
         subscription, layout = self._queues[topic]
-        messages = [data for data, _ in self._mailbox.fetch(subscription, QUEUE)]
+        messages = [data for data, _ in self._mailbox.fetch(subscription, QUEUE_DEPTH)]
         try:
-            return series.decoded(layout, messages) if messages else None
+            return series.decode_messages(layout, messages) if messages else None
         except ValueError:  # unknown layout
             return None
 
@@ -164,8 +172,8 @@ class PageCommands:
         told: Promise[str] = Promise()
         command = PageCommand(command="")
         try:
-            command = read(text)
-            check(command, self._token, self._epoch())
+            command = parse_command(text)
+            authorize(command, self._token, self._epoch())
             client, request, absent = self._asked(command)
             if not client.service_is_ready():
                 raise RefusedError(absent)
@@ -173,7 +181,7 @@ class PageCommands:
             told.set_result(_answer(command, False, str(refused)))
             return told
         answer = client.call_async(request)
-        late = threading.Timer(ANSWER_WITHIN, self._give_up, (client, answer, command, told))
+        late = threading.Timer(COMMAND_TIMEOUT, self._give_up, (client, answer, command, told))
         late.daemon = True
         late.start()
         answer.add_done_callback(lambda done: self._tell(done, command, told, late))
@@ -211,7 +219,7 @@ class PageCommands:
 
     def _give_up(self, client: Client, answer: Future, command: PageCommand, told: Promise[str]) -> None:
         client.remove_pending_request(answer)
-        _settle(told, _answer(command, False, f"no answer within {ANSWER_WITHIN:g} s"))
+        _settle(told, _answer(command, False, f"no answer within {COMMAND_TIMEOUT:g} s"))
 
 
 def _settle(told: Promise[str], answer: str) -> None:
@@ -222,7 +230,7 @@ def _settle(told: Promise[str], answer: str) -> None:
 
 def _answer(command: PageCommand, success: bool, message: str) -> str:
     content = {"number": command.number, "command": command.command, "success": success, "text": message}
-    return status.encoded("answer", content)
+    return status.encode_message("answer", content)
 
 
 HOST = "127.0.0.1"
@@ -230,23 +238,23 @@ PERIOD = 0.05
 """s between two frames."""
 
 _WORDS_EVERY = 10  # frames: twice a second
-_UNWATCHED = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE`
+_UNWATCHED = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE_DEPTH`
 _SHOWN = (STATE, CORRECTION, GAINS, REFERENCE)
 
 
 class DashboardNode(Node):
-    """Passes messages of the graph to the page, and the page's commands to the plant; publishes only its diagnostics.
+    """Serves the live page: forwards messages of the graph to it, and its commands to the plant.
 
-    `host`, `port`: address of the page. The node subscribes to the infrequent topics; `Samples` to the others.
+    `host`, `port`: address of the page. The node subscribes to the infrequent topics; `SampleReceiver` to the others.
     """
 
     def __init__(self, host: str, port: int | None) -> None:
         super().__init__("dashboard")
-        self._samples = Samples()
+        self._samples = SampleReceiver()
         self._authority = self._word = Authority()
         self._box: dict[str, Any] = {}
         self._training: dict[str, Any] = {}
-        self._curve, self._nodes = status.Curve(), status.Nodes()
+        self._curve, self._nodes = status.LearningCurve(), status.NodeStatuses()
         self._frames = 0
         self._words_heard = create_subscription(self, AUTHORITY, self._on_authority)
         subscribe_to_box(self, self._on_box)
@@ -283,34 +291,38 @@ class DashboardNode(Node):
         if not self._server.viewers and self._frames % _UNWATCHED:
             return
         now = time.monotonic()
-        self._samples.take(now)
+        self._samples.poll(now)
         self._believe()
         frames: list[str | bytes] = []
         for index, thinned in enumerate(self._samples.series):
-            slots = thinned.take()
+            slots = thinned.poll()
             if self._server.viewers and len(slots.values):
-                frames.append(slots.encoded(index))
+                frames.append(slots.encode(index))
         if self._server.viewers:
-            frames.append(status.encoded("pulse", self._pulse(now)))
+            frames.append(status.encode_message("pulse", self._pulse(now)))
             if self._frames % _WORDS_EVERY == 0:
-                frames.append(status.encoded("words", self._words(now)))
+                frames.append(status.encode_message("words", self._words(now)))
         self._server.publish(frames, partial(self._welcome, now))
 
     def _welcome(self, now: float) -> list[str | bytes]:
         """Return the initial content of a page: names and units, the last minute, the status texts."""
-        hello = {"slot": SLOT, "series": series.described()}
-        told: list[str | bytes] = [status.encoded("hello", hello)]
+        hello = {"slot": SLOT_TIME, "series": series.column_descriptions()}
+        told: list[str | bytes] = [status.encode_message("hello", hello)]
         for index, thinned in enumerate(self._samples.series):
-            told.append(thinned.history().encoded(index))
-        return [*told, status.encoded("pulse", self._pulse(now)), status.encoded("words", self._words(now))]
+            told.append(thinned.history().encode(index))
+        return [
+            *told,
+            status.encode_message("pulse", self._pulse(now)),
+            status.encode_message("words", self._words(now)),
+        ]
 
     def _pulse(self, now: float) -> dict[str, Any]:
         age = now - self._samples.taken_at
         return {
             "age": round(age, 3) if age < inf else None,
-            "alive": age < status.DEAD_AFTER,
+            "alive": age < status.PLANT_TIMEOUT,
             "sent": round(1e3 * now),
-            "contested": self._samples.contested,
+            "contested": self._samples.has_several_plants,
             "flags": status.flag_labels(self._samples.flags),
             "epoch": str(self._authority.epoch),
             "holder": self._authority.holder,
@@ -324,8 +336,8 @@ class DashboardNode(Node):
             "box": self._box,
             "training": self._training,
             "curve": self._curve.content(),
-            "filter": status.counted(decided),
-            "law": "compensated" if now - self._samples.compensated_at < status.DEAD_AFTER else "paper",
+            "filter": status.count_statuses(decided),
+            "law": "compensated" if now - self._samples.compensated_at < status.PLANT_TIMEOUT else "paper",
             "nodes": self._nodes.content(now),
             "publishers": published,
             "missed": self._samples.lost,
@@ -382,11 +394,11 @@ def _best_effort(topic: str) -> QoSProfile:
 
 
 def parser() -> argparse.ArgumentParser:
-    """Build the parser of the command line."""
-    result = command_line("dashboard", __doc__)
+    """Return the argument parser."""
+    result = make_parser("dashboard", __doc__)
     result.add_argument("--host", default=HOST, metavar="ADDRESS", help=f"to listen at (default {HOST}: here only)")
     result.add_argument(
-        "--port", type=number(0, 65535), metavar="N", help=f"default {PORT}, if taken a free one; 0: any"
+        "--port", type=bounded_number(0, 65535), metavar="N", help=f"default {PORT}, if taken a free one; 0: any"
     )
     return result
 

@@ -44,7 +44,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
 from hydro_bridge.ros.diagnostics import (
-    CALLS,
+    CALL_LOGGER,
     DiagnosticsPublisher,
     Level,
     Status,
@@ -85,7 +85,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace
 from hydro_bridge.serial.protocol import BoxLaw, LawState
-from hydro_core.signals import DECIDED, SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, flag_names
+from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs.msg import Answered, Gains, LawCommand
 from hydro_msgs.msg import Authority as AuthorityMessage
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
@@ -167,7 +167,7 @@ class LeaseServer:
         self._told: Counter[str] = Counter()
         self._corrected = False  # corrections were refused in the second before
         self._last_call = ""
-        self._calls = node.get_logger().get_child(CALLS)
+        self._calls = node.get_logger().get_child(CALL_LOGGER)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tell()
         node.create_service(SetBool, ARM_SERVICE, self._on_arm)
@@ -225,7 +225,7 @@ class LeaseServer:
         else:
             trouble, done = f"act {request.act} is not known", ""
         if lease.claim != held:
-            self._plant.pace.claimed()
+            self._plant.pace.reset_commands()
             self._begin_anew(succeeds=bool(held))
             self._node.get_logger().info(f"{lease.holder or 'nobody'} commands this plant")
             self._tell()
@@ -447,12 +447,12 @@ class PlantNode(Node):
         if self.leases.admits(GAINS, message.epoch):
             with self.side.lock:
                 self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
-        self.side.pace.commanded()
+        self.side.pace.on_command()
 
     def _on_law(self, message: LawCommand) -> None:
         if self.leases.admits(LAW, message.epoch):
             self._take_law(message)
-        self.side.pace.commanded()
+        self.side.pace.on_command()
 
     def _take_law(self, message: LawCommand) -> None:
         wanted = law_command_from_message(message)
@@ -465,16 +465,16 @@ class PlantNode(Node):
     def _on_correction(self, message: Any) -> None:
         if self.leases.admits(CORRECTION, message.epoch):
             with self.side.lock:
-                status = message.status & DECIDED
+                status = message.status & STATUS_MASK
                 self.side.guard.set_correction(message.delta_u, status, message.sequence, self.side.now())
             self.side.send(message.sequence)
         if not self.side.real_time:
-            self.side.pace.corrected(message.sequence)
+            self.side.pace.on_correction(message.sequence)
 
     def _on_reference(self, message: ReferenceMessage) -> None:
         if self.leases.admits(REFERENCE, message.epoch):
             self._take_reference(message)
-        self.side.pace.commanded()
+        self.side.pace.on_command()
 
     def _take_reference(self, message: ReferenceMessage) -> None:
         signal = reference_from_message(message)
@@ -486,12 +486,12 @@ class PlantNode(Node):
 
     def _on_answered(self, message: Answered) -> None:
         sequence = message.sequence if message.answers else None
-        self.side.pace.answered(message.node, sequence, message.window, message.commands)
+        self.side.pace.on_answer(message.node, sequence, message.window, message.commands)
 
     def _look_for_peers(self) -> None:
         """Forget peers that were not in the graph at two looks: a new one may not have its name there yet."""
         before, self._peers = self._peers, {info.node_name for info in self.get_publishers_info_by_topic(ANSWERED)}
-        self.side.pace.keep(before | self._peers)
+        self.side.pace.retain_peers(before | self._peers)
 
     def _status(self) -> Status:
         side, status = self.side, self.side.status()

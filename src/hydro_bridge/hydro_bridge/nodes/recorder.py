@@ -22,13 +22,13 @@ from rclpy.task import Future
 
 from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
-from hydro_bridge.bags.writer import BagWriter, code_version, sequence_of
-from hydro_bridge.ros.answers import Answers
+from hydro_bridge.bags.writer import BagWriter, code_version, decode_sequence
+from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox
-from hydro_bridge.safety.pace import RECORDS
+from hydro_bridge.safety.pace import RECORDER_WINDOW
 from hydro_bridge.serial.stream import SequenceTracker
 from hydro_core.cli.console import command, writable_folder
 from hydro_core.signals import Flag
@@ -40,9 +40,9 @@ _NICE = -10  # below all control nodes. The middleware buffers some 0.5 s of sam
 
 
 class PlantClock:
-    """Log times of a plant that goes by its own clock: the recording is as long as it was for the plant.
+    """Log times in the plant's time where it runs by its own clock, so that the recording has the plant's duration.
 
-    They begin at the first sample's arrival, and stand still between two samples.
+    They begin at the first sample's arrival and advance with each sample.
     """
 
     def __init__(self) -> None:
@@ -50,15 +50,15 @@ class PlantClock:
         """Whether the last sample was of such a plant."""
         self._offset = self._now = 0  # ns
 
-    def look(self, stamp: int, flags: int, arrived: int) -> None:
-        """Follow a sample: its stamp [ns], its flags, and when it arrived [ns]."""
+    def update(self, stamp: int, flags: int, arrived: int) -> None:
+        """Update the clock by a sample; `stamp`, `arrived`: its stamp and arrival time [ns]."""
         before, self.paced = self.paced, bool(flags & Flag.PACED)
         if self.paced and (not before or stamp + self._offset < self._now):
             self._offset = max(arrived, self._now) - stamp
         self._now = stamp + self._offset if self.paced else arrived
 
     def log_time(self, arrived: int) -> int:
-        """Return the log time [ns] of a message that arrived at this time [ns]."""
+        """Return the log time [ns] of a message that arrived at `arrived` [ns]."""
         return self._now if self.paced else arrived
 
 
@@ -86,7 +86,7 @@ class RecorderNode(Node):
         self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self._answers, self._answered = Answers(self, RECORDS, self._heard[STATE]), -1
+        self._answers, self._answered = PaceResponder(self, RECORDER_WINDOW, self._heard[STATE]), -1
         self._plant_clock = PlantClock()
         self.get_logger().info(f"recording into {self._writer.folder}; {scheduling}")
 
@@ -128,18 +128,18 @@ class RecorderNode(Node):
         for time_ns, topic, data in sorted(arrived, key=itemgetter(0)):
             self._write(self._take, topic, data, time_ns)
         if self._plant_clock.paced and self._newest != self._answered:
-            self._answers.answer(self._newest)
+            self._answers.acknowledge(self._newest)
             self._answered = self._newest
 
     def _take(self, topic: str, data: bytes, time_ns: int) -> None:
         if topic == STATE and (state := STATES.unpack(data)) is not None:
             self._newest = state.sequence
-            self._plant_clock.look(state.stamp, state.flags, time_ns)
+            self._plant_clock.update(state.stamp, state.flags, time_ns)
         self._writer.write(topic, data, self._plant_clock.log_time(time_ns))
         self._messages[topic] += 1
         self._bytes += len(data)
         if topic == STATE:
-            self._tracker.accept(sequence_of(data))
+            self._tracker.accept(decode_sequence(data))
 
     def _write(self, write: Callable[..., None], *what: object) -> None:
         if self.failed:

@@ -19,14 +19,14 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from hydro_bridge.bags.recording import messages, read_bag
-from hydro_bridge.bags.steady import SteadyTimes
+from hydro_bridge.bags.recording import read_bag, read_serialized
+from hydro_bridge.bags.steady import MonotonicTimes
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
-from hydro_core.cli.console import command, number
+from hydro_core.cli.console import bounded_number, command
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
@@ -46,8 +46,8 @@ TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded."""
 
 
-NOT_WAITED_FOR = 10.0
-"""s between two messages beyond which nothing was recorded, or the clock was set."""
+GAP_MAX = 10.0
+"""Longest gap [s] between two messages that is replayed; longer ones are skipped."""
 
 
 def replay(
@@ -59,16 +59,15 @@ def replay(
 ) -> None:
     """Pass the messages of `TOPICS` to `publish` at their original intervals, each stamped with its due time.
 
-    A consumer treats an old stamp as a stale sample. It ends with the recording, or once `stopping` is set. `speed`:
-    recorded seconds per second, above 0. `note`: called with a sentence on a gap that is left out. Raises
-    RecordingError.
+    Returns at the end of the recording, or once `stopping` is set. `speed`: recorded seconds per second, above 0.
+    `note`: called with a sentence on each gap that is skipped. Raises RecordingError.
     """
-    steady, first, told = SteadyTimes(NOT_WAITED_FOR), None, 0
+    steady, first, told = MonotonicTimes(GAP_MAX), None, 0
     began, began_ns = time.monotonic(), time.time_ns()
-    for topic, type_name, log_time, data in messages(path):
+    for topic, type_name, log_time, data in read_serialized(path):
         if topic not in TOPICS:
             continue
-        now = float(steady.take(np.array([1e-9 * log_time]))[0])
+        now = float(steady.convert(np.array([1e-9 * log_time]))[0])
         first = now if first is None else first
         for when, step in steady.jumps[told:]:
             note(f"the recording's clock goes {step:+.10g} s after {when - first:.1f} s: that is left out")
@@ -145,7 +144,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="`ros2 bag play BAG` works too; this one stamps each sample again, so that none is taken for stale.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
-    parser.add_argument("--speed", type=number(1e-3), default=1.0, help="recorded s per second (default: %(default)s)")
+    parser.add_argument(
+        "--speed", type=bounded_number(1e-3), default=1.0, help="recorded s per second (default: %(default)s)"
+    )
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     return parser
 

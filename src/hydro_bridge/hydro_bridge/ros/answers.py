@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node tells a plant that goes by its own clock: which samples it has answered (`hydro_bridge.safety.pace`)."""
+"""Acknowledgement of samples to a plant that runs by its own clock (`hydro_bridge.safety.pace`)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ _LOOK = 0.05  # s between two looks for a plant
 _ALIVE = 20  # looks after which a peer says again what it said last: it works, it is not dead
 
 
-class Answers:
-    """Announces a node to the plant once it hears it, and tells what it has answered.
+class PaceResponder:
+    """Tells a plant that runs by its own clock which samples this node has answered, on /hydro/answered.
 
-    `node`: the node. `window`: samples that the plant may be ahead of it. `states`: its subscription to the states.
+    `node`: the node. `window`: number of samples that the plant may be ahead of this node. `states`: its subscription
+    to the states.
     """
 
     def __init__(self, node: Node, window: int, states: Subscription) -> None:
@@ -27,8 +28,8 @@ class Answers:
         self._looks, self._met = 0, False
         node.create_timer(_LOOK, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def answer(self, sequence: int, commands: int = 0) -> None:
-        """Tell that all samples up to this one are answered, after so many commands."""
+    def acknowledge(self, sequence: int, commands: int = 0) -> None:
+        """Publish that all samples up to `sequence` are answered; `commands`: number of commands sent so far."""
         message = self._message
         message.answers, message.sequence, message.commands = True, sequence, commands
         self._publisher.publish(message)

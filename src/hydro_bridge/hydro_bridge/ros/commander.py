@@ -18,7 +18,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from hydro_bridge.ros.messages import fill_law_command, reference_to_message
-from hydro_bridge.ros.node import executor_of
+from hydro_bridge.ros.node import node_executor
 from hydro_bridge.ros.topics import (
     AUTHORITY,
     CLAIM_SERVICE,
@@ -203,7 +203,7 @@ class Commander:
             return ""
         answer = self.give(heir)
         if answer is not None:
-            executor_of(self._node).spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
+            node_executor(self._node).spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
         return "" if answer is not None and answer.done() and answer.result().success else UNCONFIRMED
 
     def _ask(self, act: int, *, whom: str = "", then: Callable[[Future], None] = lambda answer: None) -> Future:

@@ -148,7 +148,7 @@ def _die_with(parent: int) -> None:
         os._exit(1)
 
 
-WITHIN = 60.0
+RECORDER_TIMEOUT = 60.0
 """s, wait for a recorder once samples arrive: on a busy machine discovery takes some time."""
 
 
@@ -167,13 +167,13 @@ class RecorderWatch:
 
     @property
     def requirement(self) -> Requirement:
-        """Requirement that it records before anything moves. A later end is reported, and does not stop the run."""
+        """Requirement for arming that the recorder has samples."""
         return Requirement(
             name="the recorder",
             ready=self._ready,
             hint="it says once a second how many samples it has",
-            within=WITHIN,
-            missing=f"the recorder had no sample after {WITHIN:g} s: nothing is armed unrecorded",
+            within=RECORDER_TIMEOUT,
+            missing=f"the recorder had no sample after {RECORDER_TIMEOUT:g} s: nothing is armed unrecorded",
             by_wall_clock=True,
         )
 
@@ -189,38 +189,38 @@ class RecorderWatch:
                 self.since = min(self.since, time.monotonic())
 
 
-VARIABLE = "HYDRO_DASHBOARD"
-NAME = "dashboard"
+DASHBOARD_VARIABLE = "HYDRO_DASHBOARD"
+DASHBOARD_NODE = "dashboard"
 _ADDRESS = "the live page: "
 
 
-def page_wanted() -> bool:
-    """Return whether this environment starts a page by default."""
-    return os.environ.get(VARIABLE, "") != "off"
+def dashboard_enabled() -> bool:
+    """Return whether this environment starts a live page by default."""
+    return os.environ.get(DASHBOARD_VARIABLE, "") != "off"
 
 
-def add_page_option(parser: argparse._ActionsContainer) -> None:
-    """Add --no-dashboard."""
+def add_dashboard_option(parser: argparse._ActionsContainer) -> None:
+    """Add the option --no-dashboard."""
     parser.add_argument(
         "--no-dashboard",
         dest="dashboard",
         action="store_false",
-        default=page_wanted(),
-        help=f"serve no live page beside the run (nor where {VARIABLE}=off)",
+        default=dashboard_enabled(),
+        help=f"serve no live page beside the run (nor where {DASHBOARD_VARIABLE}=off)",
     )
 
 
-def start_page(
+def start_dashboard(
     stack: ExitStack, node: Node, *, wanted: bool, keep: Callable[[str], object] = lambda line: None
 ) -> None:
-    """Start a dashboard that `stack` ends, unless the graph already has one; call before arming.
+    """Start a dashboard process, unless the graph already has one; `stack` ends it. Call before arming.
 
-    A page that fails to start, or ends, does not affect the run.
+    A failure of the dashboard does not affect the run.
 
     `node`: node of the caller. `wanted`: False: no page. `keep`: takes each line of its output except its address,
     which contains the token and goes to the terminal only.
     """
-    if not wanted or NAME in node.get_node_names():
+    if not wanted or DASHBOARD_NODE in node.get_node_names():
         return
 
     def take(line: str) -> None:
@@ -231,4 +231,4 @@ def start_page(
             tqdm.write(line.partition("] ")[2].rstrip("\n"), file=sys.stderr)
 
     with suppress(CompanionError):
-        stack.enter_context(Companion("hydro_bridge", NAME, output=take))
+        stack.enter_context(Companion("hydro_bridge", DASHBOARD_NODE, output=take))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes report: /diagnostics, /rosout, and other nodes that are in their way."""
+"""Reports of nodes: /diagnostics, /rosout, and conflicts with other nodes."""
 
 from __future__ import annotations
 
@@ -80,12 +80,12 @@ def with_publisher_conflicts(status: Status, trouble: str) -> Status:
     return Status(level=Level.ERROR, message=f"{trouble}; {status.message}", values=status.values)
 
 
-CALLS = "calls"
+CALL_LOGGER = "calls"
 """Last part of the logger name of service calls: caller, request and answer."""
 
 
-class Journal:
-    """Publishes sentences on /rosout under a node's name.
+class RosoutLogger:
+    """Publishes log messages on /rosout under a node's name.
 
     `node`: source of the messages.
     """
@@ -94,13 +94,13 @@ class Journal:
         self._node = node
         self._publisher = create_publisher(node, LOG)
 
-    def tell(self, sentence: str, warning: bool = False) -> None:
-        """Add a sentence."""
+    def log(self, sentence: str, warning: bool = False) -> None:
+        """Log a message."""
         self._publish(self._node.get_name(), sentence, Log.WARN if warning else Log.INFO)
 
-    def call(self, sentence: str) -> None:
-        """Add a service call: caller, request and answer."""
-        self._publish(f"{self._node.get_name()}.{CALLS}", sentence, Log.INFO)
+    def log_call(self, sentence: str) -> None:
+        """Log a service call: caller, request and answer."""
+        self._publish(f"{self._node.get_name()}.{CALL_LOGGER}", sentence, Log.INFO)
 
     def _publish(self, name: str, sentence: str, level: int | bytes) -> None:
         level = level if isinstance(level, int) else level[0]
@@ -112,7 +112,7 @@ _PERIOD = 1.0  # s
 
 
 def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
-    """Warn with `sentence`, once, as soon as another node of the same name is in the graph."""
+    """Log the warning `sentence` once, as soon as the graph has another node of the same name."""
 
     def look() -> None:
         if node.get_node_names().count(node.get_name()) > 1:

@@ -26,18 +26,18 @@ ENFORCE = "Enforce"
 _MEANT = {ENABLE: ("true", "false"), STRATEGY: (ENFORCE, "Permissive")}
 
 
-def enclave_of(executable: str) -> str:
+def enclave_name(executable: str) -> str:
     """Return the name of an executable's enclave."""
     return f"/hydro/{executable}"
 
 
 def enclave_arguments() -> list[str]:
-    """Return the arguments that select this process' enclave, if it runs one of our executables; the user's own win.
+    """Return the ROS arguments that select this executable's enclave, unless the user has given others.
 
     The enclave is named with and without keys, so that both use the same start-up path.
     """
     executable = Path(sys.argv[0]).stem
-    return ["--ros-args", "--enclave", enclave_of(executable)] if executable in RIGHTS else []
+    return ["--ros-args", "--enclave", enclave_name(executable)] if executable in RIGHTS else []
 
 
 def security_enabled() -> bool:
@@ -55,7 +55,7 @@ def security_enabled() -> bool:
 
 
 def verify_keys() -> None:
-    """Join and leave the graph, so that missing or rejected keys fail at the start.
+    """Create and destroy a context with this enclave, so that missing or rejected keys fail at the start.
 
     Raises SettingsError: this enclave has no keys, or the middleware has no security.
     """

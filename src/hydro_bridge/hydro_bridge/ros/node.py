@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node's life: discovery range, parameters, scheduling, spinning until a signal or shutdown.
 
-Discovery (network.md) stays on this machine, unless the user chooses otherwise by ROS's own variable, `RANGE`.
-LOCALHOST stops Fast DDS from multicasting, but not from listening on all addresses, and adds shared memory, in which a
-plant's thread waits up to 333 ms for a new participant (docs/decisions/0059-found-within-half-a-second.md). For Fast
-DDS everything is therefore set in `PROFILES`: UDP, the loopback interface, no multicast; and the middleware is told to
-add nothing.
+Discovery (network.md) stays on this machine, unless the user chooses otherwise by ROS's own variable,
+`DISCOVERY_RANGE`. LOCALHOST stops Fast DDS from multicasting, but not from listening on all addresses, and adds shared
+memory, in which a plant's thread waits up to 333 ms for a new participant
+(docs/decisions/0059-found-within-half-a-second.md). For Fast DDS everything is therefore set in `FASTDDS_PROFILES`:
+UDP, the loopback interface, no multicast; and the middleware is told to add nothing.
 """
 
 from __future__ import annotations
@@ -39,31 +39,33 @@ from hydro_bridge.ros.keys import enclave_arguments, key_error, security_enabled
 from hydro_bridge.ros.topics import RIGHTS
 from hydro_core.errors import UserError
 from hydro_core.process import endings, start
-from hydro_core.process.realtime import limit_run
-from hydro_core.settings import Setting, SettingsError, check, converted, describe
+from hydro_core.process.realtime import limit_run_time
+from hydro_core.settings import Setting, SettingsError, check, convert, describe
 
-RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
-THIS_MACHINE = "LOCALHOST"
-AS_PROFILED = "SYSTEM_DEFAULT"
+DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+FASTDDS_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+LOCALHOST = "LOCALHOST"
+SYSTEM_DEFAULT = "SYSTEM_DEFAULT"
 """Range in which a middleware adds nothing to its configuration."""
 DOMAIN_MAX = 232
 """Largest ROS_DOMAIN_ID: beyond, DDS has no ports."""
-_OLD_RANGE = "ROS_LOCALHOST_ONLY"  # takes precedence over `RANGE` if set; deprecated
+_OLD_RANGE = "ROS_LOCALHOST_ONLY"  # takes precedence over `DISCOVERY_RANGE` if set; deprecated
 
 
-def stay_on_this_machine() -> None:
-    """Restrict ROS to this machine for this process and its children; call before ROS starts. The user's settings win.
+def restrict_to_localhost() -> None:
+    """Restrict ROS discovery to this machine for this process and its children, unless the user has set otherwise.
+
+    Call before ROS starts.
 
     Raises UserError: the middleware that the user selected is not installed.
     """
     if trouble := start.missing_middleware():
         raise UserError(trouble)
-    here = os.environ.setdefault(RANGE, THIS_MACHINE) == THIS_MACHINE
+    here = os.environ.setdefault(DISCOVERY_RANGE, LOCALHOST) == LOCALHOST
     profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))
-    ours = os.environ.setdefault(PROFILES, profile) == profile
+    ours = os.environ.setdefault(FASTDDS_PROFILES, profile) == profile
     if here and ours and get_rmw_implementation_identifier().startswith("rmw_fastrtps"):
-        os.environ[RANGE] = AS_PROFILED  # the profile restricts it to this machine
+        os.environ[DISCOVERY_RANGE] = SYSTEM_DEFAULT  # the profile restricts it to this machine
         os.environ.pop(_OLD_RANGE, None)
 
 
@@ -87,20 +89,20 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
                 value = node.declare_parameter(name, default, _descriptor(setting)).value
             except ParameterException as error:
                 raise SettingsError(f"parameter {name}: {error}; {setting.text}") from None
-            chosen[field.name] = converted(setting, value, f"parameter {name}", strict=True)
+            chosen[field.name] = convert(setting, value, f"parameter {name}", strict=True)
     declared = replace(settings, **chosen)  # type: ignore[type-var]
     check(declared)
     return declared
 
 
 def refuse_unknown_parameters(*nodes: Node) -> None:
-    """Raise for parameters that were set and would reach nothing; ROS would ignore them, even a misspelt limit.
+    """Raise for parameters that were set but are declared by no node; ROS would ignore them silently.
 
     A file may hold the parameters of other nodes as well. Raises SettingsError: the user set a parameter, by name or
     in a file, that none of these nodes has, or that is addressed to no node.
     """
     here = [node.get_fully_qualified_name() for node in nodes]
-    for source, patterns in addressed(ros_arguments()[1]):
+    for source, patterns in parameter_targets(ros_arguments()[1]):
         reached = [pattern for pattern in patterns if any(_matches(pattern, name) for name in here)]
         ours = {node for table in RIGHTS.values() for node in table}
         for pattern in patterns:
@@ -120,8 +122,8 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
             raise SettingsError(f"{' and '.join(node.get_name() for node in nodes)} has no parameter {name}{hint}")
 
 
-def addressed(ros: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return by argument that sets parameters the names of nodes that it is for, `*` and `**` as ROS has them.
+def parameter_targets(ros: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Return each argument that sets parameters with the node name patterns that it addresses.
 
     `ros`: arguments from `--ros-args` on. Without a name a parameter is for all nodes, and not listed.
     """
@@ -187,7 +189,7 @@ def request_realtime(*, realtime: bool, nice: int | None = None) -> str:
                 os.sched_setscheduler(thread, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
                 os.setpriority(os.PRIO_PROCESS, thread, nice)
             return f"ordinary scheduling, nice {nice}"
-        limit_run()
+        limit_run_time()
         for thread in threads:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError as error:
@@ -212,14 +214,14 @@ def ros_arguments() -> tuple[list[str], list[str]]:
 def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
     """Context in which ROS runs, without its signal handlers: ours leave time to disarm.
 
-    See `stay_on_this_machine` for the discovery range, `keys.enclave_arguments` for the keys if security is enabled.
+    See `restrict_to_localhost` for the discovery range, `keys.enclave_arguments` for the keys if security is enabled.
 
     Raises SettingsError: the domain, the arguments (`--ros-args` and what follows) or the keys cannot be used.
     """
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (domain.isascii() and domain.isdecimal() and int(domain) <= DOMAIN_MAX):
         raise SettingsError(f"ROS_DOMAIN_ID={domain}: must be a whole number from 0 to {DOMAIN_MAX}")
-    stay_on_this_machine()
+    restrict_to_localhost()
     keys = security_enabled()
     try:
         rclpy.init(args=["hydro", *enclave_arguments(), *ros], signal_handler_options=SignalHandlerOptions.NO)
@@ -239,8 +241,8 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
 _EXECUTORS: WeakKeyDictionary[Node, Any] = WeakKeyDictionary()
 
 
-def executor_of(node: Node) -> Any:
-    """Return the executor of a node, one for its life: messages that wait in it would be handled late by another."""
+def node_executor(node: Node) -> Any:
+    """Return the node's executor, created on first use and kept for the node's life."""
     if node not in _EXECUTORS:
         _EXECUTORS[node] = EventsExecutor()
         _EXECUTORS[node].add_node(node)
@@ -270,14 +272,14 @@ def spin(node: Node, until: Future | None = None) -> bool:
     -------
     Whether a signal ended the spinning.
     """
-    executor = executor_of(node)
+    executor = node_executor(node)
     ended: list[int] = []
 
     def hear(number: int, _: FrameType | None) -> None:
-        endings.let_go_of_terminal()
+        endings.detach_closed_terminal()
         ended.append(number)
 
-    before = endings.answer(hear)
+    before = endings.install_handlers(hear)
     done: Future = Future() if until is None else until
     try:
         with suppress(ExternalShutdownException):
@@ -286,7 +288,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
                 # and gives Python no chance to take a signal.
                 executor.spin_until_future_complete(done, timeout_sec=_SLICE)
     finally:
-        endings.restore(before)
+        endings.restore_handlers(before)
     return bool(ended)
 
 
@@ -332,15 +334,15 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
             components: Sequence[Node] = getattr(node, "components", ())
             refuse_unknown_parameters(node, *components)
             for component in components:
-                executor_of(node).add_node(component)
+                node_executor(node).add_node(component)
             getattr(node, "begin", lambda: None)()
             spin(node, getattr(node, "done", None))
             return node
         finally:
             if node is not None:
-                with endings.undisturbed():
+                with endings.signals_ignored():
                     getattr(node, "close", lambda: None)()
                     for component in components:
-                        executor_of(node).remove_node(component)
+                        node_executor(node).remove_node(component)
                         component.destroy_node()
                     leave_graph(node)

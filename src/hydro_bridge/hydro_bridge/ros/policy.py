@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hydro_bridge.ros.keys import enclave_of
+from hydro_bridge.ros.keys import enclave_name
 from hydro_bridge.ros.topics import RIGHTS
-from hydro_core.cli.console import command, command_line, writable
+from hydro_core.cli.console import command, make_parser, writable_file
 from hydro_core.files.atomic import write_whole
 
 VERSION = "0.2.0"
@@ -24,7 +24,7 @@ def policy_xml() -> bytes:
     policy = ElementTree.Element("policy", version=VERSION)
     enclaves = ElementTree.SubElement(policy, "enclaves")
     for executable, nodes in RIGHTS.items():
-        enclave = ElementTree.SubElement(enclaves, "enclave", path=enclave_of(executable))
+        enclave = ElementTree.SubElement(enclaves, "enclave", path=enclave_name(executable))
         profiles = ElementTree.SubElement(enclave, "profiles")
         for name, allowed in nodes.items():
             profile = ElementTree.SubElement(profiles, "profile", ns="/", node=name)
@@ -47,8 +47,8 @@ def _allow(profile: ElementTree.Element, kind: str, what: str, names: Iterable[s
 @command()
 def main() -> None:
     """Entry point."""
-    parser = command_line("policy", __doc__)
-    parser.add_argument("file", type=writable, metavar="FILE", help="to write")
+    parser = make_parser("policy", __doc__)
+    parser.add_argument("file", type=writable_file, metavar="FILE", help="to write")
     write_whole(Path(parser.parse_args().file), policy_xml())
 
 

@@ -119,7 +119,7 @@ def mailbox_name(name: str) -> str:
 
 
 class Mailbox:
-    """Subscriptions whose messages wait until they are fetched, on a hidden node of their own that is never spun.
+    """Subscriptions that are polled: messages queue until `fetch`, on a hidden node that is never spun.
 
     An executor wakes for each message, which costs several times what fetching does.
 
@@ -141,7 +141,7 @@ class Mailbox:
 
     @staticmethod
     def fetch(subscription: Subscription, most: int) -> list[tuple[bytes, int]]:
-        """Return at most so many of the serialized messages that wait, oldest first, each with its arrival [ns]."""
+        """Return up to `most` queued serialized messages, oldest first, each with its arrival time [ns]."""
         fetched: list[tuple[bytes, int]] = []
         with subscription.handle:
             while len(fetched) < most and (taken := subscription.handle.take_message(subscription.msg_type, True)):

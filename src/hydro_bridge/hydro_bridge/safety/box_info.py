@@ -38,12 +38,12 @@ class KnownBox:
 
     @property
     def base_gains(self) -> tuple[float, float]:
-        """K_p [1/s] and K_i [1/s^2] that changes are added to."""
+        """Base gains K_p [1/s] and K_i [1/s^2], to which commands add."""
         return self.info.base_kp, self.info.base_ki
 
 
 def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
-    """Requirement that the plant's node has described its box, once and latched, before the first sample."""
+    """Requirement for arming that the plant's node has published the box's description."""
     hint = "its node publishes it on /hydro/box"
     return Requirement(name="the box's description", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
@@ -66,8 +66,8 @@ def known_box(
     return KnownBox(info=info, plant=plant, bench_digest=bench_file.digest(numbers), bench=text)
 
 
-def differences(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
-    """Return differences between a box, its bench file and the expectation here, with both values; empty if none."""
+def bench_mismatches(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
+    """Return where box and bench file differ, in one sentence with both values; empty if nowhere."""
     found = []
     believed = details.bench_digest if details else ""
     if believed and bench is not None and believed != bench_file.digest(bench):

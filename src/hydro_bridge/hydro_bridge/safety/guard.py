@@ -19,11 +19,17 @@ from math import inf, isfinite
 import numpy as np
 
 from hydro_bridge.safety.lease import Lease
-from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
+from hydro_bridge.safety.limits import (
+    GuardSettings,
+    clamp_to_paper_ranges,
+    intersect_limits,
+    reference_error,
+    with_frequency,
+)
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
 
-__all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
+__all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "intersect_limits"]
 
 DECIDED = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
@@ -272,7 +278,7 @@ class CommandGuard:
 
     def set_reference(self, signal: ReferenceSignal) -> bool:
         """Set a new reference; one out of range or not finite is refused: returns False, and the last one stays."""
-        reason = reference_fault(signal, self.settings)
+        reason = reference_error(signal, self.settings)
         if reason:
             self.counts.references_refused += 1
             self._events[f"reference refused, the last one stays: {reason}"] = True
@@ -317,7 +323,7 @@ class CommandGuard:
             self._tell("stale gains", not gained, missed, "gains are fresh again")
         self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
         passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
-        delta_kp, delta_ki = within_narrow(passed) if self._mismatched else passed
+        delta_kp, delta_ki = clamp_to_paper_ranges(passed) if self._mismatched else passed
         self.counts.narrowed += (delta_kp, delta_ki) != passed
         return Command(
             arm=self.armed,

@@ -54,21 +54,21 @@ class GuardSettings:
         return cls(delta_u_max=size.current / 2.5, reference_force_max=size.force * 10.0 / 3.0)
 
 
-NARROW = GuardSettings()
+PAPER_RANGES = GuardSettings()
 """Ranges of delta_kp and delta_ki that every bench of this kind tolerates without a filter: the paper's, K_p 15 to 90
 and K_i 5 to 15 on base gains of 15 and 5. They apply, however wide the guard is set, while the filter says MISMATCH."""
 
 
-def within_narrow(gains: tuple[float, float]) -> tuple[float, float]:
-    """Return changes of K_p [1/s] and K_i [1/s^2], clamped to `NARROW`."""
+def clamp_to_paper_ranges(gains: tuple[float, float]) -> tuple[float, float]:
+    """Return changes of K_p [1/s] and K_i [1/s^2], clamped to `PAPER_RANGES`."""
     return (
-        min(max(gains[0], NARROW.delta_kp_min), NARROW.delta_kp_max),
-        min(max(gains[1], NARROW.delta_ki_min), NARROW.delta_ki_max),
+        min(max(gains[0], PAPER_RANGES.delta_kp_min), PAPER_RANGES.delta_kp_max),
+        min(max(gains[1], PAPER_RANGES.delta_ki_min), PAPER_RANGES.delta_ki_max),
     )
 
 
-def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
-    """Return the settings narrowed to the box's limits."""
+def intersect_limits(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
+    """Return the intersection of the guard's limits with the box's."""
     return replace(
         wanted,
         delta_kp_min=max(wanted.delta_kp_min, box.delta_kp_min),
@@ -79,7 +79,7 @@ def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
     )
 
 
-def reference_fault(signal: ReferenceSignal, limits: GuardSettings) -> str:
+def reference_error(signal: ReferenceSignal, limits: GuardSettings) -> str:
     """Return why a reference is rejected, as given or as the float32 that a box receives; empty if accepted."""
     return _unfit(signal, limits) or _unfit(_on_the_line(signal), limits)
 

@@ -35,7 +35,7 @@ from typing import Annotated
 from hydro_core.settings import SettingsError, check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 
-CORRECTS, COMMANDS, RECORDS = 1, SAMPLES_PER_STEP, 100
+FILTER_WINDOW, COMMANDER_WINDOW, RECORDER_WINDOW = 1, SAMPLES_PER_STEP, 100
 """Windows [samples] of a filter, of a commander, and of a recorder."""
 
 _LOOK = 0.1  # s of wall clock between two looks at who is silent
@@ -50,7 +50,7 @@ _CONFIRMED_WITHIN = 500
 
 @dataclass(frozen=True, kw_only=True)
 class PaceSettings:
-    """Whom a paced plant waits for, and for how long."""
+    """Peers that a paced plant waits for, and time-outs."""
 
     peers: str = ""
     """Names of nodes that are met before the first sample, separated by blanks."""
@@ -76,7 +76,7 @@ def parse_pace(text: str) -> float | None:
     raise SettingsError(f"--pace {text}: say plant, real, or a factor of real time within (0, 100]; {_WORDS}")
 
 
-def refuse_speed(words: Sequence[str]) -> None:
+def reject_speed_option(words: Sequence[str]) -> None:
     """Raise SettingsError for the option that `--pace` has replaced."""
     if any(word.split("=")[0] == "--speed" for word in words):
         raise SettingsError(f"--speed is now --pace; {_WORDS}")
@@ -93,7 +93,7 @@ class _Peer:
 
 
 class Pace:
-    """Keeps who has answered which sample, and says when the plant may take the next one.
+    """Lock-step of plant and graph: tracks which peer has answered which sample, and releases the next one.
 
     `settings`: whom to wait for. `log`: called with a sentence when a peer comes or falls silent.
     """
@@ -117,17 +117,17 @@ class Pace:
         self._patience = _RESEND_FIRST
 
     @property
-    def waits(self) -> str:
-        """Names of the present peers; for /diagnostics."""
+    def peers(self) -> str:
+        """Names of the present peers, as text for /diagnostics."""
         return ", ".join(sorted(self._peers)) or "nobody"
 
     @property
     def pending(self) -> bool:
-        """Whether the newest sample has not all its answers yet."""
+        """Whether answers to the newest sample are missing."""
         return self._resend is not None
 
-    def answered(self, name: str, sequence: int | None, window: int, commands: int = 0) -> None:
-        """Note what a peer says: it is ready (None), or has answered a sample."""
+    def on_answer(self, name: str, sequence: int | None, window: int, commands: int = 0) -> None:
+        """Process a peer's Answered message; `sequence` None: the peer is ready."""
         with self._lock:
             if name not in self._peers:
                 if self._unmet or self._newest is not None:  # else the plant may run in real time
@@ -141,40 +141,40 @@ class Pace:
             self._unmet.discard(name)
         self._check()
 
-    def corrected(self, sequence: int) -> None:
-        """Note that a correction of this sample has come: the answer of who answers each sample."""
+    def on_correction(self, sequence: int) -> None:
+        """Process the arrival of a correction, which is the filter's answer to sample `sequence`."""
         with self._lock:
             for peer in self._peers.values():
-                if peer.window == CORRECTS:
+                if peer.window == FILTER_WINDOW:
                     peer.answered, peer.heard = sequence, time.monotonic()
         self._check()
 
-    def commanded(self) -> None:
-        """Note that gains, a law or a reference have arrived."""
+    def on_command(self) -> None:
+        """Count a command: gains, law or reference."""
         with self._lock:
             self._commands += 1
         self._check()
 
-    def claimed(self) -> None:
-        """Count commands anew: the plant has another holder."""
+    def reset_commands(self) -> None:
+        """Reset the command counts, as the lease has another holder."""
         with self._lock:
             self._commands = 0
             for peer in self._peers.values():
                 peer.commands = 0
 
-    def keep(self, names: set[str]) -> None:
-        """Forget the peers that are not among these nodes of the graph."""
+    def retain_peers(self, names: set[str]) -> None:
+        """Remove the peers that are not among the nodes `names`."""
         for name in set(self._peers) - names:
             self._forget(name, "is gone")
 
     def release(self) -> None:
-        """Let the present sample go without further answers."""
+        """Release the present sample without further answers."""
         self._go_on()
 
-    def confirm(self, done: Callable[[], bool]) -> bool:
-        """Let the plant go on without answers until `done`, asked with each sample; return whether it came to that.
+    def run_until(self, done: Callable[[], bool]) -> bool:
+        """Run the plant without answers until `done` returns True, for half a second of plant time at most.
 
-        Not for the plant's thread. It ends after half a second of the plant's, or where the plant stands still.
+        Returns the last value of `done`. Call from another thread than the plant's.
         """
         with self._lock:
             self._exempt, self._exempt_left = done, _CONFIRMED_WITHIN
@@ -187,12 +187,12 @@ class Pace:
         return done()
 
     def close(self) -> None:
-        """Wait for nothing any more."""
+        """Release the plant for good: no more waiting."""
         self._closed = True
         self._go_on()
 
-    def meet(self, meanwhile: Callable[[], None] = lambda: None) -> None:
-        """Return once all nodes that are to be met are ready; for the plant's thread, before the first sample.
+    def wait_for_peers(self, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Wait until all required peers are ready; called in the plant's thread before the first sample.
 
         `meanwhile`: called once a second.
         """
@@ -210,10 +210,10 @@ class Pace:
                 self._log(f"the first sample waits for {_named(self._unmet)}")
                 told = now + 30.0
 
-    def publishes(self, sequence: int, resend: Callable[[], None]) -> None:
-        """Await the answers to sample `sequence`, which is about to be published, as `resend` publishes it again.
+    def begin_sample(self, sequence: int, resend: Callable[[], None]) -> None:
+        """Begin waiting for the answers to sample `sequence`, about to be published; `resend` publishes it again.
 
-        Where nobody's answer is awaited the plant goes on at once.
+        Without peers the plant goes on at once.
         """
         now = time.monotonic()
         with self._lock:
@@ -221,8 +221,8 @@ class Pace:
             self._patience = _RESEND_FIRST if first else _RESEND
             if first:  # of a box that was on before this plant it is any sample, and a commander answers whole steps
                 for peer in self._peers.values():
-                    if peer.window == COMMANDS:
-                        peer.answered = (sequence - 1) // COMMANDS * COMMANDS
+                    if peer.window == COMMANDER_WINDOW:
+                        peer.answered = (sequence - 1) // COMMANDER_WINDOW * COMMANDER_WINDOW
                     else:
                         peer.answered = sequence - peer.window
             self._newest, self._resend, self._began, self._sent = sequence, resend, now, now
@@ -230,7 +230,7 @@ class Pace:
         self._check()
 
     def poll(self) -> float:
-        """Look after what goes by the wall clock; return the time [s] until the next look is due."""
+        """Handle time-outs by the wall clock; return the time [s] until the next call is due."""
         now, resend = time.monotonic(), None
         with self._lock:
             waiting = self._resend is not None
@@ -254,7 +254,7 @@ class Pace:
             excused = self._excused()
             if self._behind() and not excused:
                 return
-            fast = excused or any(peer.window == COMMANDS for peer in self._peers.values())
+            fast = excused or any(peer.window == COMMANDER_WINDOW for peer in self._peers.values())
             if fast:
                 self._deadline = -inf
             elif time.monotonic() < self._deadline:
@@ -269,7 +269,7 @@ class Pace:
 
     def _answered_before(self, window: int) -> int:
         """Return what counts as answered by a peer that comes now: of a plant that has begun, all up to its step."""
-        return -window if self._newest is None else self._newest - self._newest % min(window, COMMANDS)
+        return -window if self._newest is None else self._newest - self._newest % min(window, COMMANDER_WINDOW)
 
     def _behind(self) -> list[str]:
         """Return the peers whose answer the newest sample waits for."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-HINT_AFTER = 8.0
+HINT_DELAY = 8.0
 """s of waiting after which it is reported."""
 
 
@@ -63,8 +63,8 @@ class Readiness:
         return not self._missing
 
     @property
-    def awaited(self) -> str:
-        """Text such as `the filter and the learner`; empty if nothing is missing."""
+    def missing_names(self) -> str:
+        """Names of the missing requirements as text, for instance `the filter and the learner`; empty if none."""
         names = [requirement.name for requirement in self._missing]
         return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
@@ -90,6 +90,6 @@ class Readiness:
         if waited > first.within:
             self._forgone.add(first.name)
             self._say(first.missing)
-        elif waited > HINT_AFTER and first.name not in self._told:
+        elif waited > HINT_DELAY and first.name not in self._told:
             self._told.add(first.name)
-            self._say(f"waiting for {self.awaited}, {first.within:g} s at most: {first.hint}")
+            self._say(f"waiting for {self.missing_names}, {first.within:g} s at most: {first.hint}")

@@ -32,7 +32,7 @@ class PortTakenError(PortLostError):
 
 @dataclass(frozen=True, kw_only=True)
 class PortSettings:
-    """Which port, and how."""
+    """Settings of a serial port."""
 
     path: str = "/dev/ttyUSB0"
     """Device, or link to one."""
@@ -62,7 +62,7 @@ class Port:
 
     @property
     def pseudo_terminal(self) -> bool:
-        """Whether no device is behind it: an emulator can be there, and a box only through another program."""
+        """Whether the port is a pseudo-terminal, as an emulator's is."""
         return os.path.realpath(self.settings.path).startswith("/dev/pts/")
 
     def open(self) -> None:
@@ -127,8 +127,8 @@ class Port:
         return self._serial.fileno()
 
 
-def no_port(path: str) -> str | None:
-    """Return what `path` is instead of a serial port; None if it is one, is absent, or cannot be determined."""
+def describe_non_port(path: str) -> str | None:
+    """Return a description of a path that is no serial port; None if it is one, is absent, or cannot be determined."""
     try:
         mode = os.stat(path).st_mode
     except OSError:

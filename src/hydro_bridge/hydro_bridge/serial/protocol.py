@@ -183,14 +183,14 @@ class BoxLaw:
 
     @property
     def shaping(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Lowest, safe and highest a_0 to a_3, C_1, C_2, and their fastest changes."""
+        """Minimum, safe value, maximum and rate limit of a_0 to a_3, C_1 and C_2."""
         low = [*self.coefficient_min, self.velocity_compensation_min, self.valve_gain_scale_min]
         safe = [*NEUTRAL, self.velocity_compensation, self.valve_gain_scale]
         high = [*self.coefficient_max, self.velocity_compensation_max, self.valve_gain_scale_max]
         return low, safe, high, [*self.coefficient_rate, self.scale_rate, self.scale_rate]
 
-    def enlarged(self, force: float, gain: float) -> BoxLaw:
-        """Return the law of a box whose bench has forces, and needs gains, larger by these ratios."""
+    def scaled(self, force: float, gain: float) -> BoxLaw:
+        """Return the law with its forces scaled by `force` and its gains by `gain`."""
 
         def level(numbers: Coefficients) -> Coefficients:
             return (*numbers[:3], force * numbers[3])
@@ -213,7 +213,7 @@ PAPER_LAW = BoxLaw(
 
 
 class LawState(NamedTuple):
-    """Force law of a box as it acts in one sample; f_c is the force itself while disarmed."""
+    """State of the force law in one sample; f_c is the measured force while disarmed."""
 
     law: Law = Law.PAPER
     compensated_reference: float = 0.0
@@ -227,7 +227,7 @@ class LawState(NamedTuple):
     """C_2."""
 
 
-AT_REST = LawState()
+DISARMED_LAW = LawState()
 """The paper's law of a disarmed box that shows no force."""
 
 
@@ -318,7 +318,7 @@ def encode_state(
     flags: int,
     last_command: int,
     refused: tuple[int, int] = (0, 0),
-    law_state: LawState = AT_REST,
+    law_state: LawState = DISARMED_LAW,
 ) -> bytes:
     """Encode one sample.
 
@@ -364,19 +364,19 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, fo
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
     who = (VERSION, VERSION, info is not None, INTEGRAL_FORMS.index(integral) if info else follows)
     head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
-    return wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
+    return encode_frame(_HELLO.pack(*head, name.encode()[:32], *numbers))
 
 
 def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
     """Encode the frame that follows each HELLO of a box."""
     epoch, digest, feedback, laws, *numbers = astuple(details)
     who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws, 0, 0)
-    return wrap(_DETAILS.pack(VERSION, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
+    return encode_frame(_DETAILS.pack(VERSION, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
 
 
 def encode_clock(time_us: int, *, waits: bool) -> bytes:
     """Encode an emulator's frame about its clock; `waits`: each sample waits for the COMMAND with its time."""
-    return wrap(_CLOCK.pack(VERSION, FrameType.CLOCK, 0, time_us, waits))
+    return encode_frame(_CLOCK.pack(VERSION, FrameType.CLOCK, 0, time_us, waits))
 
 
 def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
@@ -412,8 +412,8 @@ def decode(encoded: bytes) -> Frame:
     return unpack(layout.unpack(body))
 
 
-def foreign_box(version: int) -> str:
-    """Return the sentence with which a box is refused that speaks this other version."""
+def version_mismatch_message(version: int) -> str:
+    """Return the error message for a box of another protocol version."""
     if version > VERSION:
         return f"the box speaks a newer protocol than version {VERSION}, and no command is sent: update hydro"
     return (
@@ -422,8 +422,8 @@ def foreign_box(version: int) -> str:
     )
 
 
-def wrap(body: bytes) -> bytes:
-    """Return the frame around a body, with its check sum."""
+def encode_frame(body: bytes) -> bytes:
+    """Encode a body as a frame: CRC-32, COBS, delimiters."""
     stuffed: bytes = cobs.encode(body + _CRC.pack(crc32(body)))
     return b"\0" + stuffed + b"\0"
 
@@ -431,9 +431,9 @@ def wrap(body: bytes) -> bytes:
 def _pack(layout: Struct, *values: float) -> bytes:
     """A whole frame; numbers beyond the range of float32 become infinite."""
     try:
-        return wrap(layout.pack(*values))
+        return encode_frame(layout.pack(*values))
     except OverflowError:
-        return wrap(layout.pack(*map(_single, values)))
+        return encode_frame(layout.pack(*map(_single, values)))
 
 
 def _single(value: float) -> float:

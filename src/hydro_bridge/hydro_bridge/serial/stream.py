@@ -24,7 +24,7 @@ _WRAP = 1 << 32
 
 @dataclass(kw_only=True)
 class LinkCounts:
-    """Statistics of the byte stream since the line was first opened."""
+    """Counters of bytes, frames and errors since the line was first opened."""
 
     bytes: int = 0
     frames: int = 0
@@ -48,8 +48,8 @@ class LinkCounts:
     """Sequence jumped far: the box was restarted."""
 
 
-def without_frames(counts: LinkCounts, before: LinkCounts, seconds: float) -> str:
-    """Return what came in the last `seconds` in place of frames of a box, by the counts then and now."""
+def no_frames_message(counts: LinkCounts, before: LinkCounts, seconds: float) -> str:
+    """Return a message on what was received instead of frames in the last `seconds`, from two counts."""
     size, crc, malformed, version, unknown = (
         getattr(counts, name) - getattr(before, name)
         for name in ("bytes", "crc_errors", "malformed", "wrong_version", "unknown")
@@ -97,7 +97,7 @@ class Decoder:
         return frames
 
     def reset(self) -> None:
-        """Discard the partial piece (the port was reopened); counts are kept."""
+        """Discard the partial frame, after the port was reopened; counts are kept."""
         self._pending, self._overlong, self._in_sync, self._opening = b"", False, True, True
 
     def _check(self, piece: bytes) -> Frame | None:

@@ -37,14 +37,14 @@ from hydro_bridge.dashboard.status import PHASES, flag_labels
 from hydro_core.cli.console import plural
 from hydro_core.signals import Flag, StateArray
 
-STILL = 1.0
-"""s without a change, after which a change is marked."""
+DEBOUNCE_TIME = 1.0
+"""s without a change after which a flag counts as settled and is marked."""
 
 
-MARKS = 20_000
+MARKS_MAX = 20_000
 """Maximum number of marks; later ones are counted, not kept."""
 
-CALLS = "calls"
+CALL_LOGGER = "calls"
 """Name of call messages, as in `hydro_bridge.ros.diagnostics`."""
 _TRAINERS = ("trainer", "evaluate")
 _WARN = 30
@@ -60,12 +60,12 @@ class Mark:
     text: str
 
 
-class Marks:
-    """Collects marks while a recording is read in order."""
+class MarkCollector:
+    """Collects the marks of a recording while it is read in order."""
 
     def __init__(self) -> None:
         self.dropped = 0
-        """Marks beyond `MARKS`."""
+        """Marks beyond `MARKS_MAX`."""
         self._marks: list[Mark] = []
         self._flags: int | None = None
         self._holder: str | None = None
@@ -120,7 +120,7 @@ class Marks:
         before = np.concatenate((np.array([self._weights], weights.dtype), weights[:-1]))
         for n in np.flatnonzero(weights != before):
             time, self._weight_changes = float(times[n]), self._weight_changes + 1
-            if time - self._weights_changed >= STILL:
+            if time - self._weights_changed >= DEBOUNCE_TIME:
                 often = f"{plural(self._weight_changes, 'change')} since the mark before"
                 self.add(time, "weights", f"weights {int(weights[n]):012x}, {often}")
                 self._weight_changes = 0
@@ -142,7 +142,7 @@ class Marks:
     def log(self, time: float, level: int, name: str, sentence: str) -> None:
         """Add a message of /rosout by its level, as numbered in rcl_interfaces/Log."""
         node, _, last = name.rpartition(".")
-        if last == CALLS:
+        if last == CALL_LOGGER:
             self.add(time, "call", f"{node} was asked: {sentence}")
         elif level >= _WARN:
             self.add(time, "log", f"{name}: {sentence}")
@@ -168,7 +168,7 @@ class Marks:
 
     def add(self, time: float, kind: str, text: str) -> None:
         """Add a mark."""
-        if len(self._marks) < MARKS:
+        if len(self._marks) < MARKS_MAX:
             self._marks.append(Mark(time, kind, text))
         else:
             self.dropped += 1
@@ -181,13 +181,13 @@ _SENTENCES: dict[str, Callable[[str], str]] = {
 }
 
 
-REPORT = "report.json"
+REPORT_FILE = "report.json"
 _SAME = 1e-3  # s between two stamps of one sample
 
 
-def report_beside(bag: Path) -> Path | None:
+def find_report(bag: Path) -> Path | None:
     """Return the report in the same folder as a recording, if there is one."""
-    report = bag.absolute().parent / REPORT
+    report = bag.absolute().parent / REPORT_FILE
     return report if report.is_file() else None
 
 
@@ -195,15 +195,15 @@ Windows = list[tuple[str, float | None, list[Mark]]]
 """Name of each recording of a report, stamp [s] of the first sample of a bag, and its windows, in s from that."""
 
 
-def windows_of(windows: Windows, bag: Path, begin: float) -> list[Mark]:
-    """Return those of the recording whose first sample is stamped `begin`; of several the one named as the bag."""
+def select_windows(windows: Windows, bag: Path, begin: float) -> list[Mark]:
+    """Return the windows of the recording whose first sample has the stamp `begin` [s]; ties are broken by name."""
     alike = [entry for entry in windows if entry[1] is not None and abs(entry[1] - begin) < _SAME]
     named = [entry for entry in alike if len(alike) == 1 or Path(entry[0]).name in (bag.name, bag.stem)]
     return named[0][2] if len(named) == 1 else []
 
 
 def read_windows(report: Path) -> Windows:
-    """Read report.json of a diagnosis.
+    """Read the windows of each recording from a diagnosis' report.json.
 
     Raises RecordingError: the file cannot be read, or is not the report of a diagnosis.
     """

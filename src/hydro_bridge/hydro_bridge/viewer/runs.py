@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Any
 
 from hydro_bridge.pages import environment
-from hydro_core.cli.console import Table, UserError, add_json_argument, command, command_line, plural
+from hydro_core.cli.console import Table, UserError, add_json_argument, command, make_parser, plural
 from hydro_core.files.atomic import write_whole
 
-INDEX = "index.html"
-MARK = "<!-- hydro: a front page of runs -->"
+INDEX_FILE = "index.html"
+INDEX_MARKER = "<!-- hydro: a front page of runs -->"
 """Marker of a page that may be overwritten."""
-FOLDER = "runs"
+RUNS_FOLDER = "runs"
 """Name of the folder whose index page commands update automatically."""
 
 
@@ -69,23 +69,25 @@ def write_index(folder: Path) -> Path:
     Raises OSError: the folder cannot be read, or the page cannot be written, for instance because a foreign file has
     its name.
     """
-    index, here = folder / INDEX, folder.resolve()
-    if index.is_file() and MARK not in index.read_text(encoding="utf-8", errors="replace"):
+    index, here = folder / INDEX_FILE, folder.resolve()
+    if index.is_file() and INDEX_MARKER not in index.read_text(encoding="utf-8", errors="replace"):
         raise FileExistsError(errno.EEXIST, "is another page than one of runs: move it away", str(index))
     made = environment("hydro_bridge", "viewer/page")
     made.filters["in_shell"] = lambda bag: shlex.quote(str(here / bag))
-    content = made.get_template("runs.html").render(title="Runs", runs=list_runs(folder), folder=here.name, mark=MARK)
+    content = made.get_template("runs.html").render(
+        title="Runs", runs=list_runs(folder), folder=here.name, mark=INDEX_MARKER
+    )
     write_whole(index, content.encode())
     return index
 
 
 def refresh_index(run: Path) -> None:
-    """Update the index page above a finished run, if its folder is called `FOLDER`; fails silently.
+    """Update the index page above a finished run, if its folder is called `RUNS_FOLDER`; fails silently.
 
     A page never changes the outcome of a run.
     """
     folder = run.absolute().parent
-    if folder.name == FOLDER:
+    if folder.name == RUNS_FOLDER:
         with suppress(Exception):
             write_index(folder)
 
@@ -167,9 +169,11 @@ COLUMNS = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    result = command_line("runs", __doc__)
-    result.add_argument("folder", nargs="?", type=Path, default=Path(FOLDER), help=f"of runs (default {FOLDER})")
+    """Return the argument parser."""
+    result = make_parser("runs", __doc__)
+    result.add_argument(
+        "folder", nargs="?", type=Path, default=Path(RUNS_FOLDER), help=f"of runs (default {RUNS_FOLDER})"
+    )
     result.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
     add_json_argument(result)
     return result

@@ -25,31 +25,31 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
-from hydro_bridge.bags.steady import SteadyTimes
+from hydro_bridge.bags.steady import MonotonicTimes
 from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.pages import environment
-from hydro_bridge.viewer.marks import Mark, Marks, read_windows, report_beside, windows_of
-from hydro_core.cli.console import UserError, command, command_line, number, writable
+from hydro_bridge.viewer.marks import Mark, MarkCollector, find_report, read_windows, select_windows
+from hydro_core.cli.console import UserError, bounded_number, command, make_parser, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 
-APART = 2.0
-"""s between stamp and log time beyond which they are of two clocks; a delayed recorder stays below."""
+CLOCK_OFFSET_MAX = 2.0
+"""s between stamp and log time beyond which they belong to two clocks; a recorder's delay stays below."""
 
 
-CLOSED_UP = 3600.0
+GAP_MAX = 3600.0
 """s without samples that the page does not show."""
 
 
 class SampleClock:
-    """Tracks the samples of a recording as it is read, block by block."""
+    """Converts times of messages to the samples' clock while a recording is read block by block."""
 
     def __init__(self) -> None:
         self._logged, self._time, self._rate = 0.0, 0.0, 0.0  # of the last sample; 0: none yet
 
-    def see(self, logged: npt.NDArray[np.int64], times: FloatArray) -> None:
+    def update(self, logged: npt.NDArray[np.int64], times: FloatArray) -> None:
         """Add a block of samples: log times [ns] and stamps [s], both of shape (n,)."""
         if not len(logged):
             return
@@ -57,12 +57,12 @@ class SampleClock:
         self._rate = float(times[-1] - times[0]) / span if span > 0.0 else self._rate
         self._logged, self._time = 1e-9 * float(logged[-1]), float(times[-1])
 
-    def at(self, stamps: npt.ArrayLike, logged: npt.ArrayLike) -> FloatArray:
-        """Return the samples' time [s] of messages from their stamps [s] and log times [s], of one shape."""
+    def sample_times(self, stamps: npt.ArrayLike, logged: npt.ArrayLike) -> FloatArray:
+        """Return the times [s] of messages on the samples' clock, from stamps and log times [s] of equal shape."""
         stamps, logged = np.asarray(stamps, np.float64), np.asarray(logged, np.float64)
-        if not self._rate or abs(self._time - self._logged) <= APART:  # no samples yet, or one clock
+        if not self._rate or abs(self._time - self._logged) <= CLOCK_OFFSET_MAX:  # no samples yet, or one clock
             return stamps
-        by_wall_clock = np.abs(stamps - logged) <= APART
+        by_wall_clock = np.abs(stamps - logged) <= CLOCK_OFFSET_MAX
         return np.where(by_wall_clock, self._time + self._rate * (logged - self._logged), stamps)
 
 
@@ -70,7 +70,7 @@ CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro
 POLICY_TOPIC, DIAGNOSTICS_TOPIC, LOG_TOPIC = "/hydro/policy", "/diagnostics", "/rosout"
 LAW_TOPIC = "/hydro/law_state"
 """Without it the paper's law acted."""
-TOLD_BY = {
+TOPIC_CONTENTS = {
     CORRECTION_TOPIC: "the filter's correction and certificate",
     TRAINING_TOPIC: "episodes and examinations",
     POLICY_TOPIC: "which weights acted",
@@ -78,7 +78,7 @@ TOLD_BY = {
     DIAGNOSTICS_TOPIC: "rollbacks and overrides",
     LOG_TOPIC: "who asked to arm, disarm or override, and what the nodes warned of,",
 }
-"""What the page lacks if a topic was not recorded."""
+"""Content of the page that depends on each topic."""
 
 _NEEDED = {
     STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
@@ -97,8 +97,8 @@ _OBJECTS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
-    """Content of a recording's page."""
+class RecordingPage:
+    """Content of the page of one recording: downsampled series, marks and notes."""
 
     path: Path
     begin: float
@@ -127,13 +127,13 @@ class _Reading:
     """Requested part, s from the first sample."""
     begin: float = 0.0
     """s, of the first sample."""
-    thinners: tuple[series.GrowingThinner, ...] = ()
+    thinners: tuple[series.GrowingDownsampler, ...] = ()
     """Of states, corrections and laws; none before the first sample."""
-    marks: Marks = field(default_factory=Marks)
-    curve: status.Curve = field(default_factory=status.Curve)
+    marks: MarkCollector = field(default_factory=MarkCollector)
+    curve: status.LearningCurve = field(default_factory=status.LearningCurve)
     clock: SampleClock = field(default_factory=SampleClock)
-    steady: dict[str, SteadyTimes] = field(
-        default_factory=lambda: {topic: SteadyTimes(CLOSED_UP) for topic in (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)}
+    steady: dict[str, MonotonicTimes] = field(
+        default_factory=lambda: {topic: MonotonicTimes(GAP_MAX) for topic in (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)}
     )
     """Of the topics with the samples' stamps."""
     foreign: set[str] = field(default_factory=set)
@@ -151,7 +151,7 @@ class _Reading:
         if not self.thinners and len(table):
             self.begin = float(table["time"][0])
             first = self.begin + self.span[0]
-            self.thinners = tuple(series.GrowingThinner(len(columns), first) for columns in series.SERIES)
+            self.thinners = tuple(series.GrowingDownsampler(len(columns), first) for columns in series.SERIES)
         table = self.within(table)
         if len(table):
             self.thinners[0].add(table["time"], series.state_values(table))
@@ -161,7 +161,7 @@ class _Reading:
         """Add corrections or states of the compensated law, by their number in `series.SERIES`."""
         table = self.within(table)
         if len(table):
-            self.thinners[number].add(table["time"], series.values(series.SERIES[number], table))
+            self.thinners[number].add(table["time"], series.column_values(series.SERIES[number], table))
 
     def take_training(self, table: Table) -> None:
         """Add the trainer's status."""
@@ -182,8 +182,8 @@ class _Reading:
             self.marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
 
 
-def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> Recorded:
-    """Read a recording for a page.
+def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> RecordingPage:
+    """Read a recording into the content of its page.
 
     `path`: a rosbag2 folder or an .mcap file. `span`: part to show, s from the first sample; a shorter part is shown in
     finer detail. `report`: report.json of a diagnosis whose windows are marked. Raises RecordingError: the recording is
@@ -209,11 +209,11 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
             if layout is not None and set(layout.table.names or ()) >= _NEEDED[topic]:
                 table = decode_span(scan.path, topic, layout, block, part)
                 if topic in reading.steady:
-                    table["time"] = reading.steady[topic].take(table["time"])
+                    table["time"] = reading.steady[topic].convert(table["time"])
                 if topic == STATE_TOPIC:
-                    reading.clock.see(part.log_times, table["time"])
+                    reading.clock.update(part.log_times, table["time"])
                 elif topic in (TRAINING_TOPIC, POLICY_TOPIC):  # the trainer stamps by the wall clock
-                    table["time"] = reading.clock.at(table["time"], 1e-9 * part.log_times)
+                    table["time"] = reading.clock.sample_times(table["time"], 1e-9 * part.log_times)
                 tables[topic](table)
             else:
                 reading.foreign.add(topic)
@@ -222,21 +222,21 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
                 reading.foreign.add(topic)
                 continue
             try:
-                for logged, message in decoder.objects(scan, channel, block, part):
+                for logged, message in decoder.decode(scan, channel, block, part):
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
-                    time = float(reading.clock.at(stamp.sec + 1e-9 * stamp.nanosec, logged))
+                    time = float(reading.clock.sample_times(stamp.sec + 1e-9 * stamp.nanosec, logged))
                     reading.take_object(topic, time, message)
             except AttributeError:  # fields of another version
                 reading.foreign.add(topic)
-    for mark in windows_of(windows, Path(path), reading.begin):
+    for mark in select_windows(windows, Path(path), reading.begin):
         reading.marks.add(reading.begin + mark.time, mark.kind, mark.text)
     return _finished(source, reading, messages)
 
 
-def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> Recorded:
+def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> RecordingPage:
     thinners = reading.thinners
     if not thinners:
-        raise source.without(STATE_TOPIC, messages)
+        raise source.missing_topic_error(STATE_TOPIC, messages)
     begin = reading.begin + reading.span[0]
     slot = max(thinner.slot for thinner in thinners)
     values = tuple(thinner.values(slot) for thinner in thinners)
@@ -244,13 +244,13 @@ def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) ->
         raise RecordingError(f"{source.path} has no samples from {reading.span[0]:g} to {reading.span[1]:g} s")
     seconds = thinners[0].end - begin
     metadata = {key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()}
-    return Recorded(
+    return RecordingPage(
         path=source.path,
         begin=begin,
         seconds=seconds,
         slot=slot,
         values=values,
-        marks=within(reading.marks.sorted(), begin, seconds),
+        marks=crop_marks(reading.marks.sorted(), begin, seconds),
         curve=reading.curve.content(),
         messages=messages,
         metadata=metadata,
@@ -259,15 +259,15 @@ def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) ->
     )
 
 
-def within(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
-    """Return the marks of a part of `seconds` s from `begin` on, first the holder then; times count from `begin`."""
+def crop_marks(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
+    """Return the marks from `begin` [s] for `seconds`, times relative to `begin`; the lease's holder comes first."""
     held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
     shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
     return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
 
 
 def _lacking(messages: dict[str, int], reading: _Reading) -> list[str]:
-    notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOLD_BY.items()
+    notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOPIC_CONTENTS.items()
              if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
     notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(reading.foreign)]
     notes += [f"the clock was set by {step:+.10g} s after {time - reading.begin:.1f} s: time goes on behind it"
@@ -280,7 +280,7 @@ def _lacking(messages: dict[str, int], reading: _Reading) -> list[str]:
 _POLICY = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:"
 
 
-def rendered(recorded: Recorded) -> str:
+def render_page(recorded: RecordingPage) -> str:
     """Return the page as HTML."""
     imports = {f"./{name}": _module(f"dashboard/page/{name}") for name in ("plots.js", "series.js")}
     styles = ("dashboard/page/uPlot.min.css", "dashboard/page/page.css", "viewer/page/view.css")
@@ -303,23 +303,23 @@ def rendered(recorded: Recorded) -> str:
     )  # fmt: skip
 
 
-def _name(recorded: Recorded) -> str:
+def _name(recorded: RecordingPage) -> str:
     folder = recorded.path.resolve()
     return f"{folder.parent.name}/{folder.name}" if folder.parent.name else folder.name
 
 
-def _facts(recorded: Recorded) -> dict[str, str]:
+def _facts(recorded: RecordingPage) -> dict[str, str]:
     facts = {"length": f"{recorded.seconds:.1f} s", "finest detail": f"{1e3 * recorded.slot:g} ms", **recorded.metadata}
     return {**facts, **({"attached": ", ".join(recorded.attachments)} if recorded.attachments else {})}
 
 
-def _about(recorded: Recorded) -> dict[str, Any]:
+def _about(recorded: RecordingPage) -> dict[str, Any]:
     """Return the script's data as JSON; non-finite values become null."""
     marks = [{"time": round(mark.time, 3), "kind": mark.kind, "text": mark.text} for mark in recorded.marks]
     about = {
         "seconds": recorded.seconds,
         "slot": recorded.slot,
-        "series": series.described(),
+        "series": series.column_descriptions(),
         "marks": marks,
         "curve": recorded.curve,
     }
@@ -340,12 +340,18 @@ def _text(name: str) -> str:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    result = command_line("view", __doc__)
+    """Return the argument parser."""
+    result = make_parser("view", __doc__)
     result.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
-    result.add_argument("--html", type=writable, metavar="FILE", help="the page (default: beside BAG, as BAG.html)")
-    result.add_argument("--from", dest="begin", type=number(0.0), default=0.0, metavar="S", help="s from first sample")
-    result.add_argument("--to", dest="end", type=number(0.0), default=inf, metavar="S", help="s from first sample")
+    result.add_argument(
+        "--html", type=writable_file, metavar="FILE", help="the page (default: beside BAG, as BAG.html)"
+    )
+    result.add_argument(
+        "--from", dest="begin", type=bounded_number(0.0), default=0.0, metavar="S", help="s from first sample"
+    )
+    result.add_argument(
+        "--to", dest="end", type=bounded_number(0.0), default=inf, metavar="S", help="s from first sample"
+    )
     result.add_argument(
         "--report", type=Path, metavar="FILE", help="report.json of a diagnosis (default: the one beside BAG)"
     )
@@ -365,11 +371,11 @@ def main() -> None:
             f"{options.bag} is not a bag: `ros2 run hydro_diagnosis inspect` lists its columns, "
             "the report of `diagnose` shows its signals"
         )
-    page = Path(options.html or writable(str(bag.with_name(f"{bag.stem if bag.is_file() else bag.name}.html"))))
-    report = options.report or report_beside(bag)
-    recorded = read_recorded(options.bag, (options.begin, options.end), report)
+    page = Path(options.html or writable_file(str(bag.with_name(f"{bag.stem if bag.is_file() else bag.name}.html"))))
+    report = options.report or find_report(bag)
+    recorded = read_page(options.bag, (options.begin, options.end), report)
     page.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(page, rendered(recorded).encode())
+    write_whole(page, render_page(recorded).encode())
     print(page)
     if options.open:
         webbrowser.open(page.absolute().as_uri())

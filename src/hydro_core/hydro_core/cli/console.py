@@ -22,12 +22,12 @@ from typing import Any, NoReturn, TypeVar
 
 from tqdm import tqdm
 
-from hydro_core.errors import UserError, is_file_error, user_message, writable, writable_folder
-from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.errors import UserError, is_file_error, user_message, writable_file, writable_folder
+from hydro_core.files.atomic import encode_json, write_whole
 from hydro_core.process import endings
 
 __all__ = [
-    "Table", "UserError", "add_json_argument", "command", "command_line", "number", "progress", "writable",
+    "Table", "UserError", "add_json_argument", "command", "make_parser", "bounded_number", "progress", "writable_file",
     "writable_folder",
 ]  # fmt: skip
 
@@ -35,8 +35,8 @@ T = TypeVar("T")
 N = TypeVar("N", int, float)
 
 
-def number(low: N, high: float = inf) -> Callable[[str], N]:
-    """Make the type of an argument: a finite number from `low` to `high`, of the type of `low`."""
+def bounded_number(low: N, high: float = inf) -> Callable[[str], N]:
+    """Return an argparse type: a finite number from `low` to `high`, of the type of `low`."""
     wanted = ("a whole number, " if isinstance(low, int) else "") + (
         f"{low:g} or more" if high == inf else f"{low:g} to {high:g}"
     )
@@ -53,7 +53,8 @@ def number(low: N, high: float = inf) -> Callable[[str], N]:
 def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
     """Decorate a `main`: known errors are printed as one sentence, its return value becomes the exit status.
 
-    Ctrl-C, SIGTERM and SIGHUP raise `endings.Ended` in it: the status is 128 + the signal's number, 130 for Ctrl-C.
+    Ctrl-C, SIGTERM and SIGHUP raise `endings.Terminated` in it: the status is 128 + the signal's number, 130 for
+    Ctrl-C.
 
     `errors`: known errors in addition to `UserError` and to files that cannot be read or written; all others keep their
     traceback.
@@ -67,7 +68,7 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
                 if isinstance(stream, TextIOWrapper):
                     stream.reconfigure(errors="replace")  # of a terminal that has not every character
             try:
-                with endings.raised():
+                with endings.signals_as_exceptions():
                     status = main() or 0
             except BrokenPipeError:  # `| head` has seen enough; what is buffered goes nowhere
                 with suppress(OSError):
@@ -75,13 +76,13 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
                 sys.stderr.close()
                 status = 0
             except KeyboardInterrupt as interruption:
-                if isinstance(interruption, endings.Ended) and interruption.sentence:
-                    endings.complain(interruption.sentence)
-                status = endings.status(interruption)
+                if isinstance(interruption, endings.Terminated) and interruption.sentence:
+                    endings.print_error(interruption.sentence)
+                status = endings.exit_status(interruption)
             except Exception as error:
                 if not (isinstance(error, known) or is_file_error(error)):
                     raise
-                endings.complain(user_message(error))
+                endings.print_error(user_message(error))
                 status = 2
             sys.exit(status)
 
@@ -120,8 +121,8 @@ def print_above_progress(line: str) -> None:
         tqdm.write(line, file=sys.stderr)
 
 
-def typed_lines() -> queue.SimpleQueue[str]:
-    """Return the lines typed on the terminal from now on, as they come; none where there is no terminal."""
+def terminal_lines() -> queue.SimpleQueue[str]:
+    """Return a queue of the lines typed on the terminal from now on; it stays empty without a terminal."""
     lines: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def read() -> None:
@@ -189,7 +190,7 @@ class Table:
         content = {"title": self.title, "columns": self.columns, "rows": self.rows}
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(Path(path), json_text(content))
+            write_whole(Path(path), encode_json(content))
         except OSError as error:
             raise UserError(f"{path} cannot be written: {error.strerror}") from None
 
@@ -199,8 +200,8 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def command_line(name: str, text: str | None, **more: Any) -> argparse.ArgumentParser:
-    """Return the parser of a command whose help begins with `text`, line by line; `more` as argparse takes it."""
+def make_parser(name: str, text: str | None, **more: Any) -> argparse.ArgumentParser:
+    """Return the argument parser of a command; `text`: its description, `more`: options of argparse."""
     raw = argparse.RawDescriptionHelpFormatter
     return argparse.ArgumentParser(prog=name, description=text, formatter_class=raw, **more)
 
@@ -208,7 +209,7 @@ def command_line(name: str, text: str | None, **more: Any) -> argparse.ArgumentP
 def add_json_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option `--json FILE` that every command with a table has."""
     parser.add_argument(
-        "--json", type=writable, metavar="FILE", help="also write the table to FILE, keys documented in it"
+        "--json", type=writable_file, metavar="FILE", help="also write the table to FILE, keys documented in it"
     )
 
 
@@ -221,8 +222,8 @@ def _shown(value: Any) -> str:
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-NEW_ONLY: Any = object()
-"""Start value of an option that only a new run accepts: any value on resume is refused."""
+FIXED_ON_RESUME: Any = object()
+"""Value in `begun` of an option that only a new run accepts: any value on resume is refused."""
 _UNSAID = object()
 
 
@@ -233,12 +234,14 @@ def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> d
     return {name: value for name, value in said.items() if value is not _UNSAID}
 
 
-def refuse_changes(parser: argparse.ArgumentParser, words: Sequence[str], what: str, begun: Mapping[str, Any]) -> None:
+def reject_changed_options(
+    parser: argparse.ArgumentParser, words: Sequence[str], what: str, begun: Mapping[str, Any]
+) -> None:
     """Raise UserError if `words` contradict the options that `what` was started with.
 
     `what`: name of what is resumed, for the message. `begun`: original values by option name, files as absolute paths,
-    or `NEW_ONLY`. Options that are not listed may change. Raises UserError: the message names each contradicting option
-    and the run's own value.
+    or `FIXED_ON_RESUME`. Options that are not listed may change. Raises UserError: the message names each contradicting
+    option and the run's own value.
     """
     spelled = {action.dest: action.option_strings[0] for action in parser._actions if action.option_strings}
     wrong = [
@@ -259,6 +262,6 @@ def _as_word(value: Any) -> str:
 
 
 def _instead(value: Any) -> str:
-    if value is NEW_ONLY or isinstance(value, bool):
+    if value is FIXED_ON_RESUME or isinstance(value, bool):
         return ""
     return f" (it has {'none' if value is None else _as_word(value)})"

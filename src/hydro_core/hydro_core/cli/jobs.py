@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many jobs: on this machine's cores, or on a cluster by its scheduler's address (`many_jobs.md`).
+"""Parallel jobs on this machine's cores, or on a cluster by its scheduler's address (`many_jobs.md`).
 
 for name, result in jobs.run(trial, {"trial 7": (bench, 7), "trial 8": (bench, 8)}):  # as they come
     ...
@@ -25,7 +25,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from hydro_core.cli.console import number, progress
+from hydro_core.cli.console import bounded_number, progress
 from hydro_core.errors import UserError, is_file_error, user_message
 
 Arguments = Mapping[str, tuple[Any, ...]]
@@ -33,17 +33,17 @@ Arguments = Mapping[str, tuple[Any, ...]]
 Results = Generator[tuple[str, Any, Exception | None], None, None]
 ANSWERS_WITHIN, WORKER_WITHIN = 10.0, 600.0
 """Times [s] that a scheduler has to answer, and a first worker to be there: a queue may hold it back."""
-SETTINGS = {
+DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1},
 }
 """Dask's own MALLOC_TRIM_THRESHOLD_ makes each large array again by the kernel: four times the processor time here."""
-DEATHS = 3
-"""Processes that may be killed by one job."""
+MAX_WORKER_DEATHS = 3
+"""Worker processes that one job may kill before it counts as failed."""
 
 
 class JobsError(UserError):
-    """Some jobs failed, and the others are done; `errors`: why, by name."""
+    """Some jobs failed and all others are done; `errors`: exception of each failed job, by its name."""
 
     def __init__(self, errors: Mapping[str, Exception], count: int) -> None:
         named = ", ".join(errors) if len(errors) < 10 else f"{', '.join([*errors][:8])} and {len(errors) - 8} more"
@@ -53,12 +53,14 @@ class JobsError(UserError):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add `--jobs N` and `--scheduler ADDRESS`."""
-    parser.add_argument("--jobs", type=number(1), default=0, metavar="N", help="jobs at once (default: one a core)")
+    parser.add_argument(
+        "--jobs", type=bounded_number(1), default=0, metavar="N", help="jobs at once (default: one a core)"
+    )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="of a cluster that does them instead (many_jobs.md)")
 
 
-def where(asked: argparse.Namespace) -> dict[str, Any]:
-    """What those options say, for `run` and `complete`."""
+def job_options(asked: argparse.Namespace) -> dict[str, Any]:
+    """Return the options as keyword arguments of `run` and `run_all`."""
     return {"at_once": asked.jobs, "scheduler": asked.scheduler}
 
 
@@ -66,21 +68,21 @@ def run(
     function: Callable[..., Any], arguments: Arguments, *, at_once: int = 0, scheduler: str | None = None,
     kept: Path | None = None, label: str = "jobs", unit: str = "job",
 ) -> Iterator[tuple[str, Any]]:  # fmt: skip
-    """Yield the name of each job and what `function(*arguments[name])` returns, as they come.
+    """Yield name and result, `function(*arguments[name])`, of each job as it ends.
 
     Parameters
     ----------
     at_once
         Processes on this machine; 0: one a core.
     scheduler
-        Address of a Dask scheduler, whose workers compute in their place.
+        Address of a Dask scheduler whose workers run the jobs instead.
     kept
-        File of results, a line of JSON each: what it has is not computed again, what comes is added.
+        File of results, a line of JSON for each job: jobs found there are not run again, new results are appended.
 
     Raises
     ------
     JobsError
-        At the end, where jobs failed. Each is named on standard error as it fails.
+        At the end, if jobs failed. Each is reported on standard error when it fails.
     """
     found = {} if kept is None or not kept.exists() else _found(kept)
     missing = {name: values for name, values in arguments.items() if name not in found}
@@ -105,7 +107,7 @@ def run(
         raise JobsError({name: errors[name] for name in arguments if name in errors}, len(arguments))
 
 
-def complete(function: Callable[..., Any], arguments: Arguments, **how: Any) -> dict[str, Any]:
+def run_all(function: Callable[..., Any], arguments: Arguments, **how: Any) -> dict[str, Any]:
     """Return the results of `run` by name, in the order of the names."""
     found = dict(run(function, arguments, **how))
     return {name: found[name] for name in arguments}
@@ -138,7 +140,7 @@ def _side_by_side(function: Callable[..., Any], missing: Arguments, at_once: int
     local = {"n_workers": at_once, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0",
              "silence_logs": CRITICAL}  # fmt: skip
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set(SETTINGS))
+        stack.enter_context(dask.config.set(DASK_SETTINGS))
         try:
             address = scheduler or stack.enter_context(LocalCluster(**local))
             client = stack.enter_context(Client(address, timeout=ANSWERS_WITHIN))
@@ -165,7 +167,7 @@ def _side_by_side(function: Callable[..., Any], missing: Arguments, at_once: int
                         "each process that did it was killed: it may need more memory than a worker has"
                     )
                     deaths[name] += 1
-                    if deaths[name] < DEATHS:
+                    if deaths[name] < MAX_WORKER_DEATHS:
                         waiting.append(name)
                         send()
                         continue

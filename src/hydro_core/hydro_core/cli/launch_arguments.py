@@ -15,7 +15,8 @@ from hydro_core.errors import UserError
 def refuse_unknown_arguments(file: str, known: Sequence[str]) -> None:
     """Raise UserError if this process launches `file` with an argument that is not `known`.
 
-    `file`: `__file__` of the launch file; one that another includes is not asked. `known`: included files' are, too.
+    `file`: `__file__` of the launch file; nothing is checked where another file includes it. `known`: names of all
+    declared arguments, those of included files among them.
     """
     words = sys.argv[1:]
     package = Path(file).resolve().parent.parent.name  # of the form PACKAGE FILE

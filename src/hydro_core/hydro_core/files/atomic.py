@@ -39,16 +39,16 @@ def write_whole(path: Path, content: bytes) -> None:
         if error.filename in (None, str(partial)):  # the error of a full disk names no file
             error.filename = str(path)
         raise
-    flush_folder(path.parent)
+    fsync_folder(path.parent)
 
 
-def json_text(content: Any) -> bytes:
+def encode_json(content: Any) -> bytes:
     """Return mappings, sequences, dataclasses and numbers as JSON; non-finite numbers become null."""
     encoded = msgspec.json.encode(content, enc_hook=lambda number: number.item())
     return msgspec.json.format(encoded, indent=1) + b"\n"
 
 
-def flush_folder(folder: Path) -> None:
+def fsync_folder(folder: Path) -> None:
     """Flush a folder's entries to disk; until then a power failure can undo a rename."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:

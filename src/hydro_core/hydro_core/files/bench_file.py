@@ -22,7 +22,7 @@ _ABOUT = "learned"
 """Key under which `learn` describes its file; not part of the bench."""
 _UNSET: tuple[Any, ...] = (None, [], ())
 
-DIGITS = 12
+DIGEST_LENGTH = 12
 """Length of a digest: it detects mistaken pairings, not attacks."""
 
 
@@ -30,7 +30,7 @@ def digest(bench: Mapping[str, Any]) -> str:
     """Return the first 12 digits of the SHA-256 of keys and values; unset values count as absent."""
     said = {key: value for key, value in bench.items() if value not in _UNSET and key != _ABOUT}
     numbers = {key: value if key in _LISTS else float(value) for key, value in said.items()}
-    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGITS]
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGEST_LENGTH]
 
 
 def read_numbers(path: str | Path) -> dict[str, Any]:
@@ -48,10 +48,10 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
         raise UserError(f"{path} is not a bench.yaml: {' '.join(str(error).split())}") from error
 
 
-def read_believed(path: str | Path) -> dict[str, Any]:
-    """Return the numbers of the bench.yaml that a box believes.
+def read_box_bench(path: str | Path) -> dict[str, Any]:
+    """Return the numbers of the bench.yaml that a box is configured with.
 
-    Raises UserError: as `read_numbers`, or the file says what a bench is beyond these numbers.
+    Raises UserError: as `read_numbers`, or the file has effects or closures.
     """
     numbers = read_numbers(path)
     if found := [key for key in _LISTS if numbers.get(key)]:
@@ -62,7 +62,7 @@ def read_believed(path: str | Path) -> dict[str, Any]:
     return numbers
 
 
-def shipped() -> Path | None:
+def shipped_bench_file() -> Path | None:
     """Return the bench.yaml installed by hydro_sim, by the ament index; None if hydro_sim is not installed."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     found = (Path(prefix, "share", "hydro_sim", "config", "bench.yaml") for prefix in prefixes if prefix)

@@ -20,7 +20,7 @@ from hydro_core.errors import UserError
 BENCH, MODEL, METRIC = "bench.yaml", "corrected.yaml", "metric.safetensors"
 RECORDINGS, REPORTS, RECORD = "recordings", "reports", "commission.json"
 
-ANEW = (
+RECOMMISSION_HINT = (
     "after a change of spring, supply, oil or valve `ros2 run hydro_policy commission --again --site DIR` makes model "
     "and metric of the bench as it is"
 )
@@ -28,12 +28,12 @@ ANEW = (
 
 
 def add_site_option(parser: argparse._ActionsContainer, taken: str) -> None:
-    """Add --site, which takes the place of the options `taken`, for help texts."""
+    """Add the option --site; `taken` names the options it replaces, for the help text."""
     parser.add_argument("--site", type=Path, metavar="DIR", help=f"folder of `commission`, in place of {taken}")
 
 
 def base_gains(folder: Path) -> list[float] | None:
-    """Return K_p [1/s] and K_i [1/s^2] that the box of a site told; None: it has not told them yet."""
+    """Return the base gains K_p [1/s] and K_i [1/s^2] that the box of a site reported; None: not known yet."""
     try:
         found = json.loads((folder / RECORD).read_text(encoding="utf-8"))["base_gains"]
         return [float(value) for value in found] or None
@@ -41,8 +41,8 @@ def base_gains(folder: Path) -> list[float] | None:
         return None
 
 
-def take_site(options: argparse.Namespace, **files: str) -> None:
-    """Set options to files of --site, if it is given.
+def apply_site_option(options: argparse.Namespace, **files: str) -> None:
+    """Fill in options with files of the site's folder, if --site is given.
 
     `options`: parsed options; `site` may be None. `files`: name of the file by option; or words for a command line, in
     which such names are replaced. Raises UserError: the folder is no site, or one of the options was given, too.

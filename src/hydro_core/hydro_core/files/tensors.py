@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-LARGEST = 1e30
+MAX_MAGNITUDE = 1e30
 """Largest valid number, in SI units or normalized; a larger one means a damaged file, and its square would overflow."""
 BOUNDS = ("low", "high")
 """Names of tensors that may be infinite, which means unbounded."""
 
 
-class UnsoundError(ValueError):
-    """A file's numbers are unusable; the message is one sentence about them, without the file's name."""
+class InvalidTensorError(ValueError):
+    """A tensor is missing, misshapen or not finite; the message is one sentence without the file's name."""
 
 
 def check_numbers(tensors: Mapping[str, Any]) -> None:
@@ -27,15 +27,17 @@ def check_numbers(tensors: Mapping[str, Any]) -> None:
         array = np.asarray(tensor)
         if array.dtype.kind != "f":
             continue
-        wrong = np.isnan(array) if name in BOUNDS else ~(np.abs(array) <= LARGEST)
+        wrong = np.isnan(array) if name in BOUNDS else ~(np.abs(array) <= MAX_MAGNITUDE)
         if wrong.any():
-            raise UnsoundError(f"{name} holds {int(wrong.sum())} of {array.size} values that are no usable numbers")
+            raise InvalidTensorError(
+                f"{name} holds {int(wrong.sum())} of {array.size} values that are no usable numbers"
+            )
 
 
 def check_shapes(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Raise UnsoundError for the first tensor that is missing or has the wrong shape."""
     for name, shape in shapes.items():
         if name not in tensors:
-            raise UnsoundError(f"{name} is missing")
+            raise InvalidTensorError(f"{name} is missing")
         if tuple(tensors[name].shape) != shape:
-            raise UnsoundError(f"{name} has the shape {tuple(tensors[name].shape)}, not {shape}")
+            raise InvalidTensorError(f"{name} has the shape {tuple(tensors[name].shape)}, not {shape}")

@@ -2,8 +2,8 @@
 """Termination by signals: SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal or ssh session was closed).
 
 All three mean the same: disarm, save, end the companions, exit with status 128 + number. During imports
-`leave` applies; after that each signal raises `Ended`, a KeyboardInterrupt, or is handled by the spinning executor.
-A module that is imported later is imported to its end first. Clean-up runs `undisturbed`.
+`exit_during_startup` applies; after that each signal raises `Terminated`, a KeyboardInterrupt, or is handled by the
+spinning executor. A module that is imported later is imported to its end first. Clean-up runs with `signals_ignored`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Handlers = Mapping[int, Any]
 """Handler of each signal, as returned by `signal.signal`."""
 
 
-class Ended(KeyboardInterrupt):
+class Terminated(KeyboardInterrupt):
     """Termination was requested by the signal `number`; `sentence` gives the reason where it is not obvious."""
 
     def __init__(self, number: int, sentence: str = "") -> None:
@@ -35,13 +35,13 @@ class Ended(KeyboardInterrupt):
         self.number, self.sentence = number, sentence
 
 
-def status(interruption: KeyboardInterrupt) -> int:
-    """Return the exit status of a program that ends by this: 128 + the signal's number, 130 for Ctrl-C."""
-    return 128 + (interruption.number if isinstance(interruption, Ended) else signal.SIGINT)
+def exit_status(interruption: KeyboardInterrupt) -> int:
+    """Return the exit status after an interruption: 128 + the signal's number, 130 for Ctrl-C."""
+    return 128 + (interruption.number if isinstance(interruption, Terminated) else signal.SIGINT)
 
 
-def answer(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
-    """Install `handler` for the three signals and return the previous handlers for `restore`; main thread only.
+def install_handlers(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
+    """Install `handler` for the three signals in the main thread; return the previous ones for `restore_handlers`.
 
     An ignored SIGHUP stays ignored: a program started with nohup is to outlive the terminal.
     """
@@ -51,14 +51,14 @@ def answer(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) ->
     return {number: signal.signal(number, handler) for number in wanted}
 
 
-def restore(before: Handlers) -> None:
+def restore_handlers(before: Handlers) -> None:
     """Reinstall the previous signal handlers."""
     for number, handler in before.items():
         signal.signal(number, handler)
 
 
-def end(number: int, _: FrameType | None = None) -> None:
-    """Signal handler of a running program: raise `Ended`. A forked child dies, as by default.
+def raise_terminated(number: int, _: FrameType | None = None) -> None:
+    """Signal handler of a running program: raise `Terminated`. A forked child dies, as by default.
 
     During an import the exception is raised after it: compiled modules do not expect one in their initialisation
     (torch's terminates the process). So it is where signals are ignored meanwhile. Compiled code may also drop it
@@ -70,41 +70,40 @@ def end(number: int, _: FrameType | None = None) -> None:
     if _importing() or signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
         _raise_later(number, _INSIST_AFTER)
         return
-    let_go_of_terminal()
+    detach_closed_terminal()
     global _ended
     _ended = True
     _raise_later(number, _DROPPED_AFTER)
-    raise Ended(number)
+    raise Terminated(number)
 
 
-def ask() -> None:
-    """Terminate this program as Ctrl-C would, on request by a message."""
+def request_termination() -> None:
+    """Send SIGINT to this process, as Ctrl-C does; for a request by a ROS message or service."""
     os.kill(os.getpid(), signal.SIGINT)
 
 
-def leave(number: int, _: FrameType | None = None) -> None:
+def exit_during_startup(number: int, _: FrameType | None = None) -> None:
     """Signal handler during start-up: exit at once with a sentence; there is nothing to clean up yet."""
-    let_go_of_terminal()
+    detach_closed_terminal()
     with suppress(OSError):
         os.write(2, f"ended by {signal.Signals(number).name} while starting: nothing had begun\n".encode())
     os._exit(128 + number)
 
 
 @contextmanager
-def raised() -> Iterator[None]:
-    """Context in which each of the signals raises `Ended`.
+def signals_as_exceptions() -> Iterator[None]:
+    """Context in which each of the signals raises `Terminated`.
 
     Where Python cannot raise (finalizers, the compiler's callbacks into Python) it drops the exception, which is
-    then raised again. An object that was interrupted in its making lacks attributes that its finalizer asks for:
-    nothing is said of that, then and later.
+    then raised again. The finalizer of a half-constructed object raises AttributeError, which is not reported.
     """
     global _program, _ended
     _program, _ended = os.getpid(), False
-    before, dropped = answer(end), sys.unraisablehook
+    before, dropped = install_handlers(raise_terminated), sys.unraisablehook
 
     def insist(what: sys.UnraisableHookArgs) -> None:
         error = what.exc_value
-        if isinstance(error, Ended):
+        if isinstance(error, Terminated):
             _raise_later(error.number, _INSIST_AFTER)
         elif not (_ended and isinstance(error, AttributeError) and getattr(what.object, "__name__", "") == "__del__"):
             dropped(what)
@@ -116,20 +115,20 @@ def raised() -> Iterator[None]:
         if not _ended:
             sys.unraisablehook = dropped
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        restore(before)
+        restore_handlers(before)
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
+def signals_ignored() -> Iterator[None]:
     """Context in which signals are ignored: for disarming and the last checkpoint, whose waits are bounded."""
-    before = answer(signal.SIG_IGN)
+    before = install_handlers(signal.SIG_IGN)
     try:
         yield
     finally:
-        restore(before)
+        restore_handlers(before)
 
 
-def let_go_of_terminal() -> None:
+def detach_closed_terminal() -> None:
     """Replace a closed terminal by /dev/null: writing to it would raise."""
     for stream in (0, 1, 2):
         try:
@@ -143,7 +142,7 @@ def let_go_of_terminal() -> None:
             continue
 
 
-def complain(sentence: str) -> None:
+def print_error(sentence: str) -> None:
     """Print the reason why the program ends to standard error, if that is still writable."""
     with suppress(OSError, ValueError):
         print(f"error: {sentence}", file=sys.stderr, flush=True)
@@ -160,17 +159,17 @@ def _importing() -> bool:
 
 
 def _raise_later(number: int, seconds: float) -> None:
-    signal.signal(signal.SIGALRM, lambda *_: None if _handled() else end(number))
+    signal.signal(signal.SIGALRM, lambda *_: None if _handled() else raise_terminated(number))
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
 def _handled() -> bool:
-    """Whether an `except`, a `finally` or a context manager is at work on `Ended`."""
+    """Whether an `except`, a `finally` or a context manager is at work on `Terminated`."""
     error = sys.exc_info()[1]
-    while error is not None and not isinstance(error, Ended):
+    while error is not None and not isinstance(error, Terminated):
         error = error.__context__
     return error is not None
 
 
 _program = os.getpid()
-_ended = False  # whether `Ended` was raised
+_ended = False  # whether `Terminated` was raised

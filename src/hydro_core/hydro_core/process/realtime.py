@@ -2,9 +2,9 @@
 """Durations, deadlines, exact timers, and a limit by which a SCHED_FIFO process cannot hang the machine.
 
 A busy-looping real-time thread blocks its core for all others, including the shell that would end it. RLIMIT_RTTIME
-counts the CPU time of a real-time thread since it last slept. At `RUN_MAX` the kernel sends SIGXCPU: the process drops
-to ordinary scheduling and ends cleanly (`RanTooLong`). A compiled loop, which Python cannot interrupt, is killed at
-`KILLED_AT`; the box trips 200 ms after its last command.
+counts the CPU time of a real-time thread since it last slept. At `RUN_TIME_MAX` the kernel sends SIGXCPU: the process
+drops to ordinary scheduling and ends cleanly (`RunTimeExceededError`). A compiled loop, which Python cannot interrupt,
+is killed at `KILL_TIME`; the box trips 200 ms after its last command.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from types import FrameType
 
 import numpy as np
 
-from hydro_core.process.endings import Ended
+from hydro_core.process.endings import Terminated
 
 _BINS = 20_000
 
@@ -58,37 +58,37 @@ class Latency:
         return f"{shown}  max {1e3 * self.longest:.3f} ms"
 
 
-RUN_MAX = 1.0
+RUN_TIME_MAX = 1.0
 """s of uninterrupted CPU time, a hundred times what any of our processes needs."""
-KILLED_AT = 3.0
+KILL_TIME = 3.0
 """s."""
 _PR_SET_TIMERSLACK = 29
 
 
-class RanTooLong(Ended):
+class RunTimeExceededError(Terminated):
     """A real-time process ran too long without blocking: a busy loop."""
 
 
-def limit_run() -> None:
+def limit_run_time() -> None:
     """Limit the uninterrupted run time of this process and its children under SCHED_FIFO or SCHED_RR.
 
     No effect under ordinary scheduling. The signal is handled if this is called in the main thread.
     """
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
-    most = round(1e6 * KILLED_AT) if hard == resource.RLIM_INFINITY else min(hard, round(1e6 * KILLED_AT))
+    most = round(1e6 * KILL_TIME) if hard == resource.RLIM_INFINITY else min(hard, round(1e6 * KILL_TIME))
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGXCPU, _end)
-    resource.setrlimit(resource.RLIMIT_RTTIME, (min(round(1e6 * RUN_MAX), most), most))
+    resource.setrlimit(resource.RLIMIT_RTTIME, (min(round(1e6 * RUN_TIME_MAX), most), most))
 
 
-def exact_timers() -> None:
+def disable_timer_slack() -> None:
     """Ask the kernel to wake the calling thread on time, without the default timer slack of 50 us."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns
 
 
 def drop_realtime() -> None:
-    """Leave SCHED_FIFO, or a precedence among ordinary processes, before work that must not delay others."""
+    """Return this process to SCHED_OTHER at nice 0 or more, before work that must not delay others."""
     with suppress(OSError):
         for thread in map(int, os.listdir("/proc/self/task")):
             os.sched_setscheduler(thread, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
@@ -97,7 +97,9 @@ def drop_realtime() -> None:
 
 def _end(number: int, _: FrameType | None) -> None:
     drop_realtime()
-    raise RanTooLong(number, f"ran {RUN_MAX:g} s by SCHED_FIFO without a pause: something in it spins; it ends here")
+    raise RunTimeExceededError(
+        number, f"ran {RUN_TIME_MAX:g} s by SCHED_FIFO without a pause: something in it spins; it ends here"
+    )
 
 
 class Pacer:

@@ -23,7 +23,7 @@ _CHOOSER = "rmw_implementation"  # listed in the index as well, but not a middle
 
 
 def missing_middleware() -> str:
-    """Return a sentence about why no node can start; empty if the middleware is installed or the default."""
+    """Return an error message if the selected ROS middleware is not installed; empty if it is, or is the default."""
     wanted = os.environ.get(RMW, "")
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     installed = sorted({path.name for prefix in prefixes for path in (prefix / _INDEX).glob("*")} - {_CHOOSER})
@@ -32,8 +32,8 @@ def missing_middleware() -> str:
     return f"{RMW} is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
 
 
-def missing_folder() -> str:
-    """Return a sentence where the folder in which this process was started is gone; empty if it is there."""
+def missing_working_directory() -> str:
+    """Return an error message if the working directory was deleted; empty if it exists."""
     try:
         os.getcwd()
     except OSError:
@@ -41,8 +41,8 @@ def missing_folder() -> str:
     return ""
 
 
-def foreign_code() -> str:
-    """Return a sentence where the sourced workspace is a copy whose links still lead to the code it was copied from."""
+def copied_workspace() -> str:
+    """Return an error message if the sourced workspace is a copy that links to the original's code; else empty."""
     here = Path(__file__).resolve()
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         if (sourced := Path(prefix).resolve()).name != "hydro_core" or not sourced.is_dir():
@@ -54,35 +54,39 @@ def foreign_code() -> str:
     return ""
 
 
-class MainOf:
+class LazyMain:
     """An entry point that imports its module late: `main_of.package.module()` runs `main` of package.module."""
 
     def __init__(self, module: str = "") -> None:
         self._module = module
 
-    def __getattr__(self, name: str) -> MainOf:
+    def __getattr__(self, name: str) -> LazyMain:
         if name.startswith("__"):  # Python itself asks for these
             raise AttributeError(name)
-        return MainOf(f"{self._module}.{name}".lstrip("."))
+        return LazyMain(f"{self._module}.{name}".lstrip("."))
 
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
-        endings.answer(endings.leave)  # importing takes seconds, and a traceback would not help the user
+        endings.install_handlers(
+            endings.exit_during_startup
+        )  # importing takes seconds, and a traceback would not help the user
         signal.pthread_sigmask(signal.SIG_UNBLOCK, endings.SIGNALS)  # a companion's are held back until here
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
-        if trouble := missing_folder() or foreign_code() or missing_middleware():
-            endings.complain(trouble)
+        if trouble := missing_working_directory() or copied_workspace() or missing_middleware():
+            endings.print_error(trouble)
             return 2
         try:
             status: int | None = import_module(self._module).main()
         except UserError as error:  # a file of the user's that is read with the module, such as a grown effect
-            endings.complain(str(error))
+            endings.print_error(str(error))
             return 2
         except ModuleNotFoundError as error:
             return _without_ros(error)
         finally:
-            endings.answer(signal.SIG_DFL)  # clean-up is complete, and Python's shutdown is not to be interrupted
+            endings.install_handlers(
+                signal.SIG_DFL
+            )  # clean-up is complete, and Python's shutdown is not to be interrupted
         return status
 
 
@@ -90,8 +94,8 @@ def _without_ros(error: ModuleNotFoundError) -> int:
     """Say that a node was started where no ROS 2 is; another missing module is a fault and is raised."""
     if (error.name or "").partition(".")[0] not in _ROS:
         raise error
-    endings.complain(f"this command is a ROS 2 node, and there is no {error.name} here: source a workspace")
+    endings.print_error(f"this command is a ROS 2 node, and there is no {error.name} here: source a workspace")
     return 2
 
 
-main_of = MainOf()
+main_of = LazyMain()

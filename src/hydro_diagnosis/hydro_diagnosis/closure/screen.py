@@ -103,9 +103,9 @@ class Screen:
                     term.square[k, channel] = part @ part.T
 
     def _looked_for(self) -> list[_Term]:
-        problem, found, alone = self.problem, list[_Term](), [*grammar.BESIDE]
+        problem, found, alone = self.problem, list[_Term](), [*grammar.MEMORY_LAWS]
         for curve in grammar.CURVES:
-            alone += [law for law in curve.laws if law.steep]
+            alone += [law for law in curve.laws if law.is_step]
             table = curve.table
             if not _visible(closure(table, problem.bench), problem):
                 continue
@@ -115,7 +115,7 @@ class Screen:
                 smooth = closure(table, problem.bench, (low, high))
                 nothing = smooth.nothing()[0]
                 columns = [Claim(smooth, {**nothing, name: table.typical}) for name in nothing]
-                shapes = [(law, start) for law in curve.laws if not law.steep for start in self._starts(law)]
+                shapes = [(law, start) for law in curve.laws if not law.is_step for start in self._starts(law)]
                 sums = [_as_splines(table, (low, high), law, start, problem.bench) for law, start in shapes]
                 found.append(_Term(columns, [start for _, start in shapes], np.stack(sums, axis=1)))
         for law in alone:

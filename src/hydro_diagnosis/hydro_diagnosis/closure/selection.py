@@ -29,8 +29,8 @@ from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.fit import screen as screen_names
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_sim.model.effects.catalogue import CLOSURES
-from hydro_sim.model.laws import REVERSING, SIGN_VELOCITY, TURN, Law, rounded
+from hydro_sim.model.effects.catalogue import CLOSURES_MAX
+from hydro_sim.model.laws import REVERSAL_VELOCITY, REVERSING, SIGN_VELOCITY, Law, with_reversal_velocity
 
 CHANCE = 20.0
 """Deviance that a single column must gain, as the search asks of a cause; chance alone reaches 2 ln(columns) more."""
@@ -92,7 +92,7 @@ def _terms(found: Fit) -> int:
 def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]) -> ClosureFit:
     """Names that stand, laws, and names that pay beside these; what no longer pays is dropped."""
     weighed, current, tried = problem, base, set[str]()
-    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
+    room = min(TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(base))
     for _ in range(room + (TERMS if names else 0)):
         if not weighed.noticeable(current.residual) or problem.budget.exhausted:
             break
@@ -153,13 +153,13 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
     """The fit with a reversal velocity as a parameter of one law, the newest by default, where that pays."""
     claim = found.claims[place]
     effect = claim.effect
-    if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.reverses):
+    if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.depends_on_direction):
         return found
-    if TURN in effect.law.numbers:
+    if REVERSAL_VELOCITY in effect.law.numbers:
         return found
-    wider = closure(rounded(effect.law), problem.bench, effect.limits, effect.probes)
+    wider = closure(with_reversal_velocity(effect.law), problem.bench, effect.limits, effect.probes)
     claims = list(found.claims)
-    claims[place] = Claim(wider, {**claim.values, TURN.name: 2.0 * SIGN_VELOCITY})
+    claims[place] = Claim(wider, {**claim.values, REVERSAL_VELOCITY.name: 2.0 * SIGN_VELOCITY})
     better = fit(problem, claims, iterations=PATIENCE)
     pays = found.score - better.score >= CHANCE
     return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
@@ -231,7 +231,7 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
     """
     problem, current, screen, tried = below.problem, below.fit, below.screen, set[str]()
     assert screen is not None
-    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(current))
+    room = min(TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(current))
     while room and problem.noticeable(current.residual) and not problem.budget.exhausted:
         start, gain, there_is = screen.smooth(current, tried)
         if start is None or gain < max(THRESHOLD, LEAST * there_is):

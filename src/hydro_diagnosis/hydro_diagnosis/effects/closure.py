@@ -33,7 +33,16 @@ from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import TURN, Element, Law, Number, Signals, edge_losses, sensed, shifted
+from hydro_sim.model.laws import (
+    REVERSAL_VELOCITY,
+    Element,
+    Law,
+    Number,
+    Signals,
+    edge_losses,
+    sensor_signals,
+    spool_shift_losses,
+)
 from hydro_sim.model.tables import Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
@@ -109,7 +118,7 @@ class Closure(Effect):
         low, high = self.limits if number.over and self.probes else number.bounds
         return FitParameter(
             name=number.name, unit=number.unit, low=low, high=high, neutral=probes[len(probes) // 2], probes=probes,
-            systematic=0.6 if number.name == TURN.name else 0.01,  # the recorded velocity is a smoothed one
+            systematic=0.6 if number.name == REVERSAL_VELOCITY.name else 0.01,  # the recorded velocity is smoothed
         )  # fmt: skip
 
     def adapted(self, bench: Bench) -> Effect:
@@ -139,11 +148,11 @@ class Closure(Effect):
         if element is None:
             return at
         if element.kind == "slow":
-            return at.but(memory=memory.lag(self.label, self._driver(at), values["time"], 0.0))
+            return at.replace(memory=memory.lag(self.label, self._driver(at), values["time"], 0.0))
         signal = getattr(at, element.signal)
         if element.kind == "lag":
-            return at.but(memory=memory.lag(self.label, signal, values["time"]))
-        return at.but(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
+            return at.replace(memory=memory.lag(self.label, signal, values["time"]))
+        return at.replace(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
 
     def _driver(self, at: Signals) -> FloatArray:
         """Return the input of a slow state."""
@@ -156,7 +165,7 @@ class Closure(Effect):
         """Value of the term, in the unit of its equation."""
         if isinstance(self.law, Law):
             return np.asarray(self.law.value(at, bench or self.numbers, [*values.values()]))
-        given = splined(np.asarray(self.law.over(at)), *self.limits, np.array([*values.values()]))
+        given = splined(np.asarray(self.law.variable_value(at)), *self.limits, np.array([*values.values()]))
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
 
@@ -194,7 +203,7 @@ class EdgeClosure(Closure):
         opened, closed = (kernels.substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
         openings = bench.valve_gain * opened, bench.valve_gain * closed
         past = self._remembering(Signals(current=kernels.substep_mean(oil.spool)), memory, values).memory
-        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at.but(memory=past), values))
+        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at.replace(memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
 
@@ -204,7 +213,7 @@ class AcrossClosure(Closure):
     def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
         spool = kernels.substep_mean(oil.spool)
         at = Signals(oil.position, oil.velocity, *oil.pressures, spool)
-        lost = shifted(self.numbers, spool, self.given(at, values), oil.pressures)
+        lost = spool_shift_losses(self.numbers, spool, self.given(at, values), oil.pressures)
         return flows[0] - lost[0], flows[1] - lost[1]
 
 
@@ -256,7 +265,7 @@ class SensorClosure(Closure):
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:
             return signal
-        at = sensed(channel, signal, memory.beside)
+        at = sensor_signals(channel, signal, memory.beside)
         return signal + self.given(self._remembering(at, memory, values), values)
 
 
@@ -278,7 +287,7 @@ class GaugeClosure(SensorClosure):
             return self._straightened(reading, values)
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
-            at, before = sensed(channel, signal, memory.beside), signal
+            at, before = sensor_signals(channel, signal, memory.beside), signal
             signal = reading - self.given(self._remembering(at, memory, values), values)
             if not (self.nonlinear_channel or self._recalls) or float(np.max(np.abs(signal - before))) < _FOUND:
                 break
@@ -289,7 +298,7 @@ class GaugeClosure(SensorClosure):
         low, high = float(np.min(reading)), float(np.max(reading))
         beyond = _BEYOND * max(high - low, 1.0)
         signal = np.linspace(low - beyond, high + beyond, _CURVE)
-        shown = signal + self.given(sensed(self.law.where, signal), values)
+        shown = signal + self.given(sensor_signals(self.law.where, signal), values)
         rising = np.maximum.accumulate(shown)
         risen = np.concatenate([[True], np.diff(rising) > 0.0])
         return np.asarray(np.interp(reading, rising[risen], signal[risen]))
@@ -303,7 +312,7 @@ class PlaceClosure(SensorClosure):
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
-            at = sensed(channel, signal, memory.beside)
+            at = sensor_signals(channel, signal, memory.beside)
             signal = reading - self.given(self._remembering(at, memory, values), values)
             if "position" not in self.law.uses:
                 break
@@ -328,7 +337,7 @@ def closure(
 
 def from_mapping(entry: Mapping[str, Any], bench: Bench) -> tuple[Closure, dict[str, float]]:
     """An entry of `closures` in corrected.yaml, checked by `Bench`, as an effect with values."""
-    law = grammar.ALL[entry["equation"], entry["form"]]
+    law = grammar.FORMS[entry["equation"], entry["form"]]
     numbers = {name: float(entry["parameters"][name]) for name in law.names}
     limits = (numbers.pop("low"), numbers.pop("high")) if isinstance(law, Table) else (0.0, 1.0)
     return closure(law, bench, limits), numbers

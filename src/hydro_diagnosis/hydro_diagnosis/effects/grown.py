@@ -45,7 +45,7 @@ class Grown(Effect):
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
-        bounds, seen = self._law.bounds, self._law.seen
+        bounds, seen = self._law.bounds, self._law.typical_parameters
         return tuple(
             replace(
                 one, low=bounds[one.name][0], high=bounds[one.name][1], probes=(seen[one.name],), systematic=SYSTEMATIC,

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hydro_bridge.bags.location import is_bag, is_there
+from hydro_bridge.bags.location import exists, is_bag
 from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
@@ -310,7 +310,7 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     where a column is not found, the columns that there are.
     """
     path = Path(path)
-    if not is_there(path):
+    if not exists(path):
         raise InputError(f"{path}: there is no such recording")
     if is_bag(path) and has_states(path):
         found = from_bag(path)
@@ -324,7 +324,7 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
     `rows`: of longer bags every n-th row is kept, as by `read_bag`. Raises InputError: in one sentence that names the
     path.
     """
-    if not is_there(path):
+    if not exists(path):
         raise InputError(f"{path}: there is no such recording")
     if is_bag(path):
         if not has_states(path):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, objects, read_bag, stream_bag
+from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag, read_messages, stream_bag
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.recording import InputError
@@ -73,7 +73,7 @@ def _columns_of_objects(path: Path, topic: str) -> tuple[dict[str, FloatArray], 
     times: list[float] = []
     rows: list[dict[str, float]] = []
     stamped = True
-    for received, message in objects(path, topic, salvages=True):
+    for received, message in read_messages(path, topic, salvages=True):
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         stamped = stamped and stamp is not None
         times.append(received if stamp is None else stamp.sec + 1e-9 * stamp.nanosec)

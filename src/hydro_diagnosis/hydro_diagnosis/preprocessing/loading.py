@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.bags.location import is_bag, is_there
+from hydro_bridge.bags.location import exists, is_bag
 from hydro_diagnosis.bench_numbers import refuse_unconnected
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, read_table
@@ -151,7 +151,7 @@ def _look(path: Path, bench: Bench, columns: ColumnMap | None) -> tuple[Recordin
         return table
 
     try:
-        if is_there(path) and is_bag(path) and has_states(path):
+        if exists(path) and is_bag(path) and has_states(path):
             return read_bag_within(path, bench, columns, inspected), found
         return table_within(inspected(read_table(path, columns)), bench), found
     except UnusableRecordingError as error:

@@ -24,7 +24,7 @@ from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.report_json import EffectReport, Report
 from hydro_diagnosis.twin import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
-from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, legend
+from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, add_legend
 
 _SECONDS = 6.0
 """Length shown."""
@@ -84,7 +84,7 @@ class Comparison:
                 room = 0.4 * max(float(np.ptp(measured)), 1e-9)
                 axis.set_ylim(measured.min() - room, measured.max() + room)
                 axis.set_ylabel(f"{label}\n[{unit}]")
-            legend(axes[0])
+            add_legend(axes[0])
             axes[-1].set_xlabel(f"time [s] of {self.recording}, free runs of {FREE_RUN:g} s one after the other")
 
         return svg(len(self.measured), (9.0, 1.5 * len(self.measured) + 0.5), draw, sharex=True)

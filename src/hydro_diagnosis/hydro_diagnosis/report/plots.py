@@ -16,7 +16,7 @@ from hydro_diagnosis.estimation.problem import CHANNELS
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.localisation import Place
 from hydro_sim.model.effects import grown
-from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, add_legend, figure
 
 _NAMES = {
     "pressure_a": ("pressure A", "kPa", 1e-3),
@@ -63,7 +63,7 @@ def residual_plot(found: Diagnosis) -> str:
             axis.plot(layout.time[at], after[at] * scale, color=BLUE, linewidth=0.6, label="after")
             axis.axhspan(-2 * scale, 2 * scale, color=GRAY, alpha=0.25, linewidth=0, label="noise, 2 sigma")
             axis.set_ylabel(f"{name} [{unit}]")
-        legend(axes[0])
+        add_legend(axes[0])
         axes[-1].set_xlabel("time [s]")
 
     return svg(len(present), (9.0, 1.5 * len(present) + 0.5), draw, sharex=True)
@@ -95,7 +95,7 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
         axes[0].plot(centers * units, means * scale, color=BLUE, label="fitted effect")
         axes[0].set_xlabel(label)
         axes[0].set_ylabel(f"unexplained\n{name} [{unit}]")
-        legend(axes[0])
+        add_legend(axes[0])
 
     return svg(1, (8.0, 3.2), draw)
 
@@ -121,7 +121,7 @@ def curves_plot(found: Diagnosis) -> str:
             axis.axhline(0.0, color=ORANGE, linewidth=0.8, label="bench file")
             axis.set_xlabel(label)
             axis.set_ylabel(f"missing in\n{curve.equation.replace('_', ' ')}: {words}")
-        legend(axes[0])
+        add_legend(axes[0])
 
     return svg(len(curves), (8.0, 2.6 * len(curves)), draw)
 
@@ -195,7 +195,7 @@ def location_plot(found: Diagnosis) -> str:
             axis.axhline(1.0, color=RED, linewidth=0.7, label="noise")
             axis.set_yscale("log")
             axis.set_ylabel(_LABELS.get(place.equation, place.equation))
-        legend(axes[0])
+        add_legend(axes[0])
         axes[-1].set_xlabel("time [s], recordings one after the other")
 
     return svg(len(places), (9.0, 1.2 * len(places) + 0.6), draw, sharex=True)

@@ -16,9 +16,9 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_core.files import site
 from hydro_core.settings import describe
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
-from hydro_filter.metric import ScheduledMetric, shipped
-from hydro_filter.region.statement import Statement, region_path
-from hydro_filter.region.watch import RegionWatch
+from hydro_filter.metric import ScheduledMetric, shipped_metric
+from hydro_filter.region.statement import CertifiedRegion, region_path
+from hydro_filter.region.watch import RegionMonitor
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
@@ -43,28 +43,28 @@ class FilterChoice:
 
     @property
     def files(self) -> dict[str, Path]:
-        """Files by kind."""
-        metric = shipped() if self.metric == LEARNED else Path(self.metric)
-        return {"metric": metric, "model": self.model or learned_bench.shipped()}
+        """Paths of the metric's and the model's file, by these names."""
+        metric = shipped_metric() if self.metric == LEARNED else Path(self.metric)
+        return {"metric": metric, "model": self.model or learned_bench.shipped_bench()}
 
     @property
-    def written(self) -> tuple[int, ...]:
-        """Return when each of its files was written, ns; 0 for one that is not there."""
+    def modification_times(self) -> tuple[int, ...]:
+        """Modification times [ns] of metric, model and bench file; 0 for a missing file."""
         files = [*self.files.values(), *([self.bench_file] if self.bench_file else [])]
         return tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
 
-    def read_again(self) -> FilterChoice:
-        """Return the choice of the same files as they are now.
+    def reload(self) -> FilterChoice:
+        """Read the files again and return the new choice.
 
         Raises PairingError: they do not belong together; ValueError, OSError: one cannot be read.
         """
         bench = Bench.load(self.bench_file) if self.bench_file else self.bench
         choice = replace(self, bench=bench)
-        raise_if_mismatched(choice.trouble())
+        raise_if_mismatched(choice.pairing_error())
         return choice
 
     def describe(self) -> dict[str, str]:
-        """Return its description with the files' digests, certified gains and regions, for logs and /diagnostics."""
+        """Return the files with digests, certified gains and regions as text by name, for logs and /diagnostics."""
         told = {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
         ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.certificates)
         certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
@@ -74,8 +74,8 @@ class FilterChoice:
         regions += [f"{name} is of another model or bench: not used" for name in foreign]
         return {**told, "certified": ", ".join(certified), "region": ", ".join(regions) or "none is proved"}
 
-    def trouble(self, box: BoxIdentity | None = None) -> str:
-        """Return why metric, model and bench do not belong together, in one sentence; empty if they do.
+    def pairing_error(self, box: BoxIdentity | None = None) -> str:
+        """Return an error message if metric, model and bench do not belong together; empty if they do.
 
         `box`: bench assumed by the box; None: this filter's own bench. Raises WeightsError: a file is missing or
         unreadable.
@@ -89,7 +89,7 @@ class FilterChoice:
             or mismatch(
                 f"the metric {self.files['metric'].name}", metric.made, box, learn_metric, model=self._model_digest
             )
-            or metric.unfit(self.files["metric"].name)
+            or metric.validity_error(self.files["metric"].name)
         )
 
     @cached_property
@@ -102,13 +102,13 @@ class FilterChoice:
         """The metric's file, read at first access."""
         return ScheduledMetric.load(self.files["metric"])
 
-    def foreign(self, box: KnownBox) -> str:
-        """Return why this filter does not belong to a running box; empty if it does, or if this is unknown."""
+    def box_mismatch(self, box: KnownBox) -> str:
+        """Return an error message if the filter is not for this running box; empty if it is, or if that is unknown."""
         theirs = BoxIdentity.of_box(box)
         if theirs.digest and theirs.digest != self.bench.digest:
             mine = f"the filter was started for bench {self.bench.digest} ({self.source})"
             return f"{mine}, the box believes {theirs.description}: start it with the bench.yaml of this box (--bench)"
-        return self.trouble(theirs)
+        return self.pairing_error(theirs)
 
     @property
     def source(self) -> str:
@@ -126,7 +126,7 @@ class FilterChoice:
         return loop_filter(metric, model, self.bench, settings)
 
     @cached_property
-    def _statements(self) -> tuple[dict[bool, Statement], list[str]]:
+    def _statements(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
         """Statements beside the metric by whether they are of the compensated law; names of those of another bench.
 
         Raises ValueError: a file is no statement.
@@ -136,20 +136,20 @@ class FilterChoice:
             path = region_path(self.files["metric"], compensated=compensated)
             if not path.is_file():
                 continue
-            statement = Statement.load(path)
+            statement = CertifiedRegion.load(path)
             if (statement.facts.get("model"), statement.facts.get("box")) == believed:
                 proved[compensated] = statement
             else:
                 foreign.append(path.name)
         return proved, foreign
 
-    def region(self, filtering: LoopFilter) -> RegionWatch | None:
-        """Return the watch of the regions that are proved beside the metric, for this model and bench; None: none is.
+    def make_region_monitor(self, filtering: LoopFilter) -> RegionMonitor | None:
+        """Return a monitor of the certified regions stored beside the metric; None: none is for this model and bench.
 
         Raises ValueError: a file is no statement.
         """
         proved, _ = self._statements
-        return RegionWatch(proved, float(filtering.parts["closing"][0])) if proved else None
+        return RegionMonitor(proved, float(filtering.parts["closing"][0])) if proved else None
 
 
 def _digest(path: Path) -> str:
@@ -159,12 +159,12 @@ def _digest(path: Path) -> str:
         raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None
 
 
-NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "state_age_max")
+NUMERIC_OPTIONS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "state_age_max")
 """Settings that are options, too."""
 
 
 def parser() -> argparse.ArgumentParser:
-    """Build the parser; its options and the ROS parameters of the same names have the same meaning."""
+    """Return the argument parser; options have the names and meanings of the ROS parameters."""
     result = argparse.ArgumentParser(
         prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
     )
@@ -178,22 +178,22 @@ def parser() -> argparse.ArgumentParser:
     )
     site.add_site_option(result, "--bench, --metric and --model")
     docs = describe(LoopFilterSettings)
-    for name in NUMBERS:
+    for name in NUMERIC_OPTIONS:
         result.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=docs[name].text)
     result.add_argument("--bypass", action="store_true", help=docs["bypass"].text)
     result.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
     return result
 
 
-def arguments(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:
+def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:
     """Parse the command line into the filter choice, its settings, and the remaining options.
 
     Raises PairingError: metric, model and bench do not belong together.
     """
     asked = parser().parse_args(given)
-    site.take_site(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
+    site.apply_site_option(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
     choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=str(asked.metric or LEARNED), model=asked.model)
-    numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}
-    raise_if_mismatched(choice.trouble())
+    numbers = {name: value for name in NUMERIC_OPTIONS if (value := getattr(asked, name)) is not None}
+    raise_if_mismatched(choice.pairing_error())
     return choice, LoopFilterSettings(bypass=asked.bypass, **numbers), asked

@@ -13,41 +13,41 @@ from typing import Any
 
 import numpy.typing as npt
 
-from hydro_core.cli.console import command, writable
+from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import SUBSTEPS, Loop, loop_of, without_disturbances
+from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, without_disturbances
 from hydro_sim.box.firmware import Records
-from hydro_sim.box.header import header_file, initializer, members_of, wrapped
+from hydro_sim.box.header import header_file, initializer, record_members, wrap_words
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.source import embedded_source
 
 
-def header(parts: Records, loop: Loop, table: FloatArray, origin: str) -> str:
-    """Return the header that defines `HYDRO_LOOP_FILTER`.
+def render_header(parts: Records, loop: Loop, table: FloatArray, origin: str) -> str:
+    """Return a C header that defines the filter's configuration, `HYDRO_LOOP_FILTER`.
 
     Parameters
     ----------
     parts
-        Of `loop_parts`, shape (1,).
+        Record of `loop_parts`, shape (1,).
     loop, table
-        The loop and the metric's table in it.
+        Loop model and table of the metric.
     origin
-        A sentence about where it comes from.
+        Comment on the files that it was made from.
 
     Raises
     ------
     ValueError
-        The model needs what a box in C does not have; the message is one sentence.
+        The model uses a function that the C firmware does not have.
     """
     truth, arrays = loop.truth, loop.arrays | {"table": table}
     names = {name: f"HYDRO_FILTER_{name.upper().replace('.', '_')}" for name in arrays}
-    members = members_of(parts[0])
+    members = record_members(parts[0])
     members["table"] = names.pop("table")
     for name, word in names.items():
         *path, last = name.split(".")
@@ -73,11 +73,11 @@ def header(parts: Records, loop: Loop, table: FloatArray, origin: str) -> str:
 def _array(name: str, numbers: npt.NDArray[Any]) -> str:
     kind = "int" if numbers.dtype.kind == "i" else "hydro_real"
     words = [initializer(number) for number in numbers.ravel()] or ["0"]
-    return f"static const {kind} {name}[{len(words)}] = {{\n{wrapped(words)}\n}};\n"
+    return f"static const {kind} {name}[{len(words)}] = {{\n{wrap_words(words)}\n}};\n"
 
 
 def parser() -> argparse.ArgumentParser:
-    """Parser of the command line."""
+    """Return the argument parser."""
     parser = argparse.ArgumentParser(
         prog="export_c",
         description="Write a filter's numbers for a box in C, for firmware/hydro/loop_filter.h.",
@@ -90,7 +90,7 @@ def parser() -> argparse.ArgumentParser:
         "--model", type=Path, metavar="FILE", help="bench file that it was made for; default: the shipped one"
     )
     parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: nominal")
-    parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
+    parser.add_argument("--out", type=writable_file, required=True, metavar="FILE.h", help="header to write")
     parser.add_argument(
         "--contraction-rate", type=float, metavar="1/s", default=LoopFilterSettings().contraction_rate,
         help="for gains of the certified range; default: %(default)g",
@@ -104,13 +104,13 @@ def main() -> None:
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     choice = FilterChoice(bench=bench, bench_file=options.bench, metric=options.metric, model=options.model)
-    if trouble := choice.trouble():
+    if trouble := choice.pairing_error():
         raise ValueError(trouble)
     truth = load_model(choice.files["model"])
     settings = LoopFilterSettings(contraction_rate=options.contraction_rate)
-    metric, loop = ScheduledMetric.load(choice.files["metric"]), loop_of(truth, bench)
+    metric, loop = ScheduledMetric.load(choice.files["metric"]), make_loop(truth, bench)
     parts = loop_parts(metric, truth, bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     origin = f"Written by `ros2 run hydro_filter export_c` for the bench {bench.digest}: {told}."
-    write_whole(Path(options.out), header(parts, loop, metric.table, origin).encode())
+    write_whole(Path(options.out), render_header(parts, loop, metric.table, origin).encode())
     print(f"{options.out}: {options.metric} metric for bench {bench.digest}")

@@ -7,7 +7,7 @@
     contraction_filter.correct(sample)                    Sample in, Result out, one bench, as the node runs it
     records.decide(address, parts, memory, ...)           the same for a compiled loop
 
-The law is known by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.followed`). v is from f_r whatever the law
+The law is known by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.law_inputs`). v is from f_r whatever the law
 follows: a loop that decays does so whatever it follows.
 
 Samples must be consecutive: the memory simulates the spool from their currents. A correction acts one sample after its
@@ -32,34 +32,34 @@ from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_core.size import Size
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import coordinates_of, loop_of, overlap_of
+from hydro_filter.model.loop import coordinate_names, make_loop, valve_overlap
 from hydro_filter.model.records import (
     DECISION,
     FILTER,
     SAMPLE,
     library,
-    memories,
-    monitors,
-    record_of,
+    make_record,
+    new_memories,
+    new_monitors,
 )
 from hydro_filter.model.sample import Sample
-from hydro_sim.box.firmware import Records, at
+from hydro_sim.box.firmware import Records, address_of
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import NOMINAL, Bench
 
-SAME = 1e-3
-"""HYDRO_SAME: difference of C_1 that is none."""
+C1_TOLERANCE = 1e-3
+"""HYDRO_SAME: largest difference at which two values of C_1 count as equal."""
 
 EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
 """Of the model monitor."""
-SUSPECTS = (
+SUSPECTED_CAUSES = (
     "the spring or its load cell",
     "mass, friction or spring",
     "the piston's area or the load cell of f_h",
     "valve, supply, oil or area",
     "valve, supply, oil or area",
 )
-"""Cause of a violation of each equation."""
+"""Suspected causes of a violation of each equation."""
 
 FORCE, RATE, PRESSURE, POSITION, SPEED, CURRENT, GAIN = 1e5, 1e9, 1e8, 1.0, 20.0, 1e4, 1e4
 """N, N/s, Pa, m, m/s, A, 1/s: magnitudes beyond which a sample is none of the nominal bench, far beyond its sensors."""
@@ -103,20 +103,20 @@ NO_CERTIFICATE = {
     True: "its metric is not made for the compensated law; one of a bench file is (`learn_metric --model FILE.yaml`)",
     False: "its metric is not made for the paper's law, whose loop decays at no gain on this bench",
 }
-"""Why there is none, by whether the compensated law acts."""
+"""Message that there is none, by whether the compensated law acts."""
 
 
 class LoopFilter:
-    """Filter of one bench. Never raises on a sample.
+    """Contraction filter of one bench; `correct` never raises.
 
     Parameters
     ----------
     parts
-        Of `loop_parts`.
+        Record of `loop_parts` for the metric's C_1.
     settings
         Only age, bypass and `innovation_limit` are used here; the others are part of `parts`.
     others
-        The same for other C_1.
+        Records for other C_1.
     """
 
     def __init__(
@@ -124,34 +124,34 @@ class LoopFilter:
     ) -> None:
         self.parts = parts
         self.settings = settings or LoopFilterSettings()
-        self.memory, self.monitor = memories(), monitors()
+        self.memory, self.monitor = new_memories(), new_monitors()
         self.decision = np.zeros(1, DECISION)
         """Of the last sample, with a, b, low, high of its QP."""
         self._sample = np.zeros(1, SAMPLE)
         self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
         self._every = [(float(each["velocity_compensation"][0]), each) for each in (parts, *others)]
         self._unknown = [not any((c_1 == 1.0) is paper for c_1, _ in self._every) for paper in (True, False)]
-        self._at = tuple(map(at, (self.memory, self.monitor, self._sample, self.decision)))
+        self._at = tuple(map(address_of, (self.memory, self.monitor, self._sample, self.decision)))
 
     @property
     def mismatch(self) -> str:
-        """Why the model does not fit this bench, as text; empty while it does."""
+        """Message on the model equation whose residual is too large for this bench; empty while none is."""
         if not (broken := int(self.monitor["broken"][0])):
             return ""
-        name, suspects, ratio = EQUATIONS[broken - 1], SUSPECTS[broken - 1], float(self.monitor["ratio"][0])
+        name, suspects, ratio = EQUATIONS[broken - 1], SUSPECTED_CAUSES[broken - 1], float(self.monitor["ratio"][0])
         return f"the model's {name} ({suspects}) is off by {ratio:.1f} times what is allowed"
 
-    def unknown(self, *, compensated: bool) -> str:
-        """Return why it has no certificate under the compensated law, or the paper's; empty if it has."""
+    def missing_certificate(self, *, compensated: bool) -> str:
+        """Return a message if there is no certificate under the compensated law, or the paper's; empty if there is."""
         return NO_CERTIFICATE[compensated] if self._unknown[compensated] else ""
 
     def reset(self) -> None:
         """Reset to the initial state."""
-        self.skip()
+        self.reset_history()
         self.monitor["broken"] = 0
 
-    def skip(self) -> None:
-        """Announce that samples are missing before the next one. Findings about the model are kept."""
+    def reset_history(self) -> None:
+        """Discard the history after a gap in the samples; the verdict on the model is kept."""
         self.memory[:] = np.zeros(1, self.memory.dtype)
         for name in ("seen", "held", "sums", "runs"):
             self.monitor[name] = 0
@@ -159,17 +159,17 @@ class LoopFilter:
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide the correction of a sample that is `age` [s] old."""
         if self._unknown[sample.compensated]:
-            self.skip()
+            self.reset_history()
             return Result(0.0, math.nan, math.nan, CorrectionStatus.BYPASSED)
-        law, parts = sample.followed, self.parts
+        law, parts = sample.law_inputs, self.parts
         for c_1, each in self._every[1:]:
-            if abs(law[2] - law[3] * c_1) <= SAME * law[3]:
+            if abs(law[2] - law[3] * c_1) <= C1_TOLERANCE * law[3]:
                 parts = each
         _PACK(
             self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
         )  # fmt: skip
-        self._judge(at(parts), self.settings.innovation_limit, *self._at)
+        self._judge(address_of(parts), self.settings.innovation_limit, *self._at)
         delta_u, before, after, _, _, _, _, status, _ = (
             self.decision.item()
         )  # also of an old sample: the memory moves on
@@ -205,10 +205,10 @@ def loop_parts(
 ) -> Records:
     """Return a record of FILTER, shape (1,): of a metric, its training model, and the bench that the box believes.
 
-    Raises ValueError: the metric's coordinates are not those of the model's loop, or as `loop_of`.
+    Raises ValueError: the metric's coordinates are not those of the model's loop, or as `make_loop`.
     """
-    chosen, levels, loop = settings or LoopFilterSettings(), metric.thresholds, loop_of(model, bench)
-    if metric.coordinates != (needed := coordinates_of(loop)):
+    chosen, levels, loop = settings or LoopFilterSettings(), metric.thresholds, make_loop(model, bench)
+    if metric.coordinates != (needed := coordinate_names(loop)):
         raise ValueError(
             f"the metric is of the coordinates {', '.join(metric.coordinates)}, this model's loop has "
             f"{', '.join(needed)}: make one with `ros2 run hydro_filter learn_metric --model`"
@@ -217,14 +217,19 @@ def loop_parts(
         name: math.exp(-2.0 * rate * SAMPLE_PERIOD)
         for name, rate in (("kept", chosen.contraction_rate), ("foreign_kept", chosen.foreign_rate))
     }
-    values = {f"loop.{name}": value for name, value in loop.values.items()} | metric.fields | overlap_of(model) | kept
+    values = (
+        {f"loop.{name}": value for name, value in loop.values.items()}
+        | metric.firmware_fields
+        | valve_overlap(model)
+        | kept
+    )
     values |= {
         "noise_size": chosen.noise_share * levels.noise_size,
         "foreign_noise_size": chosen.noise_share * levels.foreign_noise_size,
         "integral_allowance": levels.integral_allowance, "most": _most(bench.size),
     }  # fmt: skip
     arrays = {f"loop.{name}": array for name, array in loop.arrays.items()}
-    return record_of(FILTER, values, arrays | {"table": metric.table})
+    return make_record(FILTER, values, arrays | {"table": metric.table})
 
 
 def _most(size: Size) -> tuple[Any, ...]:

@@ -35,21 +35,21 @@ from hydro_core.signals import FloatArray
 from hydro_sim.model.bench import Bench
 
 LOOP_FIELDS = ("f_h", "spool", "spool_rate", "f_l", "f_l_rate", "x_p", "x_p_rate", "x_p_rate_box")
-LOOP = len(LOOP_FIELDS)
-Q_HYDRAULIC, Q_SPOOL, Q_SPOOL_RATE, Q_LOAD, Q_LOAD_RATE, Q_POSITION, Q_VELOCITY, Q_BOX_VELOCITY = range(LOOP)
+LOOP_SIZE = len(LOOP_FIELDS)
+Q_HYDRAULIC, Q_SPOOL, Q_SPOOL_RATE, Q_LOAD, Q_LOAD_RATE, Q_POSITION, Q_VELOCITY, Q_BOX_VELOCITY = range(LOOP_SIZE)
 
-LOOP_RATE = 130.0
+SCALING_RATE = 130.0
 """rad/s, unit of force rates and speeds on every bench: the tables of metric files are in it."""
 
 
-def loop_scale(bench: Bench) -> FloatArray:
-    """Scales of the coordinates, shape (8,): the bench's force, at `LOOP_RATE`, and the drive that this takes."""
+def coordinate_scales(bench: Bench) -> FloatArray:
+    """Return the scales of the coordinates, shape (8,): the bench's force at `SCALING_RATE`, and the current for it."""
     force = bench.size.force
-    position, rate = force / bench.spring_stiffness, force * LOOP_RATE
-    speed, drive = position * LOOP_RATE, 20.0 * rate  # the oil is some 18 times as stiff as the spring
+    position, rate = force / bench.spring_stiffness, force * SCALING_RATE
+    speed, drive = position * SCALING_RATE, 20.0 * rate  # the oil is some 18 times as stiff as the spring
     return np.array([force, drive, 500.0 * drive, force, rate, position, speed, speed])
 
 
-def least_gain(area: float, stiffness_a: float, valve_gain: float, supply: float) -> float:
-    """Smallest g [N/s/A] of a linearization: a chamber at its limit has none."""
+def gain_lower_bound(area: float, stiffness_a: float, valve_gain: float, supply: float) -> float:
+    """Return the lower bound of g [N/s/A] in a linearization; g is zero where both chambers are at their limits."""
     return 0.1 * area * stiffness_a * valve_gain * math.sqrt(0.5 * supply)

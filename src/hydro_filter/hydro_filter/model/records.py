@@ -7,8 +7,8 @@
     follow(loop, samples)                               F, G, K, v of samples that follow one another
     decide(calls().decide, parts, memory, sample, made) one decision, in a loop that numba compiles
 
-A record and what it points to are one piece of memory (`record_of`): pointers live as long as the record, and a copy of
-the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
+A record and what it points to are one piece of memory (`make_record`): pointers live as long as the record, and a copy
+of the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from numba.extending import intrinsic
 
 from hydro_core.settings import SettingsError
 from hydro_core.signals import FloatArray
-from hydro_sim.box.firmware import DOUBLE, Records, at, library_path
-from hydro_sim.model.machine_code import call
+from hydro_sim.box.firmware import DOUBLE, Records, address_of, library_path
+from hydro_sim.model.machine_code import declare_call
 from hydro_sim.model.plant import STATES_MAX
 
-NONE = -1
+NO_STATE = -1
 """Index of a state that a bench does not have."""
 
 READINGS, EQUATIONS = 5, 5
@@ -73,10 +73,10 @@ MONITOR = _structure(
 """hydro_monitor of monitor.h."""
 
 
-def record_of(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Records:
-    """Return a record, shape (1,), with the arrays that its pointers have.
+def make_record(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Records:
+    """Return a record of a C structure, shape (1,), whose pointers refer to `arrays`.
 
-    `values`, `arrays`: by the names of fields, those of a structure within behind a dot.
+    `values`, `arrays`: by field name; nested fields with a dot.
     """
     sizes = [kind.itemsize, *(array.nbytes for array in arrays.values())]
     begins = np.cumsum([-(-size // 8) for size in sizes])  # in words
@@ -88,7 +88,7 @@ def record_of(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mappin
     for (name, array), begin in zip(arrays.items(), begins, strict=False):
         memory.view(np.uint8)[8 * begin : 8 * begin + array.nbytes] = np.ascontiguousarray(array).view(np.uint8).ravel()
         *path, last = name.split(".")
-        _within(record, path)[last] = at(memory) + 8 * int(begin)
+        _within(record, path)[last] = address_of(memory) + 8 * int(begin)
     return record
 
 
@@ -98,19 +98,19 @@ def _within(record: Records, path: list[str]) -> Records:
     return record
 
 
-def memories(count: int = 1) -> Records:
-    """Return new memories of `count` benches, shape (count,)."""
+def new_memories(count: int = 1) -> Records:
+    """Return initial filter states of `count` benches: records of MEMORY, shape (count,)."""
     return np.zeros(count, MEMORY)
 
 
-def monitors(count: int = 1) -> Records:
-    """Return new monitors of `count` benches, shape (count,)."""
+def new_monitors(count: int = 1) -> Records:
+    """Return initial monitor states of `count` benches: records of MONITOR, shape (count,)."""
     return np.zeros(count, MONITOR)
 
 
 @cache
 def library() -> ctypes.PyDLL:
-    """Return the library, its functions declared. A call holds the interpreter, as it takes some microseconds.
+    """Load the filter's C library. Calls keep the GIL, as they take some microseconds.
 
     Raises SettingsError: it is not built, or of another version.
     """
@@ -142,18 +142,18 @@ def library() -> ctypes.PyDLL:
 
 @cache
 def decide_address() -> int:
-    """Return the address of the decision in this process, for `decide`. Raises SettingsError, as `library`."""
+    """Return the address of the C function behind `decide`. Raises SettingsError, as `library`."""
     return ctypes.cast(library().hydro_c_filter_decide, ctypes.c_void_p).value or 0
 
 
 @intrinsic
 def decide(typingctx: Any, address: Any, parts: Any, memory: Any, sample: Any, made: Any) -> Any:
-    """Decide about a sample, without the monitor; records of shape (1,). For numba."""
-    return call(types.void(types.int64, parts, memory, sample, made), "pppp")
+    """Numba intrinsic: decide the correction of a sample without the monitor; arguments are records of shape (1,)."""
+    return declare_call(types.void(types.int64, parts, memory, sample, made), "pppp")
 
 
-class Followed(NamedTuple):
-    """What is known of n samples of a loop with c coordinates and m states."""
+class Linearization(NamedTuple):
+    """Linearization of n samples of a loop with c coordinates and m states."""
 
     transition: FloatArray
     """F, shape (n, c, c); of the linearized samples, as G and K are."""
@@ -171,10 +171,10 @@ class Followed(NamedTuple):
     """I [N/s] of the force law, shape (n,)."""
 
 
-def follow(
+def linearize(
     loop: Records, samples: Records, memory: Records | None = None, linearized: npt.NDArray[np.bool_] | None = None
-) -> Followed:
-    """Follow samples, each the one after that before, by the filter's own functions.
+) -> Linearization:
+    """Linearize the loop at successive samples by the filter's C functions.
 
     Parameters
     ----------
@@ -183,40 +183,50 @@ def follow(
     samples
         Records of SAMPLE, shape (n,).
     memory
-        A record of MEMORY, shape (1,), which moves on; None: a new one.
+        Filter state, a record of MEMORY, shape (1,), updated in place; None: a new one.
     linearized
         Which samples are linearized, shape (n,); None: all of them.
     """
     n, width, states = len(samples), int(loop["coordinates"][0]), int(loop["whole"]["states"][0])
     rows = n if linearized is None else int(linearized.sum())
     shapes = (rows, width, width), (rows, width), (rows, width), (n, width), (n, states), (n, 2), (n,)
-    made = Followed(*(np.empty(shape) for shape in shapes))
-    memory = memories() if memory is None else memory
-    chosen = None if linearized is None else at(linearized)
-    library().hydro_c_filter_follow(at(loop), at(memory), n, at(samples), chosen, *map(at, made))
+    made = Linearization(*(np.empty(shape) for shape in shapes))
+    memory = new_memories() if memory is None else memory
+    chosen = None if linearized is None else address_of(linearized)
+    library().hydro_c_filter_follow(
+        address_of(loop), address_of(memory), n, address_of(samples), chosen, *map(address_of, made)
+    )
     return made
 
 
-def watch(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
-    """Watch samples, each the one after that before; returns the monitor's sums after each, shape (n, 5, 2)."""
+def run_monitor(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
+    """Run the model monitor on successive samples; returns its sums after each, shape (n, 5, 2)."""
     sums = np.empty((len(samples), EQUATIONS, 2))
-    library().hydro_c_filter_watch(at(loop), limit, at(memory), at(monitor), len(samples), at(samples), at(sums))
+    library().hydro_c_filter_watch(
+        address_of(loop),
+        limit,
+        address_of(memory),
+        address_of(monitor),
+        len(samples),
+        address_of(samples),
+        address_of(sums),
+    )
     return sums
 
 
 def law_gradient(loop: Records, sample: Records) -> FloatArray:
-    """Return du/dx of the force law, A per unit of each state, at a sample, shape (1,): shape (8,)."""
+    """Return the gradient du/dx of the force law at a sample, shape (8,), A per unit of each measurement."""
     made = np.empty(8)
-    library().hydro_c_filter_gradient(at(loop), at(sample), at(made))
+    library().hydro_c_filter_gradient(address_of(loop), address_of(sample), address_of(made))
     return made
 
 
 def sensitivity(loop: Records, state: FloatArray, opening: float) -> FloatArray:
-    """Return how f_h' of the loop's model hangs on what moves it, at a state of that model and an opening [A].
+    """Return sensitivities of the loop's model at a state and an opening [A], shape (5,).
 
-    g [N/s/A] on the opening's side, what f_h' loses per velocity [N/m], f_h' of the closed valve at rest [N/s], and how
-    fast a velocity lowers p_a and raises p_b [Pa/m]; shape (5,).
+    g [N/s/A] on the opening's side, -d f_h'/dv [N/m], f_h' with valve closed and at rest [N/s], -d p_a'/dv and
+    d p_b'/dv [Pa/m].
     """
     made = np.empty(5)
-    library().hydro_c_filter_sensitivity(at(loop), at(state), opening, at(made))
+    library().hydro_c_filter_sensitivity(address_of(loop), address_of(state), opening, address_of(made))
     return made

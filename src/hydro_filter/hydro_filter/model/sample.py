@@ -48,12 +48,12 @@ class Sample(NamedTuple):
 
     @property
     def compensated(self) -> bool:
-        """Whether the compensated law acts."""
+        """Whether the compensated force law is active."""
         return self.law is not None and self.law.law is Law.COMPENSATED
 
     @property
-    def followed(self) -> tuple[float, float, float, float]:
-        """f_c [N], f_c' [N/s], C_1, C_2 of the law; of the paper's f_r, f_r', 1, 1."""
+    def law_inputs(self) -> tuple[float, float, float, float]:
+        """f_c [N], f_c' [N/s], C_1 and C_2 of the force law; f_r, f_r', 1 and 1 for the paper's."""
         if self.law is None:
             return self.reference_force, self.reference_rate, 1.0, 1.0
         return (
@@ -62,8 +62,8 @@ class Sample(NamedTuple):
         )  # fmt: skip
 
     @classmethod
-    def of(cls, record: np.void, law: LawState | None = None) -> Sample:
-        """From a record of `hydro_core.signals.STATE_DTYPE` and the law of the same sample."""
+    def from_record(cls, record: np.void, law: LawState | None = None) -> Sample:
+        """Create a sample from a record of `STATE_DTYPE` and the state of the force law; None: the paper's."""
         state = np.array([record[name] for name in PLANT_FIELDS], dtype=np.float64)
         gain, force = float(record["proportional_gain"]), float(record["reference_force"])
         current, rate = float(record["valve_current"]), float(record["reference_force_rate"])

@@ -27,7 +27,7 @@ from scipy.linalg import solve_discrete_are
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_core.size import Size
 from hydro_filter.model.coordinates import Q_HYDRAULIC, Q_SPOOL
-from hydro_filter.model.records import NONE
+from hydro_filter.model.records import NO_STATE
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
@@ -36,40 +36,40 @@ from hydro_sim.model.effects.base import Effect
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
-Name = tuple[str, int, str]
+StateName = tuple[str, int, str]
 """Of a hidden state: its effect's label, which one of several with that label, the state."""
 
-CELL = "sensor_lag sensor=load_force"
+LOAD_CELL_LAG = "sensor_lag sensor=load_force"
 _LOAD, _LOAD_RATE = 4, 5  # of the textbook's states: what an amplifier of the bench itself shows
 
 
-def hidden_state_numbers(bench: Bench) -> dict[Name, int]:
-    """Numbers of a bench's hidden states in its model."""
+def hidden_state_indices(bench: Bench) -> dict[StateName, int]:
+    """Return the index of each hidden state in the bench's model."""
     seen: dict[str, int] = {}
-    places: dict[Name, int] = {}
+    places: dict[StateName, int] = {}
     for effect in bench.terms:
         label = catalogue.label(effect)
         seen[label] = seen.get(label, -1) + 1
-        for state in catalogue.kind_of(effect)[0].effect.states:
+        for state in catalogue.parse_entry(effect)[0].effect.states:
             places[label, seen[label], state.name] = TEXTBOOK + len(places)
     return places
 
 
-def state_number(numbers: Mapping[Name, int], label: str, state: str) -> int:
-    """Number of the first state of this name of an effect whose label begins so; `NONE` where there is none."""
-    return next((at for (has, _, name), at in numbers.items() if has.startswith(label) and name == state), NONE)
+def state_index(numbers: Mapping[StateName, int], label: str, state: str) -> int:
+    """Return the index of the first state of this name of an effect whose label begins with `label`, or `NO_STATE`."""
+    return next((at for (has, _, name), at in numbers.items() if has.startswith(label) and name == state), NO_STATE)
 
 
-def cell_states(bench: Bench, numbers: Mapping[Name, int]) -> tuple[int, int]:
-    """Numbers of the states that the load cell shows: force and its rate, `NONE` if the cell is ideal."""
-    if (force := state_number(numbers, CELL, "signal")) != NONE:
-        return force, state_number(numbers, CELL, "rate")
-    return _LOAD, _LOAD_RATE if float(bench.constants()["load_cell_omega"][0]) > 0.0 else NONE
+def load_cell_indices(bench: Bench, numbers: Mapping[StateName, int]) -> tuple[int, int]:
+    """Return the indices of the load cell's states, force and rate; `NO_STATE` for the rate of an ideal cell."""
+    if (force := state_index(numbers, LOAD_CELL_LAG, "signal")) != NO_STATE:
+        return force, state_index(numbers, LOAD_CELL_LAG, "rate")
+    return _LOAD, _LOAD_RATE if float(bench.constants()["load_cell_omega"][0]) > 0.0 else NO_STATE
 
 
 def _made(numbers: Any, effect: Mapping[str, Any], velocity: float = 0.0) -> Effect:
     """An effect with its numbers, for terms that need no state but the velocity [m/s]."""
-    kind, values = catalogue.kind_of(effect)
+    kind, values = catalogue.parse_entry(effect)
     made = kind.make()
     made.at = SimpleNamespace(numbers=numbers, velocity=velocity)
     for parameter, value in zip(kind.parameters, values, strict=True):
@@ -78,14 +78,14 @@ def _made(numbers: Any, effect: Mapping[str, Any], velocity: float = 0.0) -> Eff
 
 
 def load_curve(record: Any, effects: list[Mapping[str, Any]], positions: FloatArray) -> FloatArray:
-    """f_l [N] at positions [m], without backlash."""
+    """Return the load force f_l [N] at `positions` [m], without backlash."""
     numbers = SimpleNamespace(**{name: float(record[name]) for name in record.dtype.names})
-    force = rates.load(numbers, [_made(numbers, effect) for effect in effects], positions)
+    force = rates.load_force(numbers, [_made(numbers, effect) for effect in effects], positions)
     return np.asarray(force, np.float64)
 
 
-def follows_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
-    """Whether a load's effect, one that has no states, hangs on the velocity."""
+def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
+    """Return whether an effect of the load without states depends on the velocity."""
     positions = np.linspace(0.0, bench.stroke, 9)
     still, out, back = (
         _made(bench, effect, velocity).load(0.0 * positions, positions) for velocity in (0.0, 0.1, -0.1)
@@ -93,40 +93,42 @@ def follows_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
     return not (np.array_equal(still, out) and np.array_equal(still, back))
 
 
-def sensor_scales(truth: Bench) -> tuple[FloatArray, FloatArray]:
-    """Gain and bias of the five readings."""
+def sensor_calibration(truth: Bench) -> tuple[FloatArray, FloatArray]:
+    """Return gain and bias of the five readings, shape (5,) each."""
     made = [_made(None, effect) for effect in truth.effects]
     ends = np.array([[0.0] * len(RAW_FIELDS), [1.0] * len(RAW_FIELDS)])
     for effect in made:
-        ends = np.array([[effect.show(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends])
+        ends = np.array(
+            [[effect.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends]
+        )
     return ends[1] - ends[0], ends[0]
 
 
 def null_shifts(truth: Bench) -> tuple[float, float]:
-    """Null shifts [A] before and behind the valve's lag, in the order of the bench file."""
+    """Return the null shifts [A] before and after the valve's lag, in the order of the bench file."""
     shifts, behind = [0.0, 0.0], False
     for effect in truth.effects:
         behind = behind or effect["id"] == "valve_lag"
         if effect["id"] == "valve_offset":
-            shifts[int(behind)] += catalogue.kind_of(effect)[1][0]
+            shifts[int(behind)] += catalogue.parse_entry(effect)[1][0]
     return shifts[0], shifts[1]
 
 
-def cell_dynamics(truth: Bench) -> tuple[float, float]:
-    """2 d/w [s] and 1/w^2 [s^2] of the load cell's amplifier."""
+def load_cell_coefficients(truth: Bench) -> tuple[float, float]:
+    """Return the coefficients 2 d/w [s] and 1/w^2 [s^2] of the load cell's amplifier."""
     for effect in truth.effects:
-        if catalogue.label(effect) == CELL:
-            bandwidth, damping = catalogue.kind_of(effect)[1]
+        if catalogue.label(effect) == LOAD_CELL_LAG:
+            bandwidth, damping = catalogue.parse_entry(effect)[1]
             return 2.0 * damping / (2.0 * pi * bandwidth), (2.0 * pi * bandwidth) ** -2
     omega = float(truth.constants()["load_cell_omega"][0]) or inf
     return 2.0 * LOAD_CELL_DAMPING / omega, 1.0 / omega**2
 
 
-def valve_age(truth: Bench) -> float:
-    """Time [s] by which the valve's lag puts its spool behind a slow command: 2 d/w, of the first order 1/w."""
+def valve_lag_time(truth: Bench) -> float:
+    """Return the delay [s] of the valve's lag at low frequency: 2 d/w, or 1/w of a first-order lag."""
     for effect in truth.effects:
         if effect["id"] == "valve_lag":
-            bandwidth, *damping = catalogue.kind_of(effect)[1]
+            bandwidth, *damping = catalogue.parse_entry(effect)[1]
             return (2.0 * damping[0] if damping else 1.0) / (2.0 * pi * bandwidth)
     return 0.0
 
@@ -142,8 +144,8 @@ UNCERTAINTY = 1.875e-4
 """Standard deviation of the model's pressure after one sample, over the supply's: what the monitor allows."""
 
 
-class Added(NamedTuple):
-    """Added coordinates of a bench."""
+class AddedCoordinates(NamedTuple):
+    """Coordinates that a bench's sensor lags and dead time add to the common eight."""
 
     lagging: npt.NDArray[np.int64]
     """Rows, one of each lagging sensor: what it shows, its rate, the pressure (0 or 1); of the whole model."""
@@ -155,48 +157,50 @@ class Added(NamedTuple):
     """s, 2 d/w of each lagging sensor."""
 
 
-def added_coordinates(bench: Bench, whole: Mapping[Name, int], loop: Mapping[Name, int], drive: FloatArray) -> Added:
-    """Return the added coordinates.
+def added_coordinates(
+    bench: Bench, whole: Mapping[StateName, int], loop: Mapping[StateName, int], drive: FloatArray
+) -> AddedCoordinates:
+    """Return the coordinates that a bench adds to the common eight.
 
     `bench`: bench file. `whole`, `loop`: numbers of hidden states of the whole and of the loop's model. `drive`:
-    `coordinates.loop_scale`.
+    `coordinates.coordinate_scales`.
     """
     lagging, kept, scale, ages = [], [], [], []
     pressure = float(drive[Q_HYDRAULIC]) / bench.piston_area
     for place, chamber in enumerate(CHAMBERS):
         label = f"sensor_lag sensor=pressure_{chamber}"
-        if (signal := state_number(whole, label, "signal")) == NONE:
+        if (signal := state_index(whole, label, "signal")) == NO_STATE:
             continue
         bandwidth, damping = next(
-            catalogue.kind_of(effect)[1] for effect in bench.effects if catalogue.label(effect) == label
+            catalogue.parse_entry(effect)[1] for effect in bench.effects if catalogue.label(effect) == label
         )
         omega = 2.0 * pi * bandwidth
-        lagging.append((signal, state_number(whole, label, "rate"), place))
-        kept += [state_number(loop, label, "signal"), state_number(loop, label, "rate")]
+        lagging.append((signal, state_index(whole, label, "rate"), place))
+        kept += [state_index(loop, label, "signal"), state_index(loop, label, "rate")]
         scale += [pressure, omega * pressure]
         ages.append(2.0 * damping / omega)
-    on_their_way = currents_on_their_way(bench)
+    on_their_way = count_delayed_currents(bench)
     first = 6 + len(loop)
     kept += range(first, first + on_their_way)
     scale += [float(drive[Q_SPOOL])] * on_their_way
-    return Added(
+    return AddedCoordinates(
         np.array(lagging, np.int64).reshape(-1, 3), np.array(kept, np.int64), np.array(scale, np.float64),
         np.array(ages, np.float64),
     )  # fmt: skip
 
 
-def currents_on_their_way(bench: Bench) -> int:
-    """Return how many samples' currents have not passed the dead time as a sample begins."""
-    return ceil(catalogue.delay(bench.effects) / SAMPLE_PERIOD - ROUNDING)
+def count_delayed_currents(bench: Bench) -> int:
+    """Return the number of past currents still within the dead time at the beginning of a sample."""
+    return ceil(catalogue.total_delay(bench.effects) / SAMPLE_PERIOD - ROUNDING)
 
 
-def current_at_valve(bench: Bench) -> int:
-    """Return how many samples before the last one the current was given that is at the valve as a sample ends."""
-    return floor(catalogue.delay(bench.effects) / SAMPLE_PERIOD + ROUNDING)
+def dead_time_samples(bench: Bench) -> int:
+    """Return the dead time in whole samples: the age of the current at the valve at the end of a sample."""
+    return floor(catalogue.total_delay(bench.effects) / SAMPLE_PERIOD + ROUNDING)
 
 
 def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64], size: Size) -> FloatArray:
-    """Gains of the observer of the pressures behind lagging sensors.
+    """Return the gains of the observer of pressures behind lagging sensors.
 
     It corrects pressure, what the sensor shows and its rate, of each lagging sensor, twice a sample. By the position's
     error: the box's velocity is late, and what a wrong velocity has done to them goes with what it has done to the

@@ -45,7 +45,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
-from hydro_bridge.ros.answers import Answers
+from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
     Level,
@@ -71,36 +71,36 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.pace import CORRECTS
+from hydro_bridge.safety.pace import FILTER_WINDOW
 from hydro_core.cli.console import UserError, command
-from hydro_core.files.site import ANEW
+from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import OUTSIDE, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
-from hydro_filter.controller.factory import FilterChoice, arguments
+from hydro_core.signals import OUTSIDE_REGION, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
+from hydro_filter.controller.factory import FilterChoice, parse_args
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
-from hydro_filter.region.watch import RegionWatch
+from hydro_filter.region.watch import RegionMonitor
 from hydro_msgs.msg import Authority
 
-PATIENCE = 2.0
+WAIT_NOTICE_DELAY = 2.0
 """s after which a wait is explained to the user."""
 
-DISCOVERY = 0.5
+DISCOVERY_TIME = 0.5
 """s after the start within which another filter is discovered, if there is one."""
 
-ANOTHER_LAW = 50
-"""Samples for which a message of another law than the paper's holds: one of them may be lost."""
+LAW_VALID_SAMPLES = 50
+"""Number of samples for which a LawState message stays valid, as one may be lost."""
 
-FAILED = (CorrectionStatus.NAN, CorrectionStatus.INFEASIBLE)
-"""Of which one is worth a warning."""
-WORTH_A_WARNING = 0.01
+FAILURE_STATUSES = (CorrectionStatus.NAN, CorrectionStatus.INFEASIBLE)
+"""Statuses of which a single one is reported as a warning."""
+STALE_SHARE_MAX = 0.01
 """Share of stale corrections above which the node warns; /diagnostics counts each of them."""
 
-BUSY = "stale ones came too late to be applied: the machine is busy; close other programs"
+STALE_HINT = "stale ones came too late to be applied: the machine is busy; close other programs"
 
-LOOK = 1.0
-"""s between looks at the files. They are read once they have not changed for as long."""
+FILE_POLL_PERIOD = 1.0
+"""s between checks of the files; changed files are read once they are unchanged for as long."""
 
 _PLANT = slice(2, 2 + len(PLANT_FIELDS))  # of a state's record, behind stamp and sequence
 
@@ -111,7 +111,7 @@ MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
 
 @dataclass
 class FilterStatistics:
-    """Statistics since the node started; `news` compares with its previous call."""
+    """Statistics since the node started; `counts_since_last` compares with its previous call."""
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)
     outside: int = 0
@@ -125,8 +125,8 @@ class FilterStatistics:
     _sequence: int | None = None
     _told: Counter[CorrectionStatus] = field(default_factory=Counter)
 
-    def expect(self, sequence: int) -> bool:
-        """Record a sample's sequence number, wrapping at 2^32; returns whether it follows the last one."""
+    def track_sequence(self, sequence: int) -> bool:
+        """Record a sample's sequence number, modulo 2^32; return whether it succeeds the last one."""
         gap = -1 if self._sequence is None else (sequence - self._sequence - 1) & 0xFFFFFFFF
         self.missing += gap if 0 < gap < 0x80000000 else 0  # a restarted source counts from zero
         self._sequence = sequence
@@ -138,8 +138,8 @@ class FilterStatistics:
         self.work.add(work)
         self.age.add(age)
 
-    def news(self) -> Counter[CorrectionStatus]:
-        """Return the statuses since the last call."""
+    def counts_since_last(self) -> Counter[CorrectionStatus]:
+        """Return the number of corrections by status since the last call."""
         fresh = self.statuses - self._told
         self._told = self.statuses.copy()
         return fresh
@@ -156,8 +156,8 @@ class FilterStatistics:
         }
 
 
-def sentence(news: Counter[CorrectionStatus]) -> str:
-    """Return a sentence about the last second, worst first."""
+def summarize_statuses(news: Counter[CorrectionStatus]) -> str:
+    """Return a summary of the statuses of the last second, worst first."""
     order = (
         CorrectionStatus.BYPASSED,
         CorrectionStatus.MISMATCH,
@@ -178,7 +178,7 @@ def _shown(name: str, latency: Latency) -> dict[str, object]:
 
 
 class FilterNode(Node):
-    """Passes states to the filter and publishes its corrections.
+    """Runs the filter on each BenchState and publishes a Correction for it.
 
     `choice`: filter to run. `settings`: defaults of the ROS parameters. `realtime`: request SCHED_FIFO. `handed`: a
     plant in this process hands over its samples (`hydro_bridge.nodes.plant_node.Corrector`), and decides on scheduling.
@@ -191,16 +191,16 @@ class FilterNode(Node):
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
         self.filter = self._first(choice)
-        self._region, self._outside = choice.region(self.filter), False
+        self._region, self._outside = choice.make_region_monitor(self.filter), False
         self._left: set[str] = set()
         """What has left the region since the plant was armed, and was told."""
-        self._unknown = self.filter.unknown(compensated=True)
+        self._unknown = self.filter.missing_certificate(compensated=True)
         self.tally = FilterStatistics()
         self.foreign = ""
         """Why its files do not fit this bench, by the plant's description; empty: they do."""
         self._box: KnownBox | None = None
         self._armed = False
-        self._read = self._seen = choice.written
+        self._read = self._seen = choice.modification_times
         """When its files were written: those that it has read, or refused, and those of the last look."""
         self._taking: concurrent.futures.Future[Any] | None = None
         """New files that are being read."""
@@ -213,7 +213,7 @@ class FilterNode(Node):
         self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
         self._publisher: Publisher | None = None  # as long as another filter answers
         self._last: Any = None  # record of the last correction
-        self._answers: Answers | None = None
+        self._answers: PaceResponder | None = None
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._advice = "" if realtime else ", or start it with --realtime"
@@ -224,10 +224,10 @@ class FilterNode(Node):
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
         self._boxes = subscribe_to_box(self, self._on_box)
         self._states: Subscription | None = None
-        time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
+        time.sleep(max(0.0, begun + DISCOVERY_TIME - time.monotonic()))
         self._come_forward()
-        self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(LOOK, self._look_for_new_files, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(DISCOVERY_TIME, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(FILE_POLL_PERIOD, self._look_for_new_files, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._law: Any = None  # record of the last one, while another law than the paper's acts
         self._waiting: Any = None  # record of a state that waits for its law
         if handed:
@@ -237,7 +237,7 @@ class FilterNode(Node):
         # last: states are queued from now on
         self._states = subscribe(self, STATE, STATES, self._on_state)
         if self._publisher is not None:
-            self._answers = Answers(self, CORRECTS, self._states)
+            self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
 
     def _come_forward(self) -> None:
         """Start answering, unless another filter does."""
@@ -252,7 +252,7 @@ class FilterNode(Node):
         else:
             self._publisher = create_publisher(self, CORRECTION)
             if self._states is not None:
-                self._answers = Answers(self, CORRECTS, self._states)
+                self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
 
     def correct(self, state: Any, law: Any, epoch: int) -> Any:
         """See `hydro_bridge.nodes.plant_node.Corrector`."""
@@ -276,16 +276,16 @@ class FilterNode(Node):
         say = self.get_logger().info
         begin = time.monotonic()
         told = "compiling the filter: once, for up to a minute; until then there are no corrections"
-        late = threading.Timer(PATIENCE, say, [told])
+        late = threading.Timer(WAIT_NOTICE_DELAY, say, [told])
         late.daemon = True
         late.start()
-        before = endings.answer(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
+        before = endings.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
             made = choice.make(self.settings)
         finally:
-            endings.restore(before)
+            endings.restore_handlers(before)
             late.cancel()
-        if (taken := time.monotonic() - begin) > PATIENCE:
+        if (taken := time.monotonic() - begin) > WAIT_NOTICE_DELAY:
             say(f"compiled in {taken:.0f} s")
         return made
 
@@ -297,7 +297,7 @@ class FilterNode(Node):
                 taking, self._taking = self._taking, None
                 self._take_over(taking)
             return
-        before, self._seen = self._seen, self._choice.written
+        before, self._seen = self._seen, self._choice.modification_times
         if armed or self._seen == self._read or self._seen != before:
             return
         self._read = self._seen
@@ -307,9 +307,9 @@ class FilterNode(Node):
     def _read_again(self, found: concurrent.futures.Future[Any]) -> None:
         """Read and compile the new files, beside what answers."""
         try:
-            choice = self._choice.read_again()
+            choice = self._choice.reload()
             made = choice.make(self.settings)
-            found.set_result((choice, choice.describe(), made, choice.region(made)))
+            found.set_result((choice, choice.describe(), made, choice.make_region_monitor(made)))
         except Exception as error:
             found.set_exception(error)
 
@@ -321,8 +321,8 @@ class FilterNode(Node):
             return
         with self._lock:
             self._choice, self._told, self.filter, self._region = choice, told, made, region
-            self._unknown, self._mismatch = made.unknown(compensated=True), ""
-        self.foreign = choice.foreign(self._box) if self._box else ""
+            self._unknown, self._mismatch = made.missing_certificate(compensated=True), ""
+        self.foreign = choice.box_mismatch(self._box) if self._box else ""
         words = "; ".join(f"{name}: {value}" for name, value in told.items())
         self.get_logger().info(f"new files are taken over: {words}")
 
@@ -348,17 +348,17 @@ class FilterNode(Node):
 
     def _correct(self, message: Any) -> None:
         begin = time.perf_counter()
-        if not self.tally.expect(message.sequence):
-            self.filter.skip()
+        if not self.tally.track_sequence(message.sequence):
+            self.filter.reset_history()
         age = self._age(message)
         law = self._law_near(message.sequence)
         if law is not None and self._bypasses(law):
             result = BYPASSED
         elif law is not None and law.sequence != message.sequence and message.flags & Flag.ARMED:
-            self.filter.skip()
+            self.filter.reset_history()
             result = STALE
         else:
-            sample = sample_of(message, law)
+            sample = make_sample(message, law)
             if self._region is not None and message.sequence % SAMPLES_PER_STEP == 0:
                 self._look(self._region, sample)
             result = self.filter.correct(sample, age)
@@ -366,7 +366,7 @@ class FilterNode(Node):
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._age(message))
 
-    def _look(self, region: RegionWatch, sample: Sample) -> None:
+    def _look(self, region: RegionMonitor, sample: Sample) -> None:
         """See whether the loop is within what is proved; what leaves first is told, once while the plant is armed."""
         memory = self.filter.memory[0]  # before it moves on by this sample
         if not sample.armed or not memory["running"]:
@@ -374,7 +374,7 @@ class FilterNode(Node):
             self._outside = False
             self._left.clear()
             return
-        left = region.look(sample, float(memory["opening"]), float(memory["opening_rate"]))
+        left = region.check(sample, float(memory["opening"]), float(memory["opening_rate"]))
         self._outside = left is not None
         if left is not None and left.name not in self._left:
             self._left.add(left.name)
@@ -398,7 +398,10 @@ class FilterNode(Node):
 
     def _law_near(self, sequence: int) -> Any:
         """Return the last law that is not the paper's; None if the paper's acts: the filter starts again with it."""
-        if self._law is None or (sequence - self._law.sequence + ANOTHER_LAW) & 0xFFFFFFFF < 2 * ANOTHER_LAW:
+        if (
+            self._law is None
+            or (sequence - self._law.sequence + LAW_VALID_SAMPLES) & 0xFFFFFFFF < 2 * LAW_VALID_SAMPLES
+        ):
             return self._law
         self._law = None
         self.filter.reset()
@@ -407,7 +410,7 @@ class FilterNode(Node):
 
     def _on_box(self, box: KnownBox) -> None:
         """Process a box's description, which may announce another bench from now on."""
-        self._box, self.foreign = box, self._choice.foreign(box)
+        self._box, self.foreign = box, self._choice.box_mismatch(box)
         if self._boxes.get_publisher_count() > 1:  # one of them is foreign, or has just died
             return
         identity = box.info, box.bench_digest
@@ -427,7 +430,7 @@ class FilterNode(Node):
             result = MISMATCHED
         if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
             seen = self.filter.mismatch
-            self._tell_mismatch(self.foreign or (f"{seen}; {ANEW}" if seen else ""))
+            self._tell_mismatch(self.foreign or (f"{seen}; {RECOMMISSION_HINT}" if seen else ""))
         return result
 
     def _tell_mismatch(self, reason: str) -> None:
@@ -442,7 +445,15 @@ class FilterNode(Node):
         infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
         outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(state.flags & Flag.ARMED)
         self.tally.outside += outside
-        numbers = delta_u, before, after, delta_u != 0.0, infeasible, int(status) | OUTSIDE * outside, self._epoch
+        numbers = (
+            delta_u,
+            before,
+            after,
+            delta_u != 0.0,
+            infeasible,
+            int(status) | OUTSIDE_REGION * outside,
+            self._epoch,
+        )
         self._last = CORRECTIONS.record(state.stamp, state.sequence, *numbers)
         if not self._handed:  # else the plant says when
             self.publish()
@@ -452,14 +463,14 @@ class FilterNode(Node):
         return 0.0 if state.flags & Flag.PACED else 1e-9 * (self.get_clock().now().nanoseconds - state.stamp)
 
     def _status(self) -> Status:
-        news = self.tally.news()
-        told, late = sentence(news), news[CorrectionStatus.STALE]
+        news = self.tally.counts_since_last()
+        told, late = summarize_statuses(news), news[CorrectionStatus.STALE]
         level = Level.OK
         if not news:
             level, told = Level.STALE, "no states"
-        elif any(news[status] for status in FAILED) or late > WORTH_A_WARNING * news.total():
+        elif any(news[status] for status in FAILURE_STATUSES) or late > STALE_SHARE_MAX * news.total():
             level = Level.WARN
-            busy = f"; {BUSY}{self._advice}" if late and not self.settings.bypass else ""
+            busy = f"; {STALE_HINT}{self._advice}" if late and not self.settings.bypass else ""
             self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
@@ -477,8 +488,8 @@ class FilterNode(Node):
         return with_publisher_conflicts(Status(level=level, message=told, values=values), crowd)
 
 
-def sample_of(message: Any, law: Any = None) -> Sample:
-    """Convert a record of a BenchState, and of the law of the same sample, to the filter's input; None: the paper's."""
+def make_sample(message: Any, law: Any = None) -> Sample:
+    """Convert the records of a BenchState and its LawState (None: the paper's law) to the filter's input."""
     state = np.array(message[_PLANT])
     return Sample(
         state, message.nominal_valve_current, message.reference_force, message.proportional_gain,
@@ -491,6 +502,6 @@ def sample_of(message: Any, law: Any = None) -> Sample:
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    choice, settings, asked = arguments(own)
+    choice, settings, asked = parse_args(own)
     choice.describe()  # a missing file is refused before ROS starts
     run_node(lambda: FilterNode(choice, settings, realtime=asked.realtime), ros)

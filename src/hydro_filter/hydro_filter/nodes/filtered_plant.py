@@ -17,15 +17,15 @@ from hydro_bridge.nodes import bridge
 from hydro_bridge.nodes.plant_node import run_plant
 from hydro_bridge.ros.node import ros_arguments
 from hydro_core.cli.console import UserError, command
-from hydro_filter.controller.factory import arguments
+from hydro_filter.controller.factory import parse_args
 from hydro_filter.nodes.filter import FilterNode
 from hydro_sim.nodes import sim
 
-PLANTS = {"bridge": bridge.plant, "sim": sim.plant}
+PLANTS = {"bridge": bridge.plant_factory, "sim": sim.plant_factory}
 
 
 def parser() -> argparse.ArgumentParser:
-    """Build the parser of what is not the plant's."""
+    """Return the parser of the options that are not the plant's."""
     result = argparse.ArgumentParser(
         prog="filtered_plant",
         description="A plant and the filter in one process: same nodes and topics as side by side, less work.",
@@ -42,7 +42,7 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     asked, words = parser().parse_known_args(own)
-    choice, settings, filtering = arguments(shlex.split(asked.filter))
+    choice, settings, filtering = parse_args(shlex.split(asked.filter))
     if filtering.realtime:
         raise UserError("--realtime is the plant's: say it outside of --filter")
     if any(re.match(r"__(node|name):=", word) for word in ros):

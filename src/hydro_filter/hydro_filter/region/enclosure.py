@@ -26,11 +26,11 @@ from itertools import product
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.region.interval import Affine, Interval, interval, symmetric
-from hydro_filter.region.statement import Pair, Statement
+from hydro_filter.region.interval import AffineSet, Interval, interval, symmetric
+from hydro_filter.region.statement import Bounds, CertifiedRegion
 
-T = SAMPLE_PERIOD
-TERMS = 34
+PERIOD = SAMPLE_PERIOD
+SERIES_TERMS = 34
 """Of the Taylor series: T A is some 6 in units of the coordinates, and 6^35/35! is 2e-13."""
 
 SYMBOLS = (
@@ -42,8 +42,8 @@ F, Z, ZR, L, LR, X, V, BOX_VELOCITY = range(8)
 
 
 @dataclass(frozen=True)
-class Numbers:
-    """Intervals of what the Jacobian depends on, SI units; as in the module."""
+class JacobianBounds:
+    """Bounds of the quantities in the Jacobian, SI units; symbols as in the module's docstring."""
 
     c_law: Interval
     zeta: Interval
@@ -77,8 +77,8 @@ class Numbers:
     """N/s/A."""
 
 
-def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers:
-    """Bounds of the numbers over all states with the spool on one side (1, -1) and all benches of `tolerances`."""
+def jacobian_bounds(of: CertifiedRegion, tolerances: Mapping[str, Bounds], side: int) -> JacobianBounds:
+    """Return the bounds over all states with the spool on one side (1, -1) and all benches within `tolerances`."""
     bench, law = of.bench, of.believed
     at = {name: interval(pair) for name, pair in of.states.items()}
     tol = {name: interval(pair) for name, pair in tolerances.items()}
@@ -107,20 +107,20 @@ def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers
         drop_a, drop_b = p_a - tank, supply - p_b
         known_a, known_b = drop_a, law["supply_pressure"] - p_b
         wrong_a, wrong_b = interval(0.0), supply - law["supply_pressure"]
-    root_a, root_b = ((1.0 + w / k).root() for w, k in ((wrong_a, known_a), (wrong_b, known_b)))
-    phi = 1.0 / (1.0 + alpha * (known_b / known_a).root() * (law_a / law_b))
+    root_a, root_b = ((1.0 + w / k).sqrt() for w, k in ((wrong_a, known_a), (wrong_b, known_b)))
+    phi = 1.0 / (1.0 + alpha * (known_b / known_a).sqrt() * (law_a / law_b))
     kappa = tol["valve_gain"] * (bench["valve_gain"] / law["valve_gain"])
     weighted = _weighted(phi, root_a, root_b, sigma_law, mu)
     # g over the law's, but for valve gain and bulk modulus
     core = weighted * bulge_a * (1.0 + (1.0 - sigma_law) * (mu - 1.0))
     # within a sample c moves by the velocity
-    swept = T * v.size * max((area / volume_a).high, (alpha * area / volume_b).high)
+    swept = PERIOD * v.size * max((area / volume_a).high, (alpha * area / volume_b).high)
     chi, gain_ratio = kappa * weighted * interval((1.0 - swept, 1.0 + swept)), kappa * modulus * core
     opening, error = at["opening"], at["opening_error"].size
     largest = max(opening.high, 0.0) if side > 0 else max(-opening.low, 0.0)
     stiff_a, stiff_b = (tol["bulk_modulus"] * bench["bulk_modulus"] / volume for volume in (volume_a, volume_b))
     valve = tol["valve_gain"] * bench["valve_gain"]
-    slope_a, slope_b = stiff_a * valve / (2.0 * drop_a.root()), stiff_b * valve / (2.0 * drop_b.root())
+    slope_a, slope_b = stiff_a * valve / (2.0 * drop_a.sqrt()), stiff_b * valve / (2.0 * drop_b.sqrt())
     c_a, c_b = stiff_a * area**2, stiff_b * (alpha * area) ** 2
     sigma = 1.0 / (1.0 + alpha**2 * (volume_a / volume_b))
     per_opening = slope_a * sigma + slope_b * (1.0 - sigma)
@@ -135,7 +135,7 @@ def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers
     compensation = interval(of.velocity_compensation)
     # what the law takes for P_a', P_b': the flow that the bench has, wrong by its ratio, u_nom's share and x'_box
     late, across = at["velocity_error"], bench["leakage"] * (p_a - p_b)
-    g_a, g_b = (stiff_a * area * valve * drop_a.root(), stiff_b * alpha * area * valve * drop_b.root())
+    g_a, g_b = (stiff_a * area * valve * drop_a.sqrt(), stiff_b * alpha * area * valve * drop_b.sqrt())
     right_a, right_b = 1.0 / (kappa * rho_a * root_a), 1.0 / (kappa * rho_b * root_b)
     left_a, left_b = c_a * v * (right_a - compensation / rho_a), c_b * v * (right_b - compensation / rho_b)
     told_a = right_a * (rate_a + stiff_a * area * across + g_a * symmetric(error)) + left_a
@@ -143,10 +143,10 @@ def numbers(of: Statement, tolerances: Mapping[str, Pair], side: int) -> Numbers
     told_a, told_b = told_a - compensation * c_law_a * late, told_b + compensation * c_law_b * late
     eta_law = gain_ratio * (area / law_a * told_a + alpha * area / law_b * told_b)
     slope = at["gain_drift"]
-    drift = Interval(math.expm1(T * slope.low) * (1.0 + 1e-9), math.expm1(T * slope.high) * (1.0 + 1e-9))
+    drift = Interval(math.expm1(PERIOD * slope.low) * (1.0 + 1e-9), math.expm1(PERIOD * slope.high) * (1.0 + 1e-9))
     drift = drift.hull(interval(0.0))
-    flow_apart = per_opening.high * (0.5 * T * at["opening_rate"].size + drift.size * largest)
-    return Numbers(
+    flow_apart = per_opening.high * (0.5 * PERIOD * at["opening_rate"].size + drift.size * largest)
+    return JacobianBounds(
         c_law=c_law, zeta=zeta, chi=chi, flow=per_opening * Interval(0.0, largest), flow_apart=flow_apart,
         flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_apart)), flow_ratio=flow_ratio,
         leak=leak, eta=eta, eta_law=eta_law,
@@ -168,60 +168,64 @@ def _weighted(phi: Interval, root_a: Interval, root_b: Interval, sigma: Interval
     return Interval(min(one.low for one in ends), max(one.high for one in ends))
 
 
-def symbol(name: str, of: Interval) -> Affine:
-    """Number of an interval, as a symbol."""
-    number = bounded(Interval(of.middle, of.middle))
+def affine_symbol(name: str, of: Interval) -> AffineSet:
+    """Return an interval as a 1 x 1 affine set with its own symbol."""
+    number = affine_radius(Interval(of.midpoint, of.midpoint))
     number.slopes[SYMBOLS.index(name), 0, 0] = of.radius
     return number
 
 
-def bounded(of: Interval | float) -> Affine:
-    """Number of an interval, as a radius."""
+def affine_radius(of: Interval | float) -> AffineSet:
+    """Return an interval as a 1 x 1 affine set without symbols, by its radius."""
     of = interval(of)
     number = zeros(1, 1)
-    number.center[0, 0], number.radius[0, 0] = of.middle, of.radius if of.low < of.high else 0.0
+    number.center[0, 0], number.radius[0, 0] = of.midpoint, of.radius if of.low < of.high else 0.0
     return number
 
 
-def zeros(rows: int, columns: int) -> Affine:
-    """The matrix 0."""
-    return Affine(np.zeros((rows, columns)), np.zeros((len(SYMBOLS), rows, columns)), np.zeros((rows, columns)))
+def zeros(rows: int, columns: int) -> AffineSet:
+    """Return the zero matrix as an affine set."""
+    return AffineSet(np.zeros((rows, columns)), np.zeros((len(SYMBOLS), rows, columns)), np.zeros((rows, columns)))
 
 
-def write(into: Affine, row: int, column: int, number: Affine) -> None:
-    """Write a number, or a block that begins there."""
+def set_block(into: AffineSet, row: int, column: int, number: AffineSet) -> None:
+    """Write a block into a matrix set, at `row` and `column`."""
     rows, columns = number.center.shape
     at = slice(row, row + rows), slice(column, column + columns)
     into.center[at], into.radius[at] = number.center, number.radius
     into.slopes[:, at[0], at[1]] = number.slopes
 
 
-DIRECTIONS = ("friction", "current", "velocity", "overlap")
+DISTURBANCE_NAMES = ("friction", "current", "velocity", "overlap")
 """Columns of the disturbances."""
 
 
-def coordinates(of: Statement) -> int:
-    """Number of coordinates: eight, and one for each begun millisecond of dead time."""
-    return 8 + math.ceil(of.tolerances["dead_time"][1] / T - 1e-9)
+def coordinate_count(of: CertifiedRegion) -> int:
+    """Return the number of coordinates: eight, and one for each started millisecond of dead time."""
+    return 8 + math.ceil(of.tolerances["dead_time"][1] / PERIOD - 1e-9)
 
 
-def loop(of: Statement, tolerances: Mapping[str, Pair], side: int, gain: Interval) -> Affine:
-    """[F + G K, D] in units of the coordinates, shape (n, n + 4): a sample, and what each disturbance adds to it."""
-    n, bench, count = numbers(of, tolerances, side), of.bench, coordinates(of)
+def enclose_closed_loop(of: CertifiedRegion, tolerances: Mapping[str, Bounds], side: int, gain: Interval) -> AffineSet:
+    """Return an enclosure of [F + G K, D], shape (n, n + 4), in scaled coordinates; D: effect of the disturbances."""
+    n, bench, count = jacobian_bounds(of, tolerances, side), of.bench, coordinate_count(of)
     ways, scale = count - 8, np.array(of.scale)
     unit = scale[:7]
-    one, c = bounded(1.0), symbol("c_law", n.c_law) @ symbol("zeta", n.zeta)
+    one, c = affine_radius(1.0), affine_symbol("c_law", n.c_law) @ affine_symbol("zeta", n.zeta)
     chi, zeta, k, omega = (
-        symbol("chi", n.chi),
-        symbol("zeta", n.zeta),
-        symbol("spring", n.spring),
-        symbol("spool", n.spool),
+        affine_symbol("chi", n.chi),
+        affine_symbol("zeta", n.zeta),
+        affine_symbol("spring", n.spring),
+        affine_symbol("spool", n.spool),
     )
-    flow, grown, later = symbol("flow", n.flow), one + symbol("mean", n.mean), one + symbol("drift", n.drift)
+    flow, grown, later = (
+        affine_symbol("flow", n.flow),
+        one + affine_symbol("mean", n.mean),
+        one + affine_symbol("drift", n.drift),
+    )
     omega_c, mass = 2.0 * math.pi * bench["cell_bandwidth"], bench["moving_mass"]
     entries = {
-        (F, F): (flow + bounded(n.leak)) * -1.0, (F, Z): grown, (F, X): symbol("eta", n.eta) * -1.0, (F, V): c * -1.0,
-        (Z, ZR): one, (ZR, Z): (omega @ omega) * -1.0, (ZR, ZR): omega * (-2.0 * bench["spool_damping"]),
+        (F, F): (flow + affine_radius(n.leak)) * -1.0, (F, Z): grown, (F, X): affine_symbol("eta", n.eta) * -1.0, (F,
+        V): c * -1.0, (Z, ZR): one, (ZR, Z): (omega @ omega) * -1.0, (ZR, ZR): omega * (-2.0 * bench["spool_damping"]),
         (L, LR): one, (LR, X): k * omega_c**2, (LR, L): one * -(omega_c**2),
         (LR, LR): one * (-2.0 * bench["cell_damping"] * omega_c), (X, V): one, (V, F): one * (1.0 / mass),
         (V, X): k * (-1.0 / mass), (V, V): one * (-bench["viscous_friction"] / mass),
@@ -230,70 +234,72 @@ def loop(of: Statement, tolerances: Mapping[str, Pair], side: int, gain: Interva
     apart = {(F, F): n.flow_apart, (F, Z): 0.51 * n.drift.size, (F, X): 4.0 * n.eta.size, (F, V): n.c_apart}
     rates, varies = zeros(7, 7), np.zeros((7, 7))
     for (row, column), entry in entries.items():
-        factor = T * unit[column] / unit[row]
-        write(rates, row, column, entry * factor)
+        factor = PERIOD * unit[column] / unit[row]
+        set_block(rates, row, column, entry * factor)
         varies[row, column] = apart.get((row, column), 0.0) * factor
     inputs = zeros(7, 3)  # the current, a force on the mass, an opening
-    write(inputs, ZR, 0, omega @ omega * (T * scale[Z] / unit[ZR]))
-    write(inputs, V, 1, one * (T / mass / unit[V]))
-    write(inputs, F, 2, grown * (T * scale[Z] / unit[F]))
-    moved, pushed = transition(rates, varies, inputs, one, whole=True)
+    set_block(inputs, ZR, 0, omega @ omega * (PERIOD * scale[Z] / unit[ZR]))
+    set_block(inputs, V, 1, one * (PERIOD / mass / unit[V]))
+    set_block(inputs, F, 2, grown * (PERIOD * scale[Z] / unit[F]))
+    moved, pushed = enclose_transition(rates, varies, inputs, one, whole=True)
     # the law's current, as the opening that it will be, by the coordinates; then the sample's rows
-    law, out = zeros(1, count + len(DIRECTIONS)), zeros(count, count + len(DIRECTIONS))
-    ratio, apart_of_ratio = n.flow_ratio.middle, n.flow_error + symmetric(n.flow_ratio.radius * n.flow.high)
-    write(law, 0, F, (flow * ratio + symbol("flow_error", apart_of_ratio)) * (scale[F] / scale[Z]))
-    write(law, 0, L, chi @ zeta @ symbol("gain", gain) * (-scale[L] / scale[Z]))
-    write(law, 0, X, symbol("eta_law", n.eta_law) * (scale[X] / scale[Z]))
-    write(law, 0, BOX_VELOCITY, symbol("share", n.share) @ chi @ c * (scale[BOX_VELOCITY] / scale[Z]))
+    law, out = zeros(1, count + len(DISTURBANCE_NAMES)), zeros(count, count + len(DISTURBANCE_NAMES))
+    ratio, apart_of_ratio = n.flow_ratio.midpoint, n.flow_error + symmetric(n.flow_ratio.radius * n.flow.high)
+    set_block(law, 0, F, (flow * ratio + affine_symbol("flow_error", apart_of_ratio)) * (scale[F] / scale[Z]))
+    set_block(law, 0, L, chi @ zeta @ affine_symbol("gain", gain) * (-scale[L] / scale[Z]))
+    set_block(law, 0, X, affine_symbol("eta_law", n.eta_law) * (scale[X] / scale[Z]))
+    set_block(law, 0, BOX_VELOCITY, affine_symbol("share", n.share) @ chi @ c * (scale[BOX_VELOCITY] / scale[Z]))
     wrong = of.disturbances
     noise = n.gain_ratio * (gain.size * wrong["force_noise"]) + (n.flow + n.flow_error.size) * (
         2.0 * wrong["pressure_noise"] * bench["piston_area"]
     )
-    write(law, 0, count + 1, bounded(noise.high / scale[Z]))
-    write(out, 0, 0, moved)
+    set_block(law, 0, count + 1, affine_radius(noise.high / scale[Z]))
+    set_block(out, 0, 0, moved)
     fresh = pushed
     if ways:
-        late = symbol("dead_time", ((ways - 1.0) * T + T - n.dead_time) / T)
-        fresh = transition(rates, varies, inputs, late, whole=False)[1]
-    newest = fresh.part(range(7), [0]) @ (law if ways < 2 else _picked(count + ways - 2, law))
+        late = affine_symbol("dead_time", ((ways - 1.0) * PERIOD + PERIOD - n.dead_time) / PERIOD)
+        fresh = enclose_transition(rates, varies, inputs, late, whole=False)[1]
+    newest = fresh.submatrix(range(7), [0]) @ (law if ways < 2 else _picked(count + ways - 2, law))
     if ways:
-        oldest = (pushed.part(range(7), [0]) + fresh.part(range(7), [0]) * -1.0) @ _picked(8 + ways - 1, law)
+        oldest = (pushed.submatrix(range(7), [0]) + fresh.submatrix(range(7), [0]) * -1.0) @ _picked(8 + ways - 1, law)
         newest = newest + oldest
     out = out + _rows(newest, count)
-    write(out, 0, count, pushed.part(range(7), [1]) * wrong["friction"])
-    write(out, 0, count + 3, pushed.part(range(7), [2]) * (n.g.high * wrong["overlap"] / scale[Z]))
+    set_block(out, 0, count, pushed.submatrix(range(7), [1]) * wrong["friction"])
+    set_block(out, 0, count + 3, pushed.submatrix(range(7), [2]) * (n.g.high * wrong["overlap"] / scale[Z]))
     memory = bench["velocity_memory"]
-    step = out.part([X], range(count + len(DIRECTIONS)))
-    still = zeros(1, count + len(DIRECTIONS))
-    write(still, 0, X, one * -1.0)
-    shown = (step + still) * ((1.0 - memory) / T * scale[X] / scale[BOX_VELOCITY])
-    own = zeros(1, count + len(DIRECTIONS))
-    write(own, 0, BOX_VELOCITY, one * memory)
-    write(own, 0, count + 2, one * (wrong["velocity_noise"] / scale[BOX_VELOCITY]))
-    write(out, BOX_VELOCITY, 0, shown + own)
+    step = out.submatrix([X], range(count + len(DISTURBANCE_NAMES)))
+    still = zeros(1, count + len(DISTURBANCE_NAMES))
+    set_block(still, 0, X, one * -1.0)
+    shown = (step + still) * ((1.0 - memory) / PERIOD * scale[X] / scale[BOX_VELOCITY])
+    own = zeros(1, count + len(DISTURBANCE_NAMES))
+    set_block(own, 0, BOX_VELOCITY, one * memory)
+    set_block(own, 0, count + 2, one * (wrong["velocity_noise"] / scale[BOX_VELOCITY]))
+    set_block(out, BOX_VELOCITY, 0, shown + own)
     for row in (Z, ZR):
-        write(out, row, 0, later @ out.part([row], range(count + len(DIRECTIONS))))
+        set_block(out, row, 0, later @ out.submatrix([row], range(count + len(DISTURBANCE_NAMES))))
     for way in range(ways):
-        write(out, 8 + way, 0, later @ (law if way == 0 else _picked(8 + way - 1, law)))
+        set_block(out, 8 + way, 0, later @ (law if way == 0 else _picked(8 + way - 1, law)))
     return out
 
 
-def _picked(column: int, like: Affine) -> Affine:
+def _picked(column: int, like: AffineSet) -> AffineSet:
     """The row that is 1 in one column."""
     row = zeros(*like.center.shape)
     row.center[0, column] = 1.0
     return row
 
 
-def _rows(block: Affine, count: int) -> Affine:
+def _rows(block: AffineSet, count: int) -> AffineSet:
     """A block of the first rows, with rows of zeros below."""
     out = zeros(count, block.center.shape[1])
-    write(out, 0, 0, block)
+    set_block(out, 0, 0, block)
     return out
 
 
-def transition(rates: Affine, apart: FloatArray, inputs: Affine, reach: Affine, whole: bool) -> tuple[Affine, Affine]:
-    """Sets of the transitions of the states and of the responses to held inputs, over the last `reach` of a sample.
+def enclose_transition(
+    rates: AffineSet, apart: FloatArray, inputs: AffineSet, reach: AffineSet, whole: bool
+) -> tuple[AffineSet, AffineSet]:
+    """Return enclosures of the transition matrix and of the response to held inputs over the last `reach` of a sample.
 
     The series of time-ordered products of rates A(t): its n-th term is the n-fold product of their mean, A, and terms
     with one and more deviations E(t) from it, |E| <= `apart`. All are times T. Over a `whole` sample E has the mean 0
@@ -302,8 +308,8 @@ def transition(rates: Affine, apart: FloatArray, inputs: Affine, reach: Affine, 
     """
     states, count = len(rates.center), len(rates.center) + inputs.center.shape[1]
     set_of = zeros(count, count)
-    write(set_of, 0, 0, rates)
-    write(set_of, 0, states, inputs)
+    set_block(set_of, 0, 0, rates)
+    set_block(set_of, 0, states, inputs)
     set_of = _scaled(set_of, reach)
     size, varies = set_of.size, np.zeros((count, count))
     varies[:states, :states] = apart * reach.size[0, 0]
@@ -311,7 +317,7 @@ def transition(rates: Affine, apart: FloatArray, inputs: Affine, reach: Affine, 
     total.center[:] = term.center[:] = np.eye(count)
     plain: FloatArray = np.eye(count)
     every, single = plain, np.zeros_like(plain)
-    for order in range(1, TERMS + 1):
+    for order in range(1, SERIES_TERMS + 1):
         term = (term @ set_of) * (1.0 / order)
         single = (single @ size + plain @ varies) / order
         plain, every = plain @ size / order, every @ (size + varies) / order
@@ -319,13 +325,15 @@ def transition(rates: Affine, apart: FloatArray, inputs: Affine, reach: Affine, 
         counted = (order - 1.0) / (order + 1.0) if whole else 1.0
         total.radius[:] += (counted * single + np.maximum(every - plain - single, 0.0)) * (1.0 + 1e-9) + 1e-15 * every
     norm = float((size + varies).sum(axis=1).max())
-    total.radius[:] += norm ** (TERMS + 1) / math.factorial(TERMS + 1) / (1.0 - norm / (TERMS + 2)) * (1.0 + 1e-9)
-    return total.part(range(states), range(states)), total.part(range(states), range(states, count))
+    total.radius[:] += (
+        norm ** (SERIES_TERMS + 1) / math.factorial(SERIES_TERMS + 1) / (1.0 - norm / (SERIES_TERMS + 2)) * (1.0 + 1e-9)
+    )
+    return total.submatrix(range(states), range(states)), total.submatrix(range(states), range(states, count))
 
 
-def _scaled(matrix: Affine, number: Affine) -> Affine:
+def _scaled(matrix: AffineSet, number: AffineSet) -> AffineSet:
     """Each entry times one number."""
     diagonal = zeros(matrix.center.shape[1], matrix.center.shape[1])
     for place in range(matrix.center.shape[1]):
-        write(diagonal, place, place, number)
+        set_block(diagonal, place, place, number)
     return matrix @ diagonal

@@ -8,15 +8,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydro_core.signals import FloatArray
-from hydro_filter.model.loop import overlap_of
+from hydro_filter.model.loop import valve_overlap
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
-from hydro_filter.region.statement import Pair
+from hydro_filter.region.statement import Bounds
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, numbers
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 from hydro_sim.model.sensors import Sensors
 
-COVERED = (
+SUPPORTED_EFFECTS = (
     "valve_lag", "sensor_lag sensor=load_force", "leakage_internal", "bulk_modulus", "valve_gain", "valve_offset",
     "friction_coulomb", "friction_coulomb form=directional", "friction_stribeck", "friction_presliding",
     "valve_deadband", "valve_deadband form=lopsided", "force_offset", *(effect.id for effect in numbers.EFFECTS),
@@ -25,9 +25,9 @@ COVERED = (
 
 
 def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the numbers of a bench file and of the force law's bench, SI units; bandwidths in Hz.
+    """Return the parameters of a bench file and of the force law's bench by name, SI units; bandwidths in Hz.
 
-    Raises ValueError: the file has an effect, or lacks one, that the proof has no place for.
+    Raises ValueError: the file has an effect that the proof does not support, or lacks one that it needs.
     """
     if model.closures:
         raise ValueError("the proof has no place for closures")
@@ -36,21 +36,21 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
     found: dict[str, dict[str, float]] = {}
     for effect in model.effects:
         label = catalogue.label(effect)
-        kind, values = catalogue.kind_of(effect)
+        kind, values = catalogue.parse_entry(effect)
         values_by_name = {one.name: value for one, value in zip(kind.parameters, values, strict=True)}
         if label in found:
             raise ValueError(f"the proof has no place for a second {label}")
         found[label] = values_by_name
     plain = model.without_effects()
     for label in found:
-        if label not in COVERED:
+        if label not in SUPPORTED_EFFECTS:
             raise ValueError(f"the proof has no place for {label}")
     if "valve_lag" not in found:
         raise ValueError("the proof needs a valve_lag of second order in the bench file")
     cell = found.get("sensor_lag sensor=load_force")
     if cell is None and not plain.load_cell_bandwidth:
         raise ValueError("the proof needs the load cell's bandwidth in the bench file")
-    overlap = overlap_of(model)
+    overlap = valve_overlap(model)
     dry = [n for label, n in found.items() if label.startswith(("friction_coulomb", "friction_stribeck"))]
     for name in ("bulk_modulus", "valve_gain"):  # these two are terms of the model, not numbers of the bench
         facts[name] *= found.get(name, {}).get("ratio", 1.0)
@@ -68,7 +68,7 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
         "cell_damping": cell["damping"] if cell else LOAD_CELL_DAMPING,
         "leakage": found.get("leakage_internal", {}).get("coefficient", 0.0),
         "dry_friction": sum(max(v for k, v in one.items() if "force" in k) for one in dry),
-        "overlap": max(overlap["back"], overlap["out"]), "dead_time": catalogue.delay(model.effects),
+        "overlap": max(overlap["back"], overlap["out"]), "dead_time": catalogue.total_delay(model.effects),
         "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
     }  # fmt: skip
     record = believed.constants()[0]
@@ -90,7 +90,7 @@ STATES = (
 
 
 def region_states(of: Mapping[str, float], x: FloatArray, valve: FloatArray) -> FloatArray:
-    """States of a statement's box, shape (n, 10), columns `STATES`.
+    """Return the region's states, shape (n, 10), columns `STATES`.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ def region_states(of: Mapping[str, float], x: FloatArray, valve: FloatArray) -> 
     return np.column_stack((position, velocity, p_a, p_b, opening, rate, nominal - opening, rate_a, rate_b, drift))
 
 
-def share_inside(states: Mapping[str, Pair], samples: FloatArray) -> tuple[float, dict[str, float]]:
-    """Share of samples within a box, and the share that is outside of each range."""
+def containment_share(states: Mapping[str, Bounds], samples: FloatArray) -> tuple[float, dict[str, float]]:
+    """Return the share of samples within the region's box, and the share outside of each state's range."""
     left = {
         name: (samples[:, column] < states[name][0]) | (samples[:, column] > states[name][1])
         for column, name in enumerate(STATES)

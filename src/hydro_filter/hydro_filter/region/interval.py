@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arithmetic that encloses: intervals of numbers, and affine sets of matrices. Rounding errors are within both.
+"""Interval arithmetic of numbers and affine sets of matrices, which enclose rounding errors.
 
 ::
 
@@ -26,24 +26,24 @@ EPS = 2.0**-52
 
 @dataclass(frozen=True)
 class Interval:
-    """A closed interval; numbers mix with it."""
+    """Closed interval with outward-rounded arithmetic; operands may be plain numbers."""
 
     low: float
     high: float
 
     @property
-    def middle(self) -> float:
-        """Middle, rounded."""
+    def midpoint(self) -> float:
+        """Midpoint, rounded to nearest."""
         return 0.5 * (self.low + self.high)
 
     @property
     def radius(self) -> float:
-        """Distance from `middle` that covers both ends."""
-        return _up(max(self.high - self.middle, self.middle - self.low))
+        """Distance from `midpoint` that covers both ends."""
+        return _up(max(self.high - self.midpoint, self.midpoint - self.low))
 
     @property
     def size(self) -> float:
-        """Largest magnitude."""
+        """Largest magnitude in the interval."""
         return max(abs(self.low), abs(self.high))
 
     def __neg__(self) -> Interval:
@@ -77,19 +77,19 @@ class Interval:
     def __rtruediv__(self, other: float) -> Interval:
         return interval(other) / self
 
-    def root(self) -> Interval:
-        """Square root; ValueError: a part is negative."""
+    def sqrt(self) -> Interval:
+        """Return the square root; raises ValueError if a part is negative."""
         if self.low < 0.0:
             raise ValueError("a pressure of the box is beyond the supply or the tank")
         return Interval(max(_down(math.sqrt(self.low)), 0.0), _up(math.sqrt(self.high)))
 
     def hull(self, other: Interval) -> Interval:
-        """Smallest interval that has both."""
+        """Return the smallest interval that contains both."""
         return Interval(min(self.low, other.low), max(self.high, other.high))
 
 
 def interval(value: Interval | float | Sequence[float]) -> Interval:
-    """Interval of a number, or of a pair of ends."""
+    """Return the interval of a number, or of a pair of ends."""
     if isinstance(value, Interval):
         return value
     if isinstance(value, (int, float)):
@@ -98,7 +98,7 @@ def interval(value: Interval | float | Sequence[float]) -> Interval:
 
 
 def symmetric(size: float) -> Interval:
-    """[-size, size]."""
+    """Return the interval [-size, size]."""
     return Interval(-size, size)
 
 
@@ -111,8 +111,8 @@ def _down(value: float) -> float:
 
 
 @dataclass(frozen=True)
-class Affine:
-    """A set of matrices, (n, m)."""
+class AffineSet:
+    """Set of matrices C + sum_i s_i G_i + E, |s_i| <= 1, |E| <= R."""
 
     center: FloatArray
     """C, shape (n, m)."""
@@ -126,12 +126,12 @@ class Affine:
         """Largest magnitude of each entry."""
         return (np.abs(self.center) + np.abs(self.slopes).sum(axis=0)) * (1.0 + 1e-13) + self.radius
 
-    def __add__(self, other: Affine) -> Affine:
+    def __add__(self, other: AffineSet) -> AffineSet:
         center, slopes = self.center + other.center, self.slopes + other.slopes
         rounding = EPS * (len(slopes) + 2) * (self.size + other.size)
-        return Affine(center, slopes, (self.radius + other.radius + rounding) * (1.0 + 1e-12))
+        return AffineSet(center, slopes, (self.radius + other.radius + rounding) * (1.0 + 1e-12))
 
-    def __matmul__(self, other: Affine) -> Affine:
+    def __matmul__(self, other: AffineSet) -> AffineSet:
         spread, others = np.abs(self.slopes).sum(axis=0), np.abs(other.slopes).sum(axis=0)
         radius = (
             self.size @ other.radius
@@ -139,12 +139,16 @@ class Affine:
             + spread @ others
             + EPS * (self.center.shape[1] + len(self.slopes) + 4) * self.size @ other.size
         ) * (1.0 + 1e-12)
-        return Affine(self.center @ other.center, self.slopes @ other.center + self.center @ other.slopes, radius)
+        return AffineSet(self.center @ other.center, self.slopes @ other.center + self.center @ other.slopes, radius)
 
-    def __mul__(self, factor: float) -> Affine:
+    def __mul__(self, factor: float) -> AffineSet:
         size = abs(factor)
-        return Affine(self.center * factor, self.slopes * factor, (self.radius * size + EPS * 2.0 * self.size * size))
+        return AffineSet(
+            self.center * factor, self.slopes * factor, (self.radius * size + EPS * 2.0 * self.size * size)
+        )
 
-    def part(self, rows: slice | Sequence[int], columns: slice | Sequence[int]) -> Affine:
-        """Rows and columns."""
-        return Affine(self.center[rows][:, columns], self.slopes[:, rows][:, :, columns], self.radius[rows][:, columns])
+    def submatrix(self, rows: slice | Sequence[int], columns: slice | Sequence[int]) -> AffineSet:
+        """Return the set of submatrices with these rows and columns."""
+        return AffineSet(
+            self.center[rows][:, columns], self.slopes[:, rows][:, :, columns], self.radius[rows][:, columns]
+        )

@@ -10,7 +10,7 @@
 The left side is convex in H, so that it holds within the set if it holds at the vertices with room for R. Its first
 block is the contraction; all of it says that disturbances w with w'Ww <= 1 do not leave v'Mv <= 1, and the tube is the
 largest f_l within. M is interpolated linearly, so that both sides are affine in K_p and K_p+ at a given H. The norm
-is from LAPACK's eigenvalues, with `PLAIN` and a bound of the products' rounding to spare.
+is from LAPACK's eigenvalues, with `ROUNDING_ALLOWANCE` and a bound of the products' rounding to spare.
 """
 
 from __future__ import annotations
@@ -23,77 +23,86 @@ from typing import NamedTuple
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.region.enclosure import loop
-from hydro_filter.region.interval import EPS, Affine, Interval
-from hydro_filter.region.statement import Cell, Statement
+from hydro_filter.region.enclosure import enclose_closed_loop
+from hydro_filter.region.interval import EPS, AffineSet, Interval
+from hydro_filter.region.statement import CertifiedRegion, ToleranceCell
 
-LEAST = 1e-7
+SLOPE_MIN = 1e-7
 """Slopes below this, of all entries together, count as radius."""
-PLAIN = 1e-8
+ROUNDING_ALLOWANCE = 1e-8
 """For rounding of numbers that are computed outside of intervals, 1e-15 of them, times the metric's condition."""
-PROMOTED = 2
+PROMOTED_ENTRIES = 2
 """Entries of the radius that become symbols: the largest, by which f_h follows the spool."""
 
 
-class Piece(NamedTuple):
-    """One part of the gains on one side of the spool's zero."""
+class GainInterval(NamedTuple):
+    """Interval of K_p, on one side of the spool's zero, with its metrics and closed loop."""
 
     side: int
     gain: Interval
     pairs: list[tuple[FloatArray, FloatArray]]
     """(M(K_p), M(K_p+)): the ends of what they can be."""
-    sample: Affine
+    sample: AffineSet
 
 
-def at_gain(cell: Cell, gain: float) -> FloatArray:
-    """M(K_p), interpolated linearly, that of the ends beyond them."""
+def interpolate_metric(cell: ToleranceCell, gain: float) -> FloatArray:
+    """Return M(K_p), interpolated linearly within the table, constant beyond its ends."""
     place = float(np.clip(np.interp(gain, cell.gains, np.arange(len(cell.gains))), 0, len(cell.gains) - 1))
     low = min(int(place), max(len(cell.gains) - 2, 0))
     share = place - low
     return (1.0 - share) * cell.matrices[low] + (share * cell.matrices[low + 1] if share else 0.0)
 
 
-def pairs_of(of: Statement, cell: Cell, gain: Interval) -> list[tuple[FloatArray, FloatArray]]:
-    """Ends of M(K_p) and M(K_p+) for K_p of a part of one segment of the table."""
+def metric_vertices(of: CertifiedRegion, cell: ToleranceCell, gain: Interval) -> list[tuple[FloatArray, FloatArray]]:
+    """Return the vertices of (M(K_p), M(K_p+)) for K_p in an interval within one segment of the table."""
     reach = of.gain_rate * SAMPLE_PERIOD
-    first, last = at_gain(cell, gain.low), at_gain(cell, gain.high)
+    first, last = interpolate_metric(cell, gain.low), interpolate_metric(cell, gain.high)
     if reach == 0.0:
         return [(first, first), (last, last)]
     step = (last - first) * (reach / (gain.high - gain.low))
     found = [(m, m + sign * step) for m in (first, last) for sign in (1.0, -1.0)]
     # where the next segment begins, its own slope
     found += [
-        (m, at_gain(cell, k + sign * reach)) for m, k in ((first, gain.low), (last, gain.high)) for sign in (1, -1)
+        (m, interpolate_metric(cell, k + sign * reach))
+        for m, k in ((first, gain.low), (last, gain.high))
+        for sign in (1, -1)
     ]
     return found
 
 
-def pieces(of: Statement, cell: Cell, parts: int) -> Iterator[Piece]:
-    """All parts of a cell, each segment of the table in so many."""
+def split_cell(of: CertifiedRegion, cell: ToleranceCell, parts: int) -> Iterator[GainInterval]:
+    """Yield all gain intervals of a cell, each segment of the table split into `parts`."""
     for low, high in pairwise(cell.gains):
         ends = np.linspace(low, high, parts + 1)
         for first, last in pairwise(ends):
             gain = Interval(float(first), float(last))
             for side in (1, -1):
-                yield Piece(side, gain, pairs_of(of, cell, gain), loop(of, cell.tolerances, side, gain))
+                yield GainInterval(
+                    side, gain, metric_vertices(of, cell, gain), enclose_closed_loop(of, cell.tolerances, side, gain)
+                )
 
 
-def reduced(sample: Affine) -> tuple[Affine, FloatArray]:
-    """The set with those symbols that matter, and the largest of its radius as such; vertices, (2^symbols, symbols)."""
-    kept = np.abs(sample.slopes).sum(axis=(1, 2)) > LEAST
+def reduce_symbols(sample: AffineSet) -> tuple[AffineSet, FloatArray]:
+    """Return the set with few symbols, and the symbols' vertices, shape (2^symbols, symbols).
+
+    Small symbols become radius; the `PROMOTED_ENTRIES` largest entries of the radius become symbols.
+    """
+    kept = np.abs(sample.slopes).sum(axis=(1, 2)) > SLOPE_MIN
     radius = sample.radius + np.abs(sample.slopes[~kept]).sum(axis=0)
     count = len(radius)
-    largest = np.argsort(radius[:, :count], axis=None)[::-1][:PROMOTED]
-    promoted = np.zeros((PROMOTED, *radius.shape))
+    largest = np.argsort(radius[:, :count], axis=None)[::-1][:PROMOTED_ENTRIES]
+    promoted = np.zeros((PROMOTED_ENTRIES, *radius.shape))
     for number, place in enumerate(largest):
         row, column = divmod(int(place), count)
         promoted[number, row, column], radius[row, column] = radius[row, column], 0.0
     slopes = np.concatenate((sample.slopes[kept], promoted))
-    return Affine(sample.center, slopes, radius), np.array(list(product((-1.0, 1.0), repeat=len(slopes))))
+    return AffineSet(sample.center, slopes, radius), np.array(list(product((-1.0, 1.0), repeat=len(slopes))))
 
 
-def room(of: Statement, pair: tuple[FloatArray, FloatArray], sample: Affine, signs: FloatArray) -> FloatArray:
-    """What is left of 1 at every vertex: the norm of M+^1/2 (H + E) D^-1/2 is below 1 where this is above 0."""
+def decay_margin(
+    of: CertifiedRegion, pair: tuple[FloatArray, FloatArray], sample: AffineSet, signs: FloatArray
+) -> FloatArray:
+    """Return the margin 1 - ||M+^1/2 (H + E) D^-1/2|| at every vertex, shape (vertices,); positive: it contracts."""
     before, after = pair
     n, decay = len(before), math.exp(-2.0 * of.tube_rate * SAMPLE_PERIOD)
     used = [i for i, weight in enumerate(of.weights) if weight > 0.0]
@@ -110,13 +119,13 @@ def room(of: Statement, pair: tuple[FloatArray, FloatArray], sample: Affine, sig
     rounding = 100.0 * EPS * float(sum(np.linalg.norm(one) for one in squares))
     whole = left @ (center + np.tensordot(signs, slopes, 1))
     largest = np.linalg.eigvalsh(whole.transpose(0, 2, 1) @ whole)[:, -1]
-    return 1.0 - lost - rounding - PLAIN - np.sqrt(largest + rounding)
+    return 1.0 - lost - rounding - ROUNDING_ALLOWANCE - np.sqrt(largest + rounding)
 
 
-def prove_cell(of: Statement, cell: Cell, parts: int = 1) -> float:
-    """Least `room` over a cell, each segment of its gains in so many parts; above 0: the statement holds there."""
+def prove_cell(of: CertifiedRegion, cell: ToleranceCell, parts: int = 1) -> float:
+    """Return the smallest `decay_margin` over a cell, each segment split into `parts`; positive: the cell is proved."""
     least = math.inf
-    for piece in pieces(of, cell, parts):
-        sample, signs = reduced(piece.sample)
-        least = min(least, *(float(room(of, pair, sample, signs).min()) for pair in piece.pairs))
+    for piece in split_cell(of, cell, parts):
+        sample, signs = reduce_symbols(piece.sample)
+        least = min(least, *(float(decay_margin(of, pair, sample, signs).min()) for pair in piece.pairs))
     return least

@@ -17,7 +17,7 @@ import numpy as np
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 
-Pair = tuple[float, float]
+Bounds = tuple[float, float]
 
 TOLERANCES = (
     "valve_gain", "bulk_modulus", "dead_volume_a", "dead_volume_b", "spring_stiffness", "supply_pressure",
@@ -25,7 +25,7 @@ TOLERANCES = (
 )  # fmt: skip
 """Numbers of a bench that have a tolerance, as ratios to those of the bench file; `dead_time` has one in s."""
 
-ASSUMED = (
+ASSUMPTIONS = (
     "The bench has the structure of the bench file: two chambers of constant bulk modulus with laminar leakage, sharp "
     "edges of the valve, a spool and a load cell of second order, a mass, a linear spring, end stops out of reach.",
     "The states of both trajectories, and of those between them, stay within the box over the sample, and the spool "
@@ -41,15 +41,15 @@ ASSUMED = (
 
 
 def region_path(metric: Path, *, compensated: bool) -> Path:
-    """Return the statement's file beside a metric's: METRIC.region.json, METRIC.compensated.region.json."""
+    """Return the region's file for a metric's: METRIC.region.json or METRIC.compensated.region.json."""
     return metric.with_suffix(".compensated.region.json" if compensated else ".region.json")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
-    """Benches of a part of the tolerances, and the metric of all of them."""
+class ToleranceCell:
+    """Part of the tolerances, with a metric common to all benches within."""
 
-    tolerances: dict[str, Pair]
+    tolerances: dict[str, Bounds]
     gains: tuple[float, ...]
     """K_p [1/s] of the matrices; M is interpolated linearly between them."""
     matrices: FloatArray
@@ -57,20 +57,20 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Statement:
-    """A region and its metric: F' M(K_p+) F <= exp(-2 lambda T) M(K_p) for all of it."""
+class CertifiedRegion:
+    """Certified region with its metric: F' M(K_p+) F <= exp(-2 lambda T) M(K_p) everywhere in it."""
 
     believed: dict[str, float]
     """Numbers of the force law's bench."""
     bench: dict[str, float]
     """Numbers of the bench file."""
-    tolerances: dict[str, Pair]
+    tolerances: dict[str, Bounds]
     """Ratios of the bench's numbers to those of the file; of `dead_time` [s]."""
-    states: dict[str, Pair]
+    states: dict[str, Bounds]
     """Ranges of the states."""
-    velocity_compensation: Pair
+    velocity_compensation: Bounds
     """C_1."""
-    proportional_gain: Pair
+    proportional_gain: Bounds
     """K_p [1/s]."""
     gain_rate: float
     """1/s^2, fastest change of K_p."""
@@ -85,13 +85,13 @@ class Statement:
     """N, steady bound on the error of f_l that the disturbances leave."""
     scale: tuple[float, ...]
     """Units of the coordinates."""
-    cells: tuple[Cell, ...] = ()
+    cells: tuple[ToleranceCell, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
     """Digests, command, seconds of the proof."""
 
     def save(self, path: Path) -> None:
-        """Write the file."""
-        content = {**asdict(replace(self, cells=())), "assumed": ASSUMED, "period": SAMPLE_PERIOD}
+        """Write the region to a JSON file."""
+        content = {**asdict(replace(self, cells=())), "assumed": ASSUMPTIONS, "period": SAMPLE_PERIOD}
         content["cells"] = [
             {"tolerances": cell.tolerances, "gains": cell.gains, "matrices": np.asarray(cell.matrices).tolist()}
             for cell in self.cells
@@ -99,8 +99,8 @@ class Statement:
         write_whole(path, json.dumps(content, indent=1).encode())
 
     @classmethod
-    def load(cls, path: Path) -> Statement:
-        """Read a file. Raises ValueError: it is none."""
+    def load(cls, path: Path) -> CertifiedRegion:
+        """Read a region's file. Raises ValueError: it is not one."""
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
             return cls.from_mapping(content)
@@ -108,11 +108,11 @@ class Statement:
             raise ValueError(f"{path} is no statement of a region: {error}") from error
 
     @classmethod
-    def from_mapping(cls, content: Mapping[str, Any]) -> Statement:
-        """Create a statement from what its file holds."""
+    def from_mapping(cls, content: Mapping[str, Any]) -> CertifiedRegion:
+        """Create a region from the content of its file."""
         pairs = {name: {key: tuple(value) for key, value in content[name].items()} for name in ("tolerances", "states")}
         cells = tuple(
-            Cell(
+            ToleranceCell(
                 tolerances={key: tuple(value) for key, value in one["tolerances"].items()},
                 gains=tuple(one["gains"]), matrices=np.asarray(one["matrices"], np.float64),
             )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a running loop is within the region that is proved for the law that runs.
+"""Monitor of the certified region of the active force law.
 
 It is judged once a policy step, 10 ms: in that time the states of a region hardly move, and the gains change once.
 """
@@ -14,14 +14,14 @@ import numpy as np
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 from hydro_filter.model.sample import Sample
 from hydro_filter.region.facts import STATES, region_states
-from hydro_filter.region.statement import Statement
+from hydro_filter.region.statement import CertifiedRegion
 
 ROUNDING = 1e-9
-"""Share of a bound by which a number that is equal to it may seem to be beyond it."""
+"""Relative tolerance of the bounds, for rounding."""
 
 
-class Left(NamedTuple):
-    """What is outside of a region."""
+class RegionViolation(NamedTuple):
+    """Quantity outside of its certified range."""
 
     name: str
     """A state of `facts.STATES`, velocity_compensation, proportional_gain, or gain_rate."""
@@ -33,22 +33,22 @@ class Left(NamedTuple):
         return f"{self.name} is {self.value:.4g}, proved from {self.low:.4g} to {self.high:.4g}"
 
 
-class RegionWatch:
-    """Judges samples of one bench.
+class RegionMonitor:
+    """Checks samples of one bench against its certified regions.
 
     `statements`: by whether they are of the compensated law. `closing`: current [A] that closes the valve.
     """
 
-    def __init__(self, statements: Mapping[bool, Statement], closing: float) -> None:
+    def __init__(self, statements: Mapping[bool, CertifiedRegion], closing: float) -> None:
         self._statements, self._closing = statements, closing
         self._gain: float | None = None  # of the step before
 
     def reset(self) -> None:
-        """Forget the gain of the step before: the loop begins anew."""
+        """Discard the last step's gain, as a new run begins."""
         self._gain = None
 
-    def look(self, sample: Sample, opening: float, opening_rate: float) -> Left | None:
-        """Return what has left the region of the law that runs; None: nothing, or nothing is proved for that law.
+    def check(self, sample: Sample, opening: float, opening_rate: float) -> RegionViolation | None:
+        """Return the first quantity outside of the active law's region; None: all are within, or the law has no region.
 
         Call once a policy step. `opening`, `opening_rate`: of the valve at the sample, as the filter has them [A, A/s].
         """
@@ -59,7 +59,7 @@ class RegionWatch:
         valve = np.array([[opening, opening_rate, sample.nominal_current - self._closing]])
         states = region_states(of.bench, sample.state[np.newaxis], valve)[0]
         numbers = [(name, float(value), *of.states[name]) for name, value in zip(STATES, states, strict=True)]
-        numbers.append(("velocity_compensation", sample.followed[2], *of.velocity_compensation))
+        numbers.append(("velocity_compensation", sample.law_inputs[2], *of.velocity_compensation))
         numbers.append(("proportional_gain", sample.proportional_gain, *of.proportional_gain))
         if before is not None:
             rate = (sample.proportional_gain - before) / (SAMPLES_PER_STEP * SAMPLE_PERIOD)
@@ -67,5 +67,5 @@ class RegionWatch:
         for name, value, low, high in numbers:
             slack = ROUNDING * max(abs(low), abs(high))
             if not low - slack <= value <= high + slack:
-                return Left(name, value, low, high)
+                return RegionViolation(name, value, low, high)
         return None

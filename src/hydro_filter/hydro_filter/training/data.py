@@ -7,7 +7,7 @@ the distance between the twins, largest |difference of f_l| in a window, early a
     stable      late < 0.6 early         unstable    late > early, or the box tripped       else: neither, not used
 
 An overlap of the valve holds twins apart at small gains, by less the higher the gain, and at high ones it holds still
-what the loop would not. Where a bench has one, twins of the bench without it (`free`) are asked too: `label_of_both`.
+what the loop would not. Where a bench has one, twins of the bench without it (`free`) are asked too: `combine_labels`.
 
 Gains are drawn from all that the box takes; references are those of `hydro_sim.excitation`. Every rollout gives
 windows of successive samples (paper: horizon H_m = 10) with what the certificate needs of each: x, x', v as the
@@ -33,22 +33,22 @@ from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.settings import quantity
 from hydro_core.signals import Flag, FloatArray, Law, ReferenceSignal, StateArray, Waveform
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import Loop, closing_current, recorded_samples, samples_of
-from hydro_filter.model.records import follow
+from hydro_filter.model.loop import Loop, closing_current, make_samples, recorded_samples
+from hydro_filter.model.records import linearize
 from hydro_sim import excitation
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
 
-PULSE = 0.06
+PULSE_CURRENT = 0.06
 """Pulse of 10 ms in the twin run over the valve's limit: some 15 N on the nominal bench."""
-PULSE_AT = 1000
+PULSE_SAMPLE = 1000
 EARLY, LATE = slice(1050, 1350), slice(-300, None)
-OFF_STOPS = 0.00625
+STOP_DISTANCE = 0.00625
 """Distance of windows from the end stops over the stroke."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
-DECAYED = 0.6
+DECAY_RATIO = 0.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,16 +77,16 @@ class DataSettings:
     """The box's compensated law, under which they run; None: the paper's."""
 
     @classmethod
-    def under(cls, law: BoxLaw, **settings: int) -> DataSettings:
-        """Settings of a compensated law: gains from none to a quarter above those that it admits."""
+    def for_law(cls, law: BoxLaw, **settings: int) -> DataSettings:
+        """Return the settings for a compensated law: gains from 0 to 1.25 times the law's limits."""
         return cls(
             compensated=law, gain_min=0.0, gain_max=1.25 * (law.base_kp + law.delta_kp_max),
             integral_gain_min=law.base_ki + law.delta_ki_min, integral_gain_max=law.base_ki + law.delta_ki_max,
             **settings,
         )  # fmt: skip
 
-    def box(self, bench: Bench) -> BoxConfig:
-        """Return a box of this bench that admits all gains of the rollouts."""
+    def make_box_config(self, bench: Bench) -> BoxConfig:
+        """Return a box configuration of this bench that admits all gains of the rollouts."""
         own, law = BoxConfig().of_bench(bench), self.compensated
         if law is None:
             return own
@@ -105,7 +105,7 @@ class DataSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """One rollout and its label."""
+    """Rollout with its stability label."""
 
     states: StateArray
     """Samples up to a trip of the box."""
@@ -116,7 +116,7 @@ class Rollout:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
-    """n windows of H samples; loop coordinates in units of their scale, eight or more."""
+    """Windows of rollouts: n windows of H samples in scaled loop coordinates."""
 
     transition: FloatArray
     """F, shape (n, H, 8, 8)."""
@@ -132,8 +132,8 @@ class Windows:
     def __len__(self) -> int:
         return len(self.gain)
 
-    def part(self, which: npt.NDArray[np.bool_]) -> Windows:
-        """Return a subset of the windows."""
+    def subset(self, which: npt.NDArray[np.bool_]) -> Windows:
+        """Return the windows selected by a mask, shape (n,)."""
         return Windows(**{entry.name: getattr(self, entry.name)[which] for entry in fields(self)})
 
 
@@ -146,11 +146,11 @@ def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, fre
     gains = float(rng.uniform(*edges[index % len(edges)])), float(rng.uniform(*integral_gains))
     reference, seed = _reference(rng, bench.size.force), int(rng.integers(2**31))
     plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds, law=settings.law)
-    box = settings.box(bench)
+    box = settings.make_box_config(bench)
     first, second = _twins(plant, bench, plan, box, seed)
-    label = label_of(first, second)
+    label = stability_label(first, second)
     if free is not None:
-        label = label_of_both(label, label_of(*_twins(free, bench, plan, box, seed)))
+        label = combine_labels(label, stability_label(*_twins(free, bench, plan, box, seed)))
     trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
     kept = first[: trips[0]] if len(trips) else first
     return Rollout(states=kept, gains=gains, label=label)
@@ -160,31 +160,31 @@ def _twins(plant: Plant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int
     """Run twice with the same noise, the second time with the pulse."""
     pulse = np.zeros(plan.samples)
     first = simulate(plant, bench, replace(plan, correction=pulse.copy()), config=box, seed=seed)
-    pulse[PULSE_AT : PULSE_AT + 10] = PULSE * bench.valve_current_max
+    pulse[PULSE_SAMPLE : PULSE_SAMPLE + 10] = PULSE_CURRENT * bench.valve_current_max
     return first, simulate(plant, bench, replace(plan, correction=pulse), config=box, seed=seed)
 
 
 def _reference(rng: np.random.Generator, force: float) -> ReferenceSignal:
-    usual = excitation.Range.of_force(force)
+    usual = excitation.ExcitationRange.of_force(force)
     limits = replace(usual, seconds=(4.0, 5.0), force_max=1.1 * force, offset_max=force / 3.0, frequency=(0.3, 3.0))
-    return excitation.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
+    return excitation.draw_schedule(5.0, int(rng.integers(2**31)), limits)[0].signal
 
 
-def label_of(first: StateArray, second: StateArray) -> int:
-    """Return the label of a pair of gains from two runs, the second with a pulse."""
+def stability_label(first: StateArray, second: StateArray) -> int:
+    """Return the stability label of two runs with equal gains, the second one disturbed by a pulse."""
     if any(((run["flags"] & Flag.TRIPPED) != 0).any() for run in (first, second)):
         return UNSTABLE
     distance = np.abs(first["load_force"] - second["load_force"])
     early, late = distance[EARLY].max(), distance[LATE].max()
-    return UNSTABLE if late > early else STABLE if late < DECAYED * early else NEITHER
+    return UNSTABLE if late > early else STABLE if late < DECAY_RATIO * early else NEITHER
 
 
-def label_of_both(own: int, free: int) -> int:
-    """Return the label of a pair of gains from the bench's own label and that of the bench without its overlap."""
+def combine_labels(own: int, free: int) -> int:
+    """Return the label of gains from the bench's label and that of the bench without overlap."""
     return UNSTABLE if own == UNSTABLE else free
 
 
-def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
+def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
     """Return windows at random times after the first 0.1 s; None if the rollout is too short."""
     count, span = len(rollout.states), settings.horizon
     if count < 100 + 2 * span:
@@ -196,7 +196,9 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
     inside = starts[:, None] + np.arange(span)
     linearized = np.zeros(count, np.bool_)
     linearized[inside] = True
-    made = follow(loop.record, recorded_samples(rollout.states, settings.velocity_compensation), linearized=linearized)
+    made = linearize(
+        loop.record, recorded_samples(rollout.states, settings.velocity_compensation), linearized=linearized
+    )
     rows = (np.cumsum(linearized) - 1)[inside]
     return Windows(
         transition=made.transition[rows], push=made.push[rows], feedback=made.feedback[rows],
@@ -208,18 +210,18 @@ def _between_stops(
     positions: FloatArray, starts: npt.NDArray[np.int64], span: int, stroke: float
 ) -> npt.NDArray[np.bool_]:
     """Return which windows stay off the end stops: a piston that rests on one is not part of the loop."""
-    off = OFF_STOPS * stroke
+    off = STOP_DISTANCE * stroke
     inside = (positions > off) & (positions < stroke - off)
     return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
 
 
-def concatenated(windows: list[Windows]) -> Windows:
+def concatenate(windows: list[Windows]) -> Windows:
     """Concatenate windows."""
     return Windows(**{e.name: np.concatenate([getattr(w, e.name) for w in windows]) for e in fields(Windows)})
 
 
 def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0) -> tuple[float, float]:
-    """Range of K_p [1/s] in which the loop is stable without the filter.
+    """Return the range of K_p [1/s] in which the loop is stable without the filter.
 
     From `low_reserve` above the highest small gain that is not stable to 0.8 of the lowest large one that is not.
     Raises ValueError: nothing is left between them.
@@ -237,64 +239,66 @@ def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0) -> tuple[
 
 
 SAMPLES_AT_REST = 4000
-QUANTILE = 0.99
+NOISE_QUANTILE = 0.99
 """Quantile of the noise's v'Mv that is treated as noise."""
 
 
-def displacements(loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0) -> FloatArray:
-    """v_1 of a still bench, its valve closed, shape (samples, coordinates)."""
+def rest_displacements(
+    loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0
+) -> FloatArray:
+    """Return the displacements v of a bench at rest with a closed valve, shape (samples, coordinates)."""
     closing = closing_current(loop)
     x = np.array([plant.reset(seed), *(plant.step(closing) for _ in range(SAMPLES_AT_REST - 1))])
     signals = {"nominal": 1e-9, "current": closing, "k_p": gain, "c_1": velocity_compensation}
-    still = follow(loop.record, samples_of(x, **signals))
+    still = linearize(loop.record, make_samples(x, **signals))
     asked = np.einsum("ki,ki->k", still.feedback, still.displacement)
     moved = np.einsum("kij,kj->ki", still.transition, still.displacement) + asked[:, None] * still.push
     return np.asarray(moved[100:], np.float64)
 
 
-def noise_sizes(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant) -> tuple[float, float]:
-    """`QUANTILE` of v'Mv of the noise: the largest over the certified range, and that of the metric for other gains."""
+def noise_levels(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant) -> tuple[float, float]:
+    """Return the `NOISE_QUANTILE` of v'Mv of sensor noise: the largest of the certified range, and for other gains."""
     sizes = []
     for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
         law = float(min(gain, metric.gains[-1]))
-        v, still = (displacements(loop, each, law, 0, metric.velocity_compensation) for each in (noisy, clean))
+        v, still = (rest_displacements(loop, each, law, 0, metric.velocity_compensation) for each in (noisy, clean))
         v = v - still
         matrix = metric.matrix(float(gain))
-        sizes.append(float(np.quantile(np.einsum("ki,ij,kj->k", v, matrix, v), QUANTILE)))
+        sizes.append(float(np.quantile(np.einsum("ki,ij,kj->k", v, matrix, v), NOISE_QUANTILE)))
     return max(sizes[:-1]), sizes[-1]
 
 
 def integral_terms(loop: Loop, states: StateArray, velocity_compensation: float = 1.0) -> FloatArray:
-    """I [N/s] of the force law, its coefficients neutral, at the samples of a run, shape (n,)."""
+    """Return the force law's integral I [N/s] at the samples of a run, shape (n,), for neutral coefficients."""
     samples, none = recorded_samples(states, velocity_compensation), np.zeros(len(states), np.bool_)
-    return follow(loop.record, samples, linearized=none).integral
+    return linearize(loop.record, samples, linearized=none).integral
 
 
-ASKING = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
+INTEGRAL_TEST_GAINS = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
 """K_p [1/s], K_i [1/s^2] of the runs that measure the integral."""
-ASKED_BY = (
+INTEGRAL_TEST_REFERENCES = (
     (Waveform.SINE, 2.0 / 3.0, 0.0, 1.0),
     (Waveform.SINE, 2.0 / 3.0, 0.5, 0.5),
     (Waveform.SINE, 2.0 / 3.0, -0.5, 0.5),
     (Waveform.MULTISINE, 1.0, 0.0, 1.0),
 )
 """Their references: waveform, amplitude and offset over the bench's force, frequency [Hz]."""
-ASKED_FOR = 18.0
+INTEGRAL_TEST_TIME = 18.0
 """s: the integral takes some K_p / K_i = 6 s to settle."""
 
 
-def integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: DataSettings) -> float:
-    """Largest integral action of stable loops under the law of `data` after the first second [N/s], plus a quarter."""
+def measure_integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: DataSettings) -> float:
+    """Return 1.25 times the largest integral [N/s] of stable loops under the law of `data` after the first second."""
     largest = 0.0
-    law, asking = data.compensated, list(ASKING)
+    law, asking = data.compensated, list(INTEGRAL_TEST_GAINS)
     if law is not None:
         asking = [(law.base_kp, law.base_ki), *((s * law.base_kp, data.integral_gain_max) for s in (1.0, 0.5))]
-    force, box = bench.size.force, data.box(bench)
-    for gains, (waveform, amplitude, offset, frequency) in product(asking, ASKED_BY):
+    force, box = bench.size.force, data.make_box_config(bench)
+    for gains, (waveform, amplitude, offset, frequency) in product(asking, INTEGRAL_TEST_REFERENCES):
         reference = ReferenceSignal(
             waveform=waveform, amplitude=amplitude * force, offset=offset * force, frequency=frequency
         )
-        plan = Schedule(reference=reference, gains=gains, seconds=ASKED_FOR, law=data.law)
+        plan = Schedule(reference=reference, gains=gains, seconds=INTEGRAL_TEST_TIME, law=data.law)
         states = simulate(plant, bench, plan, config=box)
         terms = integral_terms(loop, states[1000:], data.velocity_compensation)
         largest = max(largest, float(np.abs(terms).max()))

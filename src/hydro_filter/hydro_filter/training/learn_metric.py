@@ -10,25 +10,27 @@ from __future__ import annotations
 import argparse
 
 from hydro_bridge.bags.recording import RecordingError
-from hydro_core.cli.console import add_json_argument, command, writable
+from hydro_core.cli.console import add_json_argument, command, writable_file
 from hydro_sim.files.weights import WeightsError
 
 
 @command(WeightsError, RecordingError, ValueError)
 def main() -> None:
     """Entry point."""
-    options = arguments()
-    from hydro_filter.training.metric_learning import learn  # with compiled code: not for --help or a slip
+    options = parse_args()
+    from hydro_filter.training.metric_learning import learn_metric  # with compiled code: not for --help or a slip
 
-    learn(options)
+    learn_metric(options)
 
 
-def arguments() -> argparse.Namespace:
-    """Parse the command line."""
+def parse_args() -> argparse.Namespace:
+    """Parse the command line and return the options."""
     result = argparse.ArgumentParser(
         prog="learn_metric", description="Solve the contraction metric of the learned bench."
     )
-    result.add_argument("--out", required=True, type=writable, metavar="METRIC", help="file to write, .safetensors")
+    result.add_argument(
+        "--out", required=True, type=writable_file, metavar="METRIC", help="file to write, .safetensors"
+    )
     result.add_argument("--model", metavar="FILE", help="bench file of the learned bench; the shipped one by default")
     result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
     result.add_argument(

@@ -36,14 +36,14 @@ from hydro_filter.metric import (
     MetricDesign,
     ScheduledMetric,
     Thresholds,
-    best_correction,
-    decaying_range,
-    factor_entries,
-    require_decay,
-    rest_loop,
+    cholesky_entries,
+    limit_to_stable_range,
+    linearize_at_rest,
+    require_stable_gain,
+    solve_riccati,
 )
 from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.model.loop import Loop, driven_coordinate, loop_of, without_overlap
+from hydro_filter.model.loop import Loop, input_coordinate, make_loop, without_overlap
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,
@@ -52,11 +52,11 @@ from hydro_filter.training.data import (
     Rollout,
     Windows,
     certified_range,
-    concatenated,
-    integral_allowance,
-    noise_sizes,
+    concatenate,
+    draw_windows,
+    measure_integral_allowance,
+    noise_levels,
     roll_out,
-    windows_of,
 )
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench, recordings
@@ -87,8 +87,8 @@ MARGIN = 0.3
 model, may take of the decay."""
 
 
-class Correction(NamedTuple):
-    """The best correction about the still bench."""
+class RiccatiCorrection(NamedTuple):
+    """Optimal linear correction about the bench at rest."""
 
     feedback: FloatArray
     """K [A], of each coordinate."""
@@ -99,7 +99,7 @@ class Correction(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """b samples of closed loops, and the gain for whose metric they ask; shapes for eight coordinates."""
+    """b samples of closed loops, with the gain at which the metric is evaluated; shapes for eight coordinates."""
 
     gain: FloatArray
     """K_p [1/s], shape (b,); infinite: of the metric for all other gains."""
@@ -107,21 +107,21 @@ class Samples(NamedTuple):
     """F + G K, shape (b, 8, 8)."""
 
 
-def correcting_gains(windows: Windows, correction: Correction) -> FloatArray:
-    """K [A] of the best correction at every sample, shape (n, H, 8): scaled as the force law scales its own by g."""
+def feedback_gains(windows: Windows, correction: RiccatiCorrection) -> FloatArray:
+    """Return the correction's feedback K [A] at every sample, shape (n, H, 8), scaled by g as the force law is."""
     return (correction.push / windows.push[..., correction.driven])[..., np.newaxis] * correction.feedback
 
 
 def certified_samples(windows: Windows, metric: ScheduledMetric) -> Samples:
-    """Samples of the stable windows with gains of the certified range, under the force law."""
+    """Return the samples of stable windows with certified gains, closed by the force law."""
     inside = (windows.gain >= metric.gains[0]) & (windows.gain <= metric.gains[-1])
-    wanted = windows.part(inside & (windows.label == STABLE))
+    wanted = windows.subset(inside & (windows.label == STABLE))
     return _samples(wanted, wanted.feedback, wanted.gain)
 
 
-def foreign_samples(windows: Windows, correction: Correction) -> Samples:
-    """All samples, under the best correction."""
-    return _samples(windows, correcting_gains(windows, correction), np.full(len(windows), np.inf))
+def uncertified_samples(windows: Windows, correction: RiccatiCorrection) -> Samples:
+    """Return all samples, closed by the optimal correction."""
+    return _samples(windows, feedback_gains(windows, correction), np.full(len(windows), np.inf))
 
 
 def _samples(windows: Windows, feedback: FloatArray, gain: FloatArray) -> Samples:
@@ -132,7 +132,9 @@ def _samples(windows: Windows, feedback: FloatArray, gain: FloatArray) -> Sample
 def certificate_table(
     metrics: dict[str, ScheduledMetric], ask: Callable[[ScheduledMetric], tuple[Samples, Samples]]
 ) -> Table:
-    """A row for each metric and kind of gains; `ask`: held-out samples of a metric, certified and foreign.
+    """Return the table of held-out violations, a row for each metric and kind of gains.
+
+    `ask`: returns a metric's certified and uncertified samples.
 
     Raises ValueError: no held-out run has gains of one of the two.
     """
@@ -144,7 +146,7 @@ def certificate_table(
                 raise ValueError(
                     f"no {kind} gains were held out: its range, K_p {low:.0f} to {high:.0f} 1/s, is too narrow"
                 )
-            grown, condition = growth(metric, samples, rate)
+            grown, condition = contraction_eigenvalues(metric, samples, rate)
             q50, q99, q999, largest = (float(value) for value in np.quantile(grown, QUANTILES))
             table.add(
                 metric=name, gains=kind, samples=len(grown),
@@ -154,9 +156,9 @@ def certificate_table(
     return table
 
 
-def where_violated(metric: ScheduledMetric, samples: Samples, rate: float) -> str:
-    """Gains of certified samples that violate the metric, and how fast their loop decays; empty: none."""
-    bad = growth(metric, samples, rate)[0] > 0.0
+def describe_violations(metric: ScheduledMetric, samples: Samples, rate: float) -> str:
+    """Return a description of the gains whose certified samples violate the metric; empty if none do."""
+    bad = contraction_eigenvalues(metric, samples, rate)[0] > 0.0
     if not bad.any():
         return ""
     gains, slowest = samples.gain[bad], np.abs(np.linalg.eigvals(samples.closed[bad])).max(axis=1)
@@ -164,8 +166,8 @@ def where_violated(metric: ScheduledMetric, samples: Samples, rate: float) -> st
     return f"K_p {gains.min():.0f} to {gains.max():.0f} 1/s, where the loop itself decays at {decay:.2g} 1/s"
 
 
-def growth(metric: ScheduledMetric, samples: Samples, rate: float) -> tuple[FloatArray, FloatArray]:
-    """Largest eigenvalue [1/s] of the contraction matrix relative to M, and the condition number of M, shape (b,)."""
+def contraction_eigenvalues(metric: ScheduledMetric, samples: Samples, rate: float) -> tuple[FloatArray, FloatArray]:
+    """Return the largest eigenvalue [1/s] of the contraction matrix relative to M, and cond(M), shape (b,) each."""
     gains, which = np.unique(samples.gain, return_inverse=True)
     matrices = np.array([metric.matrix(gain) for gain in gains])
     moved, matrix = samples.closed.transpose(0, 2, 1), matrices[which]
@@ -179,32 +181,32 @@ def growth(metric: ScheduledMetric, samples: Samples, rate: float) -> tuple[Floa
 SAMPLES = 120
 STEPS = 250
 STEP = 2e-2
-LEFT_OUT = 0.02
+DISCARDED_SHARE = 0.02
 """Share of the samples with the largest growth that is not asked for: the spool passes zero there, and the law divides
 by one side's g while the valve has the other's."""
 
 
-def refined_rows(
+def refine_table(
     metric: ScheduledMetric, windows: Windows, foreign: FloatArray, rates: tuple[float, float], seed: int = 0
 ) -> Iterator[FloatArray]:
-    """Refined rows of the table, shape (36,), for decay at `rates` (certified, other gains) [1/s].
+    """Yield refined rows of the table, shape (36,), for decay at `rates` (certified, other gains) [1/s].
 
     `foreign`: F + G K of the windows' samples under the best correction, shape (n, H, 8, 8).
     """
     rng = np.random.default_rng(seed)
-    stable = windows.part(windows.label == STABLE)
+    stable = windows.subset(windows.label == STABLE)
     chosen = rng.choice(len(stable), min(SAMPLES, len(stable)), replace=False)
     for row, gain in zip(metric.table[:-1], metric.gains, strict=True):
         feedback = stable.feedback[chosen, 0].copy()
         feedback[:, Q_LOAD] *= gain / stable.gain[chosen]
         closed = stable.transition[chosen, 0] + stable.push[chosen, 0][:, :, None] * feedback[:, None, :]
-        yield refine(row, closed, rates[0])
+        yield refine_factor(row, closed, rates[0])
     chosen = rng.choice(len(windows), min(SAMPLES, len(windows)), replace=False)
-    yield refine(metric.table[-1], foreign[chosen, 0], rates[1])
+    yield refine_factor(metric.table[-1], foreign[chosen, 0], rates[1])
 
 
-def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
-    """The factor's entries, shape (36,), after descent on samples F + G K, shape (n, 8, 8); scaled as they came.
+def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
+    """Return a factor's entries, shape (36,), refined by descent on closed loops F + G K, shape (n, 8, 8).
 
     Adam (Kingma & Ba 2015) on X of L = L_0 (I + X). With H = L^-1 (F + G K)' L the growth is g, the largest eigenvalue
     of H H', at its unit eigenvector u; v = H'u. As dH = H E - E H for E = L^-1 dL, dg = 2 tr((v v' - g u u') E').
@@ -213,7 +215,7 @@ def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
     start: FloatArray = np.zeros((width, width))
     eye: FloatArray = np.eye(width)
     start[np.tril_indices(width)] = entries
-    limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(LEFT_OUT * len(closed))
+    limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(DISCARDED_SHARE * len(closed))
     moved, change, mean, square = closed.transpose(0, 2, 1), 0.0 * eye, 0.0 * eye, 0.0 * eye
     best, found = np.inf, start
     for step in range(STEPS):
@@ -237,15 +239,15 @@ def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
         pace = (STEP * (1.0 - step / STEPS) + 1e-4) / (1.0 - 0.9 ** (step + 1))
         change = change - pace * mean / (np.sqrt(square / (1.0 - 0.999 ** (step + 1))) + 1e-8)
     weight = found @ found.T
-    return factor_entries(weight / weight[3, 3])
+    return cholesky_entries(weight / weight[3, 3])
 
 
-HELD_OUT = 5
+HELD_OUT_EVERY = 5
 """Every fifth rollout is held out."""
 SLOW_RESERVE = 0.005
 """Reserve above the highest small K_p whose rollouts do not decay, over the compensated law's base K_p: with C_1 below
 1 these are slow, not unstable."""
-OVERLAP_TOLD = (
+OVERLAP_WARNING = (
     "the bench file has a valve_deadband, within which no current moves the piston: the metric is of the loop without "
     "it, and corrections leap over it; reduce the overlap, or expect leaps of the current by both half widths"
 )
@@ -261,8 +263,8 @@ class TrainingData:
     rollouts: list[Rollout]
 
 
-def learn(options: argparse.Namespace) -> None:
-    """Solve the metric specified by the command line, and write it."""
+def learn_metric(options: argparse.Namespace) -> None:
+    """Learn the metric specified by the command line and write its file."""
     data = DataSettings(rollouts=options.rollouts, seed=options.seed)
     check(data)
     out, began = Path(options.out), time.monotonic()
@@ -274,9 +276,9 @@ def learn(options: argparse.Namespace) -> None:
     if options.recording:
         recordings.require_box(options.recording, box)
     made = MadeFor(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
-    loop = loop_of(model, bench)
-    if free_plant(model) is not None:
-        _say(OVERLAP_TOLD)
+    loop = make_loop(model, bench)
+    if plant_without_overlap(model) is not None:
+        _say(OVERLAP_WARNING)
     laws = [data] if options.law != "compensated" else []
     if options.law != "paper":
         laws += _compensated(options, bench, data)
@@ -294,7 +296,7 @@ def learn(options: argparse.Namespace) -> None:
     table = found[0][1]
     for row in (row for _, more in found[1:] for row in more.rows):
         table.add(**row)
-    sound = [metric for metric, _ in found if not metric.unfit(out.name)] or [found[0][0]]
+    sound = [metric for metric, _ in found if not metric.validity_error(out.name)] or [found[0][0]]
     final = replace(sound[0], another=sound[1] if len(sound) > 1 else None)
     final = replace(final, made=made, training={**final.training, "seconds": round(time.monotonic() - began, 1)})
     final.save(out)
@@ -304,7 +306,7 @@ def learn(options: argparse.Namespace) -> None:
         told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
         print(f"{out}: C_1 = {one.velocity_compensation:g}, {told}")
     for metric, _ in found:
-        if reason := metric.unfit(out.name):
+        if reason := metric.validity_error(out.name):
             kept = "left out of the file" if metric is not sound[0] else "the filter refuses it"
             missing.append(f"C_1 = {metric.velocity_compensation:g}: {reason}; {kept}")
     for sentence in missing:
@@ -312,14 +314,14 @@ def learn(options: argparse.Namespace) -> None:
     if options.region:
         from hydro_filter.training import region_learning  # with Clarabel: not for a metric alone
 
-        region_learning.write(out, model, bench, [law.compensated for law in laws])
+        region_learning.write_regions(out, model, bench, [law.compensated for law in laws])
 
 
 def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) -> list[DataSettings]:
     """Rollouts under the compensated law of the recorded box, or of a box of this bench; none where it has none."""
     law = recordings.box_law(options.recording) if options.recording else BoxConfig().of_bench(bench).compensated
     if law is not None:
-        return [DataSettings.under(law, rollouts=data.rollouts // 2, seed=data.seed)]
+        return [DataSettings.for_law(law, rollouts=data.rollouts // 2, seed=data.seed)]
     if options.law == "compensated":
         raise ValueError(f"the box of {options.recording} offers no compensated law: leave out --law compensated")
     _say(f"the box of {options.recording} offers no compensated law: a metric of the paper's alone")
@@ -331,9 +333,9 @@ def _certificate(
 ) -> tuple[ScheduledMetric, Table]:
     """The metric for the law of `data`, and its certificate's table (raises ValueError where there is none)."""
     c_1 = data.velocity_compensation
-    require_decay(loop, c_1)
+    require_stable_gain(loop, c_1)
     plant, clean = (learned_bench.make_plant(options.model, noise=noise) for noise in (1.0, 0.0))
-    material = collect_rollouts(plant, bench, loop, data, free_plant(model))
+    material = collect_rollouts(plant, bench, loop, data, plant_without_overlap(model))
     design = _design(loop, data, material.rollouts)
     require_held_out(material.held_out, design)
     told = f"certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s"
@@ -343,22 +345,22 @@ def _certificate(
             f"the box's base K_p of {data.compensated.base_kp:.0f} 1/s is above that range: the filter corrects it as "
             "any gain without a certificate; a lower one, with fewer corrections, is the box's to set"
         )
-    best = correction(loop, design)
-    metric = _refined(ScheduledMetric.designed(loop, design), material.training, best, options.seed)
+    best = design_correction(loop, design)
+    metric = _refined(ScheduledMetric.from_design(loop, design), material.training, best, options.seed)
 
     def held_out(one: ScheduledMetric) -> tuple[Samples, Samples]:
-        return certified_samples(material.held_out, one), foreign_samples(material.held_out, best)
+        return certified_samples(material.held_out, one), uncertified_samples(material.held_out, best)
 
-    sizes = noise_sizes(metric, loop, plant, clean)
-    allowance = integral_allowance(loop, plant, bench, data)
-    still, of = ScheduledMetric.designed(loop, design), "" if c_1 == 1.0 else f", C_1 = {c_1:g}"
+    sizes = noise_levels(metric, loop, plant, clean)
+    allowance = measure_integral_allowance(loop, plant, bench, data)
+    still, of = ScheduledMetric.from_design(loop, design), "" if c_1 == 1.0 else f", C_1 = {c_1:g}"
     table = certificate_table({f"still{of}": still, f"solved{of}": metric}, held_out)
     violated, foreign = (row["violated"] for row in table.rows[-2:])
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data),
         "rates": {"rate": RATE, "foreign_rate": FOREIGN_RATE, "margin": MARGIN},
         "design": asdict(design), "model": model.digest, "violated": violated, "foreign_violated": foreign,
-        "where": where_violated(metric, held_out(metric)[0], RATE),
+        "where": describe_violations(metric, held_out(metric)[0], RATE),
     }  # fmt: skip
     levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
     return replace(metric, thresholds=levels, training=facts), table
@@ -369,22 +371,22 @@ def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDe
     law = data.compensated
     if law is None:
         low, high = certified_range(rollouts)
-        return decaying_range(loop, replace(MetricDesign(), gain_low=round(low), gain_high=round(high)))
+        return limit_to_stable_range(loop, replace(MetricDesign(), gain_low=round(low), gain_high=round(high)))
     low, high = certified_range(rollouts, low_reserve=SLOW_RESERVE * law.base_kp)
     low = max(round(low), math.floor(law.base_kp + law.delta_kp_min), 1)
     high = min(round(high), math.ceil(law.base_kp + law.delta_kp_max))
     usual = MetricDesign(velocity_compensation=data.velocity_compensation)
-    return decaying_range(loop, replace(usual, gain_low=low, gain_high=high))
+    return limit_to_stable_range(loop, replace(usual, gain_low=low, gain_high=high))
 
 
-def free_plant(model: Bench) -> AnalyticPlant | None:
+def plant_without_overlap(model: Bench) -> AnalyticPlant | None:
     """Return the plant of a bench file without its valve's overlap; None if it has none."""
     free = without_overlap(model)
     return None if free is None else AnalyticPlant(free, settings=Sensors.of_size(free.size))
 
 
 def require_held_out(held_out: Windows, design: MetricDesign) -> None:
-    """Raise ValueError if no held-out rollout can judge the certified range."""
+    """Raise ValueError if no held-out rollout is within the certified range."""
     inside = (held_out.gain >= design.gain_low) & (held_out.gain <= design.gain_high)
     if not (inside & (held_out.label == STABLE)).any():
         raise ValueError(
@@ -402,22 +404,22 @@ def collect_rollouts(
     rollouts: list[Rollout] = []
     for index in progress(range(data.rollouts), label="rollouts", unit="run", every=10.0):
         rollouts.append(rollout := roll_out(plant, bench, data, index, free))
-        windows = windows_of(rollout, loop, data, index)
+        windows = draw_windows(rollout, loop, data, index)
         if windows is not None and rollout.label != NEITHER:
-            (held_out if index % HELD_OUT == HELD_OUT - 1 else kept).append(windows)
-    return TrainingData(training=concatenated(kept), held_out=concatenated(held_out), rollouts=rollouts)
+            (held_out if index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1 else kept).append(windows)
+    return TrainingData(training=concatenate(kept), held_out=concatenate(held_out), rollouts=rollouts)
 
 
-def correction(loop: Loop, design: MetricDesign) -> Correction:
-    """The best correction about the still bench."""
-    driven, push = driven_coordinate(loop), rest_loop(loop, design.gain_low)[1]
-    return Correction(best_correction(loop, design)[1], driven, float(push[driven]))
+def design_correction(loop: Loop, design: MetricDesign) -> RiccatiCorrection:
+    """Optimal linear correction about the bench at rest."""
+    driven, push = input_coordinate(loop), linearize_at_rest(loop, design.gain_low)[1]
+    return RiccatiCorrection(solve_riccati(loop, design)[1], driven, float(push[driven]))
 
 
-def _refined(metric: ScheduledMetric, windows: Windows, best: Correction, seed: int) -> ScheduledMetric:
+def _refined(metric: ScheduledMetric, windows: Windows, best: RiccatiCorrection, seed: int) -> ScheduledMetric:
     """The table made to hold on samples of the rollouts."""
-    foreign = foreign_samples(windows, best).closed.reshape(windows.transition.shape)
-    rows = refined_rows(metric, windows, foreign, (RATE + MARGIN, FOREIGN_RATE + MARGIN), seed)
+    foreign = uncertified_samples(windows, best).closed.reshape(windows.transition.shape)
+    rows = refine_table(metric, windows, foreign, (RATE + MARGIN, FOREIGN_RATE + MARGIN), seed)
     return replace(
         metric,
         table=np.array(list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))),

@@ -2,8 +2,8 @@
 """Certified region of a bench file: the box that a run fills, the metric that is proved on it, and its statement.
 
 The box is the range of every state in a run that follows a sine of 1 Hz at the law's largest gains of the region,
-widened by a tenth at either end. The largest force of `FORCES` whose box has a proof gives the region. A statement that
-is not proved is not written.
+widened by a tenth at either end. The largest force of `AMPLITUDES` whose box has a proof gives the region. A statement
+that is not proved is not written.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, matrix
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, to_matrix
 from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.model.loop import closing_current, loop_of, recorded_samples
-from hydro_filter.model.records import follow
-from hydro_filter.region.facts import STATES, bench_numbers, region_states, share_inside
+from hydro_filter.model.loop import closing_current, make_loop, recorded_samples
+from hydro_filter.model.records import linearize
+from hydro_filter.region.facts import STATES, bench_numbers, containment_share, region_states
 from hydro_filter.region.proof import prove_cell
-from hydro_filter.region.statement import TOLERANCES, Cell, Pair, Statement, region_path
+from hydro_filter.region.statement import TOLERANCES, Bounds, CertifiedRegion, ToleranceCell, region_path
 from hydro_filter.training.region_metric import solve_cell
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -33,22 +33,22 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 
-FORCES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
+AMPLITUDES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 """Amplitudes over the bench's force: 300, 200, 100 and 50 N on the nominal one."""
 SECONDS, SETTLED = 6.0, 1000
-WIDER = 0.1
-"""Of a range, at either end."""
-SPLIT = (*TOLERANCES, "dead_time")
+RANGE_MARGIN = 0.1
+"""Margin at either end of a range, over its width."""
+SPLIT_TOLERANCES = (*TOLERANCES, "dead_time")
 """Tolerances that are split: a bench has one value, so that parts may have metrics of their own."""
 RESERVES, FAST_RESERVES = (0.9, 0.6, 1.3, 2.5), (3.0, 5.0, 8.0, 1.5)
 """1/s on top of lambda for what the vertices do not have, tried in turn: of C_1 = 1, whose loop is slow, and below."""
-PARTS = 6
-"""Of each segment of the gains in the proof."""
+SEGMENT_PARTS = 6
+"""Intervals per segment of the gain table in the proof."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
-    """What is to be proved."""
+class RegionTarget:
+    """Specification of a region to be proved."""
 
     law: BoxLaw | None = None
     """The compensated law; None: the paper's."""
@@ -65,15 +65,17 @@ class Wanted:
     names: tuple[str, ...] = TOLERANCES
     """Numbers that have the tolerance."""
     split: int = 1
-    """Parts of the tolerances of `SPLIT`, each with a metric of its own."""
+    """Parts of the tolerances of `SPLIT_TOLERANCES`, each with a metric of its own."""
     dead_time: float = 0.0
     """s, the bench has up to so much of it."""
-    forces: tuple[float, ...] = FORCES
+    forces: tuple[float, ...] = AMPLITUDES
 
 
-def samples_of(model: Bench, bench: Bench, wanted: Wanted, force: float, gain: float, seed: int = 0) -> FloatArray:
-    """States of the box in a run that follows a sine of `force` [N], 1 Hz, at K_p = `gain`: shape (n, 10)."""
-    loop = loop_of(model, bench)
+def simulate_states(
+    model: Bench, bench: Bench, wanted: RegionTarget, force: float, gain: float, seed: int = 0
+) -> FloatArray:
+    """Return the region's states, shape (n, 10), of a run with a sine of `force` [N], 1 Hz, at K_p = `gain` [1/s]."""
+    loop = make_loop(model, bench)
     plant = AnalyticPlant(model, settings=Sensors.of_size(model.size))
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=force, offset=0.0, frequency=1.0)
     law = Law.PAPER if wanted.law is None else Law.COMPENSATED
@@ -82,15 +84,15 @@ def samples_of(model: Bench, bench: Bench, wanted: Wanted, force: float, gain: f
         config = replace(config, compensated=wanted.law)
     plan = Schedule(reference=signal, gains=(gain, wanted.integral_gain), seconds=SECONDS, law=law)
     states = simulate(plant, bench, plan, config=config, seed=seed)
-    opening = follow(loop.record, recorded_samples(states), linearized=np.zeros(len(states), np.bool_)).opening
+    opening = linearize(loop.record, recorded_samples(states), linearized=np.zeros(len(states), np.bool_)).opening
     valve = np.column_stack((opening, states["nominal_valve_current"] - closing_current(loop)))
-    return region_states(bench_numbers(model, bench)[0], matrix(states), valve)[SETTLED:]
+    return region_states(bench_numbers(model, bench)[0], to_matrix(states), valve)[SETTLED:]
 
 
-def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Pair]:
+def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
     """Ranges of the samples, widened."""
     low, high = samples.min(axis=0), samples.max(axis=0)
-    wider = WIDER * (high - low)
+    wider = RANGE_MARGIN * (high - low)
     ranges = {name: (float(a), float(b)) for name, a, b in zip(STATES, low - wider, high + wider, strict=True)}
     for name in ("velocity", "opening_rate", "opening_error", "pressure_a_rate", "pressure_b_rate"):
         size = max(map(abs, ranges[name]))
@@ -100,10 +102,10 @@ def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Pair]:
     return ranges | {"velocity_error": (-late, late)}
 
 
-def certify(model: Bench, bench: Bench, wanted: Wanted, say: bool = True) -> Statement | None:
-    """Return the statement of the largest force that is proved; None: there is no proof."""
+def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool = True) -> CertifiedRegion | None:
+    """Return the certified region of the largest provable amplitude; None: none is proved."""
     ours, law = bench_numbers(model, bench)
-    loop, sensors, began = loop_of(model, bench), Sensors.of_size(model.size), time.process_time()
+    loop, sensors, began = make_loop(model, bench), Sensors.of_size(model.size), time.process_time()
     band = (1.0 - wanted.tolerance, 1.0 + wanted.tolerance)
     tolerances = {name: band if name in wanted.names else (1.0, 1.0) for name in TOLERANCES}
     tolerances["dead_time"] = (ours["dead_time"], ours["dead_time"] + wanted.dead_time)
@@ -119,8 +121,8 @@ def certify(model: Bench, bench: Bench, wanted: Wanted, say: bool = True) -> Sta
         weights = (0.35, 0.15, 0.15 if c_1 > 0.0 else 0.0, 0.35)
     for share in wanted.forces:
         force = share * model.size.force
-        samples = samples_of(model, bench, wanted, force, wanted.gains[-1])
-        of = Statement(
+        samples = simulate_states(model, bench, wanted, force, wanted.gains[-1])
+        of = CertifiedRegion(
             believed=law, bench=ours, tolerances=tolerances,
             states=_box(samples, ours["dry_friction"], ours["moving_mass"]),
             velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
@@ -128,7 +130,7 @@ def certify(model: Bench, bench: Bench, wanted: Wanted, say: bool = True) -> Sta
             tube_rate=wanted.rate, tube=math.inf,
             scale=tuple(map(float, _scale(loop.scale, tolerances))),
         )  # fmt: skip
-        cells: list[Cell] = []
+        cells: list[ToleranceCell] = []
         for part in _parts(tolerances, wanted.split):
             if (cell := _proved(of, part, wanted.gains, say)) is None:
                 break
@@ -138,28 +140,30 @@ def certify(model: Bench, bench: Bench, wanted: Wanted, say: bool = True) -> Sta
             tubes = [of.scale[Q_LOAD] * math.sqrt(one) for one in inverse]
             facts = {
                 "force": force, "seconds": round(time.process_time() - began, 1), "tubes": tubes,
-                "inside": share_inside(of.states, samples)[0], "model": model.digest, "box": bench.digest,
+                "inside": containment_share(of.states, samples)[0], "model": model.digest, "box": bench.digest,
             }  # fmt: skip
             return replace(of, cells=tuple(cells), tube=max(tubes) * (1.0 + 1e-9), facts=facts)
     return None
 
 
-def _parts(tolerances: dict[str, Pair], split: int) -> Iterator[dict[str, Pair]]:
+def _parts(tolerances: dict[str, Bounds], split: int) -> Iterator[dict[str, Bounds]]:
     """Parts of the tolerances, of equal size."""
-    names = [name for name in SPLIT if tolerances[name][0] < tolerances[name][1]]
+    names = [name for name in SPLIT_TOLERANCES if tolerances[name][0] < tolerances[name][1]]
     ends = {name: np.linspace(*tolerances[name], split + 1) for name in names}
     for places in product(range(split), repeat=len(names)):
         parts = {n: (float(ends[n][i]), float(ends[n][i + 1])) for n, i in zip(names, places, strict=True)}
         yield tolerances | parts
 
 
-def _proved(of: Statement, tolerances: dict[str, Pair], gains: tuple[float, ...], say: bool) -> Cell | None:
+def _proved(
+    of: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...], say: bool
+) -> ToleranceCell | None:
     """Return a metric that is proved for a part of the tolerances; None: none was found."""
     for reserve in RESERVES if of.velocity_compensation[1] == 1.0 else FAST_RESERVES:
         cell, left = None, -math.inf
         try:
             cell = solve_cell(of, tolerances, np.array(gains), reserve)
-            left = prove_cell(of, cell, PARTS) if cell is not None else left
+            left = prove_cell(of, cell, SEGMENT_PARTS) if cell is not None else left
         except (ValueError, np.linalg.LinAlgError) as error:
             print(f"{error}", file=sys.stderr)
         if say:
@@ -175,21 +179,21 @@ PAPER_GAINS = (
     (15.0, 22.5, 30.0),
 )
 """K_p [1/s], tried in turn: those that the guard passes by default, and smaller ones."""
-SHARES = (0.15, 0.2, 0.25, 0.325, 0.4, 0.5, 0.625, 0.75, 0.875, 1.0)
+GAIN_SHARES = (0.15, 0.2, 0.25, 0.325, 0.4, 0.5, 0.625, 0.75, 0.875, 1.0)
 """K_p over the compensated law's base K_p: below, its loop decays slower than what the proof gives away."""
 
 
-def write(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw | None]) -> None:
-    """Prove a region for each law (None: the paper's), write it beside the metric file `out`, and say what it is."""
+def write_regions(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw | None]) -> None:
+    """Prove a region for each law (None: the paper's), write it beside the metric file `out`, and print a summary."""
     for law in laws:
         name = "paper's law" if law is None else "compensated law"
-        tables = PAPER_GAINS if law is None else (tuple(share * law.base_kp for share in SHARES),)
+        tables = PAPER_GAINS if law is None else (tuple(share * law.base_kp for share in GAIN_SHARES),)
         statement = None
         for gains in tables:
-            wanted = Wanted(gains=gains, gain_rate=5.0) if law is None else Wanted(
+            wanted = RegionTarget(gains=gains, gain_rate=5.0) if law is None else RegionTarget(
                 law=law, gains=gains, gain_rate=50.0, rate=0.5, integral_gain=law.base_ki
             )  # fmt: skip
-            if (statement := certify(model, bench, wanted)) is not None:
+            if (statement := certify_region(model, bench, wanted)) is not None:
                 break
         if statement is None:
             print(f"{name}: no region is proved", file=sys.stderr)
@@ -203,7 +207,7 @@ def write(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw | None]) 
         )
 
 
-def _scale(scale: FloatArray, tolerances: dict[str, Pair]) -> FloatArray:
+def _scale(scale: FloatArray, tolerances: dict[str, Bounds]) -> FloatArray:
     """Units of the coordinates, of those of a dead time too."""
     ways = math.ceil(tolerances["dead_time"][1] / SAMPLE_PERIOD - 1e-9)
     return np.concatenate((scale[:8], [scale[1]] * ways))

@@ -18,27 +18,27 @@ from scipy import sparse
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.region.enclosure import coordinates, loop
-from hydro_filter.region.interval import Affine, Interval
-from hydro_filter.region.proof import reduced, room
-from hydro_filter.region.statement import Cell, Pair, Statement
+from hydro_filter.region.enclosure import coordinate_count, enclose_closed_loop
+from hydro_filter.region.interval import AffineSet, Interval
+from hydro_filter.region.proof import decay_margin, reduce_symbols
+from hydro_filter.region.statement import Bounds, CertifiedRegion, ToleranceCell
 
-ROUNDS = 12
+ROUNDS_MAX = 12
 FIRST, ADDED = 2, 2
 """Vertices of each inequality in the first program, and how many are added to it at most in a round."""
 
 
 class Inequality(NamedTuple):
-    """The inequality at one K_p: shares of the table's matrices in M and M+, and the set of H."""
+    """Matrix inequality at one K_p: interpolation weights of M and M+ in the table, and the set of H."""
 
     before: FloatArray
     after: FloatArray
-    sample: Affine
+    sample: AffineSet
     signs: FloatArray
 
 
-def inequalities(of: Statement, tolerances: dict[str, Pair], gains: FloatArray) -> list[Inequality]:
-    """Inequalities at the table's gains and in the middle between them, for each side of the spool's zero."""
+def make_inequalities(of: CertifiedRegion, tolerances: dict[str, Bounds], gains: FloatArray) -> list[Inequality]:
+    """Return the inequalities at the table's gains and their midpoints, for either side of the spool's zero."""
     found, reach = [], of.gain_rate * SAMPLE_PERIOD
 
     def shares(gain: float) -> FloatArray:
@@ -46,30 +46,35 @@ def inequalities(of: Statement, tolerances: dict[str, Pair], gains: FloatArray) 
 
     for gain in (*gains, *(0.5 * (gains[1:] + gains[:-1]))):
         for side in (1, -1):
-            sample, signs = reduced(loop(of, tolerances, side, Interval(float(gain), float(gain))))
+            sample, signs = reduce_symbols(
+                enclose_closed_loop(of, tolerances, side, Interval(float(gain), float(gain)))
+            )
             sample = replace(sample, radius=0.0 * sample.radius)  # it is the reserve's
             for change in (reach, -reach) if reach else (0.0,):
                 found.append(Inequality(shares(gain), shares(gain + change), sample, signs))
     return found
 
 
-def solve_cell(of: Statement, tolerances: dict[str, Pair], gains: FloatArray, reserve: float) -> Cell | None:
-    """Return the metric of a part of the tolerances; None: there is none.
+def solve_cell(
+    of: CertifiedRegion, tolerances: dict[str, Bounds], gains: FloatArray, reserve: float
+) -> ToleranceCell | None:
+    """Solve the metric of a part of the tolerances; None: infeasible.
 
-    `reserve`: 1/s on top of the rate, for what is not in the vertices. The proof is `region.proof.prove_cell`'s.
+    `reserve`: margin [1/s] on the rate, for the radius that the vertices leave out. The proof is
+    `region.proof.prove_cell`'s.
     """
-    todo, rng = inequalities(of, tolerances, gains), np.random.default_rng(0)
+    todo, rng = make_inequalities(of, tolerances, gains), np.random.default_rng(0)
     active = [(i, int(v)) for i, one in enumerate(todo) for v in rng.choice(len(one.signs), FIRST, replace=False)]
     cell = None
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS_MAX):
         matrices = _solve(of, todo, active, len(gains), reserve)
         if matrices is None:
             return None
-        cell = Cell(tolerances=tolerances, gains=tuple(float(gain) for gain in gains), matrices=matrices)
+        cell = ToleranceCell(tolerances=tolerances, gains=tuple(float(gain) for gain in gains), matrices=matrices)
         added = []
         for i, one in enumerate(todo):
             before, after = (np.asarray(np.tensordot(s, matrices, 1), np.float64) for s in (one.before, one.after))
-            left = room(of, (before, after), one.sample, one.signs)
+            left = decay_margin(of, (before, after), one.sample, one.signs)
             worst = [(i, int(v)) for v in np.argsort(left)[:ADDED] if left[v] < 0.0]
             added += [place for place in worst if place not in active]
         if not added:
@@ -85,12 +90,12 @@ def _triangle(width: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], F
 
 
 def _solve(
-    of: Statement, todo: list[Inequality], active: list[tuple[int, int]], nodes: int, reserve: float
+    of: CertifiedRegion, todo: list[Inequality], active: list[tuple[int, int]], nodes: int, reserve: float
 ) -> FloatArray | None:
     """Matrices of the program with the active vertices, shape (nodes, n, n); None: it has no solution."""
     import clarabel
 
-    n, used = coordinates(of), [i for i, weight in enumerate(of.weights) if weight > 0.0]
+    n, used = coordinate_count(of), [i for i, weight in enumerate(of.weights) if weight > 0.0]
     width, columns = n + len(used), [*range(n), *(n + i for i in used)]
     rate = math.exp(-2.0 * of.tube_rate * SAMPLE_PERIOD)
     row, column, root = _triangle(n)

@@ -10,14 +10,14 @@ import osqp
 from scipy.sparse import csc_matrix
 
 from hydro_core.signals import CorrectionStatus
-from hydro_filter.certificate import closed_form
+from hydro_filter.certificate import solve_qp
 
 AGREEMENT = 1e-6
 """Distance between both solutions, relative to the bounds, up to which they agree; OSQP's own tolerance is 1e-9."""
 
 
 class Osqp:
-    """The QP by OSQP, warm-started from the last solution, cold-started after any status but solved.
+    """OSQP solver of the filter's QP, warm-started unless the last status was not `solved`.
 
     The problem is scaled: du by the larger bound, the half-line by its slope, so that the tolerances mean the same for
     every state of the bench.
@@ -48,8 +48,8 @@ class Osqp:
         )
 
     def compare(self, a: float, b: float, low: float, high: float) -> None:
-        """Solve the problem of `certificate.closed_form`, and count whether both agree; not where du = 0 solves it."""
-        exact = closed_form(a, b, low, high)
+        """Solve the QP of `certificate.solve_qp` and count whether both agree; skipped where du = 0 solves it."""
+        exact = solve_qp(a, b, low, high)
         if exact.status in (CorrectionStatus.PASS, CorrectionStatus.NAN) or not high > low:
             return
         span = max(-low, high)

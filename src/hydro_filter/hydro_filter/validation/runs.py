@@ -54,7 +54,7 @@ PLANTS = ("emulator", "sim")
 
 @cache  # kept in this process, as filters are
 def plant_named(name: str, model: str | None = None) -> Plant:
-    """One of `PLANTS`; `model`: bench file of the learned simulation, the shipped one by default."""
+    """Return one of `PLANTS`; `model`: bench file of the simulation, the shipped one by default."""
     if name == "sim":
         return make_plant(model)
     return TruthPlant(profile("default"))
@@ -68,7 +68,7 @@ Ranges = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A case: gains over time, and the reference."""
+    """Validation case: gains over time, and the reference."""
 
     name: str
     about: str
@@ -76,18 +76,18 @@ class Case:
     """Generator and policy steps to K_p, K_i, shape (steps, 2)."""
     reference: ReferenceSignal = SINE
 
-    def draw(self, seed: int, seconds: float) -> FloatArray:
-        """Gains of a run, shape (policy steps, 2)."""
+    def draw_gains(self, seed: int, seconds: float) -> FloatArray:
+        """Return random gains of a run, shape (policy steps, 2)."""
         return self.gains(np.random.default_rng(seed), round(seconds / (SAMPLES_PER_STEP * SAMPLE_PERIOD)))
 
 
 def constant_gains(kp: float, ki: float) -> Callable[[np.random.Generator, int], FloatArray]:
-    """One pair of gains."""
+    """Return a generator of constant gains [1/s], [1/s^2]."""
     return lambda rng, steps: np.tile((kp, ki), (steps, 1))
 
 
 def random_gains(ranges: Ranges, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
-    """Random gains, redrawn every `every` policy steps of 10 ms; 0: once."""
+    """Return a generator of random gains, redrawn every `every` policy steps of 10 ms; 0: once."""
 
     def gains(rng: np.random.Generator, steps: int) -> FloatArray:
         span = every or steps
@@ -99,7 +99,7 @@ def random_gains(ranges: Ranges, every: int) -> Callable[[np.random.Generator, i
 
 
 def switching_gains(low: float, high: float, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
-    """K_p that switches between two values every `every` policy steps, from a random step on."""
+    """Return a generator of K_p that switches between two values every `every` policy steps, with random phase."""
 
     def gains(rng: np.random.Generator, steps: int) -> FloatArray:
         phase = (np.arange(steps) + int(rng.integers(2 * every))) // every % 2
@@ -143,7 +143,7 @@ CASES: dict[str, Case] = {
 
 
 class Corrector(Protocol):
-    """A filter: one sample in, one correction out."""
+    """Interface of a filter: one correction for each sample."""
 
     def reset(self) -> None:
         """Reset to the initial state."""
@@ -153,7 +153,7 @@ class Corrector(Protocol):
 
 
 class Run(NamedTuple):
-    """Recorded run; it ends with the sample at which the box tripped."""
+    """Recorded run, up to the sample at which the box tripped, if it did."""
 
     states: StateArray
     """Records of `STATE_DTYPE`, shape (samples,)."""
@@ -182,7 +182,7 @@ class Trial:
 
 
 def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
-    """Run a trial; use a filter with `bypass` set for the loop without it."""
+    """Simulate a trial; a filter with `bypass` set gives the loop without correction."""
     contraction_filter.reset()
     box = Box(trial.bench, trial.box)
     guard = CommandGuard(settings=permissive_guard(box.config, trial.bench.size))
@@ -200,7 +200,7 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
             guard.set_gains(delta_kp, delta_ki, now)
         box.receive(guard.command(now), now)
         states[k] = box.tick(measurement, now)
-        results.append(contraction_filter.correct(Sample.of(states[k])))
+        results.append(contraction_filter.correct(Sample.from_record(states[k])))
         guard.note_sample(k)
         guard.set_correction(results[-1].delta_u, results[-1].status, k, now)
         if int(states["flags"][k]) & Flag.TRIPPED:
@@ -210,7 +210,7 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
 
 
 def permissive_guard(box: BoxConfig, size: Size) -> GuardSettings:
-    """A guard that allows all that the box accepts, so that the filter's effect is visible."""
+    """Return guard settings as wide as the box's limits, so that only the filter intervenes."""
     return replace(
         GuardSettings.of_size(size), delta_kp_min=box.delta_kp_min, delta_kp_max=box.delta_kp_max,
         delta_ki_min=box.delta_ki_min, delta_ki_max=box.delta_ki_max, delta_u_max=box.delta_u_max, require_filter=False,
@@ -233,7 +233,7 @@ class Gammas(NamedTuple):
 
 
 def gammas(results: list[Result], current_max: float) -> Gammas:
-    """The five numbers over all samples that were evaluated; M_c within 1e-6/s of zero holds."""
+    """Return gamma_1 to gamma_5 over all evaluated samples; M_c up to 1e-6/s counts as satisfied."""
     skipped = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH)
     table = np.array([result[:3] for result in results if result.status not in skipped] or [(nan, nan, nan)])
     correction, before, after = np.abs(table[:, 0]) / current_max, table[:, 1], table[:, 2]
@@ -245,13 +245,13 @@ def gammas(results: list[Result], current_max: float) -> Gammas:
 
 FILTERS = ("none", "learned")
 """none: bypassed, its certificate evaluated; learned: the default."""
-SETTLING = 2000
+SETTLING_SAMPLES = 2000
 """Samples left out of RMSE and chattering: the fade from rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One run in plain types, so that it can be sent to another process."""
+    """Parameters of one run in plain types, for worker processes."""
 
     plant: str
     case: str
@@ -284,8 +284,8 @@ class Outcome:
     """Problems that OSQP does not solve as the filter does."""
 
 
-class Checked:
-    """A filter whose problems OSQP solves, too."""
+class CheckedFilter:
+    """Filter whose QPs are checked by OSQP."""
 
     def __init__(self, contraction_filter: LoopFilter) -> None:
         self._filter, self.osqp = contraction_filter, Osqp()
@@ -304,10 +304,12 @@ class Checked:
 
 
 @cache
-def make_filter(chosen: str, metric: str | None = None, model: str | None = None, bench: str | None = None) -> Checked:
-    """One of `FILTERS`, with further entries of a `Task`."""
+def make_filter(
+    chosen: str, metric: str | None = None, model: str | None = None, bench: str | None = None
+) -> CheckedFilter:
+    """Return one of `FILTERS`; other arguments as in `Task`."""
     settings = LoopFilterSettings(bypass=chosen == "none")
-    return Checked(loop_filter(ScheduledMetric.load(metric), load_model(model), _bench(bench), settings))
+    return CheckedFilter(loop_filter(ScheduledMetric.load(metric), load_model(model), _bench(bench), settings))
 
 
 def _bench(path: str | None) -> Bench:
@@ -316,13 +318,13 @@ def _bench(path: str | None) -> Bench:
 
 
 def simulate(task: Task) -> tuple[Run, Case]:
-    """Run a task."""
+    """Run a task; return the run and its case."""
     case = CASES[task.case]
     bench = _bench(task.bench)
     amplitude = case.reference.amplitude * bench.size.force / NOMINAL.force
     trial = Trial(
-        bench=bench, reference=replace(case.reference, amplitude=amplitude), gains=case.draw(task.seed, task.seconds),
-        box=BoxConfig().of_bench(bench), seed=task.seed,
+        bench=bench, reference=replace(case.reference, amplitude=amplitude), gains=case.draw_gains(task.seed,
+        task.seconds), box=BoxConfig().of_bench(bench), seed=task.seed,
     )  # fmt: skip
     chosen = make_filter(task.filter, task.metric, task.model, task.bench)
     return run(trial, plant_named(task.plant, task.model), chosen), case
@@ -332,7 +334,7 @@ def evaluate_task(task: Task) -> Outcome:
     """Run a task and compute its statistics."""
     done, _ = simulate(task)
     states, osqp = done.states, make_filter(task.filter, task.metric, task.model, task.bench).osqp
-    settled = states[min(SETTLING, len(states) // 2) :]
+    settled = states[min(SETTLING_SAMPLES, len(states) // 2) :]
     numbers = gammas(done.results, _bench(task.bench).valve_current_max)
     return Outcome(
         bounded=done.bounded, peak=float(np.abs(states["load_force"]).max()),
@@ -343,12 +345,12 @@ def evaluate_task(task: Task) -> Outcome:
 
 
 def tracking_error(states: StateArray) -> FloatArray:
-    """f_r - f_l [N]."""
+    """Return the tracking error f_r - f_l [N], shape (n,)."""
     return np.asarray(states["reference_force"] - states["load_force"])
 
 
 def chattering(states: StateArray) -> float:
-    """RMS of u' [A/s]."""
+    """Return the RMS [A/s] of the valve current's rate."""
     return float(np.sqrt(np.mean((np.diff(states["valve_current"]) / SAMPLE_PERIOD) ** 2))) if len(states) > 1 else 0.0
 
 
@@ -374,7 +376,7 @@ COLUMNS = {
 
 
 def table_row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> dict[str, Any]:
-    """One line of the table; shares and means over all samples of all runs."""
+    """Return a row of the table: shares and means over all samples of all runs."""
     weights = np.array([one.samples for one in outcomes], float)
     numbers = np.average(np.array([tuple(one.numbers) for one in outcomes]), axis=0, weights=weights)
     agreed, differed = sum(one.agreed for one in outcomes), sum(one.differed for one in outcomes)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hydro_core.cli import jobs
-from hydro_core.cli.console import Table, add_json_argument, command, number, writable_folder
+from hydro_core.cli.console import Table, add_json_argument, bounded_number, command, writable_folder
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.validation.runs import (
     CASES,
@@ -33,21 +33,21 @@ from hydro_filter.validation.runs import (
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
-from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, draw, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure, plot_field
 
 
 @command(WeightsError, ValueError)
 def main() -> None:
     """Entry point."""
-    options = arguments(sys.argv[1:])
-    raise_if_mismatched(_choice(options).trouble())  # before the work
+    options = parse_args(sys.argv[1:])
+    raise_if_mismatched(_choice(options).pairing_error())  # before the work
     lines = list(product(options.plants, options.cases, FILTERS))
     runs = {line: [f"{', '.join(line)}, seed {seed}" for seed in range(options.seeds)] for line in lines}
-    tasks = {name: (task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
+    tasks = {name: (make_task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
     done: dict[str, Outcome] = {}
     rows: dict[tuple[str, str, str], dict[str, Any]] = {}
-    for name, result in jobs.run(evaluate_task, tasks, **jobs.where(options), label="runs", unit="run"):
+    for name, result in jobs.run(evaluate_task, tasks, **jobs.job_options(options), label="runs", unit="run"):
         done[name] = result
         line = next(line for line in lines if name in runs[line])
         if all(one in done for one in runs[line]):
@@ -61,8 +61,8 @@ def main() -> None:
         _draw(options)
 
 
-def task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
-    """One run as the words want it."""
+def make_task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
+    """Return the task of one run by the command's options."""
     return Task(
         plant=plant, case=case, filter=chosen, seed=seed, seconds=options.seconds, metric=options.metric,
         model=options.model, bench=options.bench,
@@ -79,22 +79,22 @@ def _choice(options: argparse.Namespace) -> FilterChoice:
 def _draw(options: argparse.Namespace) -> None:
     """The tracking figure of the first seed of every case."""
     for plant, case in product(options.plants, options.cases):
-        without, filtered = (simulate(task(options, plant, case, name, 0))[0] for name in FILTERS)
+        without, filtered = (simulate(make_task(options, plant, case, name, 0))[0] for name in FILTERS)
         path = Path(options.plots) / f"{plant}_{case}.png"
-        draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
+        plot_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
 
 
-def draw_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
-    """Draw the paper's figure unstable_track: both forces, the gain, the correction and the certificate over time."""
+def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
+    """Plot the paper's figure unstable_track: both forces, the gain, the correction and the certificate over time."""
     with figure(path, 4, size=(8.0, 8.0), sharex=True, height_ratios=(3, 1.5, 1.5, 1.5)) as (drawing, axes):
         force, gain, valve, certificate = axes
         drawing.suptitle(title, x=0.01, ha="left", weight="semibold")
-        draw(force, filtered.states, "reference_force", color=GRAY, linestyle="--")
+        plot_field(force, filtered.states, "reference_force", color=GRAY, linestyle="--")
         tripped = "" if without.bounded else ", until the box tripped"
-        draw(force, without.states, "load_force", color=RED, label="without filter" + tripped, linewidth=0.9)
-        draw(force, filtered.states, "load_force", color=BLUE, label="with filter")
+        plot_field(force, without.states, "load_force", color=RED, label="without filter" + tripped, linewidth=0.9)
+        plot_field(force, filtered.states, "load_force", color=BLUE, label="with filter")
         force.set(ylabel="load force [N]", ylim=(-720.0, 720.0))
-        draw(gain, filtered.states, "proportional_gain", color=GREEN, drawstyle="steps-post", linewidth=0.7)
+        plot_field(gain, filtered.states, "proportional_gain", color=GREEN, drawstyle="steps-post", linewidth=0.7)
         gain.set(ylabel="[1/s]")
         time = filtered.states["time"]
         correction = np.array([result.delta_u for result in filtered.results])
@@ -105,10 +105,10 @@ def draw_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
         certificate.plot(time, after, color=BLUE, label=r"$M_c$ after", linewidth=0.7)
         certificate.set(ylabel="[1/s]", xlabel="time [s]", yscale="symlog", xlim=(time[0], time[-1]))
         for panel in axes:
-            legend(panel)
+            add_legend(panel)
 
 
-def arguments(given: list[str]) -> argparse.Namespace:
+def parse_args(given: list[str]) -> argparse.Namespace:
     """Parse the command line."""
     listed = "\n".join(f"  {case.name:14} {case.about}" for case in CASES.values())
     parser = argparse.ArgumentParser(
@@ -123,8 +123,8 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--plants", nargs="+", choices=PLANTS, default=list(PLANTS), metavar="PLANT",
                         help=f"of {', '.join(PLANTS)}")  # fmt: skip
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help="see below; all")
-    parser.add_argument("--seeds", type=number(1), default=20, help="runs of each line")
-    parser.add_argument("--seconds", type=number(1.0), default=18.0, help="s, of each run; the paper's episode")
+    parser.add_argument("--seeds", type=bounded_number(1), default=20, help="runs of each line")
+    parser.add_argument("--seconds", type=bounded_number(1.0), default=18.0, help="s, of each run; the paper's episode")
     jobs.add_arguments(parser)
     parser.add_argument("--plots", type=writable_folder, metavar="DIR", help="draw the tracking figures into DIR")
     add_json_argument(parser)

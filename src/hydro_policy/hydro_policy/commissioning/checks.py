@@ -139,12 +139,12 @@ def fits(states: StateArray, loop_filter: LoopFilter) -> None:
         A new one.
     """
     compensated = LawState(Law.COMPENSATED, 0.0, 0.0, NEUTRAL, 0.0, 1.0)  # any law: only the model is judged
-    law = compensated if loop_filter.unknown(compensated=False) else None
+    law = compensated if loop_filter.missing_certificate(compensated=False) else None
     follows = np.diff(states["sequence"].astype(np.int64), prepend=0) == 1
     for record, consecutive in zip(states, follows, strict=True):
         if not consecutive:
-            loop_filter.skip()
-        loop_filter.correct(Sample.of(record, law))
+            loop_filter.reset_history()
+        loop_filter.correct(Sample.from_record(record, law))
         if loop_filter.mismatch:
             raise GateError(
                 f"{loop_filter.mismatch} in the held-out recording, so the filter would say MISMATCH: what the "

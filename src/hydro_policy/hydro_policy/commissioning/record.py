@@ -17,7 +17,7 @@ import numpy as np
 
 from hydro_bridge.pages import Section, results_page
 from hydro_core.cli.console import Table, UserError
-from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.files.atomic import encode_json, write_whole
 from hydro_core.files.site import RECORD
 from hydro_policy.task.cases import relative_scores
 
@@ -115,7 +115,7 @@ class Record:
 
     def write(self, folder: Path) -> None:
         """Write commission.json and report.html."""
-        write_whole(folder / RECORD, json_text(self))
+        write_whole(folder / RECORD, encode_json(self))
         about = {"plant": self.plant, "adopted": self.comparison.get(self.adopted, {}).get("name", "nothing yet")}
         write_whole(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, self._sections()).encode())
 

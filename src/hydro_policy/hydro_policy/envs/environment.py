@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_core.signals import STATE_FIELDS, FloatArray, Law, ReferenceSignal, StateArray
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs.vector_env import VectorBench, records
@@ -94,7 +94,7 @@ class Environment:
         self._seeds: npt.NDArray[np.int64] = np.zeros(len(fleet), np.int64)
         self._adapted: AdaptedLaw | None = None
         if law is Law.COMPENSATED:
-            settings = resized(CompensatorSettings(), NOMINAL, task.size)
+            settings = rescale(CompensatorSettings(), NOMINAL, task.size)
             self._adapted = AdaptedLaw(Compensator(len(fleet), settings, fleet.config.compensated))
 
     def begin(self, references: Sequence[ReferenceSignal], seeds: Sequence[int]) -> FloatArray:

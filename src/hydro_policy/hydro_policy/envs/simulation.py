@@ -60,4 +60,4 @@ class SimulationSetup:
         wrong = learned_bench.box_mismatch(None, box, remedy) if self.model == "shipped" else ""
         if wrong or self.filter != "learned":
             return wrong
-        return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
+        return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).pairing_error()

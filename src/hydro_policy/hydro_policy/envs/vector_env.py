@@ -139,7 +139,7 @@ def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
     if kind == "none":
         return NoFilter()
     seen, made = np.zeros(1, filter_records.SAMPLE), np.zeros(1, filter_records.DECISION)
-    parts, memory = default_filter(believed).parts, filter_records.memories(count)
+    parts, memory = default_filter(believed).parts, filter_records.new_memories(count)
     return LearnedFilter(True, filter_records.decide_address(), parts, memory, seen, made)
 
 
@@ -244,10 +244,10 @@ class VectorBench:
         self._copy(self.rows, index, self.plants[index])
         code, safe = firmware.library(), self.settings[index]["laws"][law]["safe"]
         box, command = self.boxes[one], self.commands[one]
-        memory = firmware.at(box), firmware.at(self.settings[one])
+        memory = firmware.address_of(box), firmware.address_of(self.settings[one])
         code.hydro_c_power_on(*memory, 1)
         fill_command(command, Command())
-        code.hydro_c_receive(*memory, firmware.at(command), 0.0)
+        code.hydro_c_receive(*memory, firmware.address_of(command), 0.0)
         wanted = Command(
             arm=True, reference=reference, delta_kp=changes[0], delta_ki=changes[1], filter_fresh=self.filters.fresh,
             law=law, velocity_compensation=float(safe[VELOCITY_COMPENSATION]),
@@ -257,7 +257,7 @@ class VectorBench:
         self.links[index]["held"] = 0.0
         reset_memory(self.filters, index)
         first = self.samples[index, -1:]
-        _exchange(firmware.calls(), self.settings[one], box, command, self.filters, index, read, first)
+        _exchange(firmware.function_addresses(), self.settings[one], box, command, self.filters, index, read, first)
         self.compensated[index, -1] = box["acting"]["reference"][0]
 
     def follow(self, index: int, reference: ReferenceSignal) -> None:
@@ -276,7 +276,7 @@ class VectorBench:
         """
         if coefficients is None:
             coefficients = self.commands["shaping"][:, :COEFFICIENTS]
-        box = firmware.calls(), self.settings, self.boxes, self.commands
+        box = firmware.function_addresses(), self.settings, self.boxes, self.commands
         noise = np.stack([plant.noise.rows(SAMPLES_PER_STEP) for plant in self.plants])  # type: ignore[attr-defined]
         step = _step if type(self.rows).__module__.startswith("hydro_policy.") else _step_foreign
         actions = np.ascontiguousarray(changes), np.array(coefficients)

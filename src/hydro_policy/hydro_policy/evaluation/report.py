@@ -13,13 +13,13 @@ import numpy as np
 
 from hydro_bridge.pages import Section
 from hydro_core.cli.console import Table
-from hydro_core.files.atomic import json_text, write_whole
+from hydro_core.files.atomic import encode_json, write_whole
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, Trace, relative_scores
 from hydro_policy.task.mdp import GainRange
-from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 SPOILT_MARK = (
     f"*: in more than {SPOILT:.0%} of the samples of a run base gains acted, or they did not arrive, since the machine "
@@ -134,7 +134,7 @@ def write_json(session: TrialRunner[Comparison], path: Path, notes: Mapping[str,
         "runs": [{**asdict(score), "spoilt": score.spoilt} for score in session.scores],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, json_text(content))
+    write_whole(path, encode_json(content))
 
 
 def sections(session: TrialRunner[Comparison], picture: Path) -> list[Section]:
@@ -167,7 +167,7 @@ def plot(session: TrialRunner[Comparison], path: Path) -> None:
         force.set_ylabel("load force [N]")
         error.set_ylabel("error [N]")
         for panel in (force, error, gain):
-            legend(panel)
+            add_legend(panel)
         drawing.align_ylabels()
 
 

@@ -347,7 +347,7 @@ class TrialRunner(Generic[P]):
             return
         if late:
             self._warn(f"{trace.controller} at {trace.case}: {late}")
-        felt = None if self._felt is None else load_force.read(self._felt, trace.states["sequence"])
+        felt = None if self._felt is None else load_force.read_forces(self._felt, trace.states["sequence"])
         if not self.plan.training:
             self.traces.append(trace)
         self._add(score(trace, trial.repeat, int(np.count_nonzero(bits)), felt))

@@ -20,11 +20,11 @@ from tempfile import TemporaryDirectory
 
 import yaml
 
-from hydro_bridge.ros.companion import Companion, CompanionError, add_page_option, start_page
+from hydro_bridge.ros.companion import Companion, CompanionError, add_dashboard_option, start_dashboard
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_core.cli.console import UserError, command, number, writable, writable_folder
-from hydro_core.process.endings import undisturbed
+from hydro_core.cli.console import UserError, bounded_number, command, writable_file, writable_folder
+from hydro_core.process.endings import signals_ignored
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Plan, Trial
@@ -32,7 +32,7 @@ from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrialProgress
 from hydro_policy.task.cases import Case, Score
 from hydro_sim.box.box import EMULATED_BOX
-from hydro_sim.excitation import Range, Segment, draw, load_schedule, save_schedule
+from hydro_sim.excitation import ExcitationRange, Segment, draw_schedule, load_schedule, save_schedule
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
@@ -93,13 +93,15 @@ def parser() -> argparse.ArgumentParser:
         epilog=f"It ends with status {TRIPPED} after {TRIPS_IN_A_ROW} trips in a row, and leaves the plant disarmed.",
     )
     made.add_argument("--out", type=writable_folder, metavar="BAG", help="recording to make")
-    made.add_argument("--seconds", type=number(1.0, 36000.0), help=f"length of the schedule (default: {SECONDS:g})")
-    made.add_argument("--seed", type=number(0), help="of the schedule (default: 1)")
+    made.add_argument(
+        "--seconds", type=bounded_number(1.0, 36000.0), help=f"length of the schedule (default: {SECONDS:g})"
+    )
+    made.add_argument("--seed", type=bounded_number(0), help="of the schedule (default: 1)")
     made.add_argument(
         "--schedule", metavar="FILE", help="play this one instead of drawing one (docs/manual/reference/schedule.md)"
     )
     made.add_argument(
-        "--write-schedule", type=writable, metavar="FILE", help="write the schedule, for instance for the emulator"
+        "--write-schedule", type=writable_file, metavar="FILE", help="write the schedule, for instance for the emulator"
     )
     made.add_argument(
         "--bench", metavar="FILE", help="bench.yaml of the box, kept in the recording (default: as the box says)"
@@ -109,7 +111,7 @@ def parser() -> argparse.ArgumentParser:
         choices=("auto", "ask"),
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`",
     )
-    add_page_option(made)
+    add_dashboard_option(made)
     return made
 
 
@@ -132,7 +134,7 @@ def main() -> int:
                 raise UserError(f"segments[{index}].delta_u is {segment.delta_u:g} A: {why}")
     else:
         force = (bench.size if bench else NOMINAL).force
-        schedule = draw(options.seconds, options.seed, Range.of_force(force))
+        schedule = draw_schedule(options.seconds, options.seed, ExcitationRange.of_force(force))
     if options.write_schedule:
         save_schedule(schedule, options.write_schedule)
         print(f"{options.write_schedule}: {len(schedule)} segments, {sum(s.seconds for s in schedule):g} s")
@@ -174,7 +176,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         node.box_fault = lambda other: (
             "" if other.base_gains == box.base_gains else "another box with other base gains has been connected"
         )
-        start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
+        start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
         scratch = Path(stack.enter_context(TemporaryDirectory()))
         save_schedule(schedule, scratch / "schedule.yaml")
         (scratch / "bench.yaml").write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
@@ -184,7 +186,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         recorder = stack.enter_context(Companion("hydro_bridge", "recorder", words))
         node.watch_companions([recorder], options.out, "the plant is disarmed")
         stack.callback(node.disarm, still=True)
-        stack.callback(quiet.enter_context, undisturbed())  # a second Ctrl-C waits
+        stack.callback(quiet.enter_context, signals_ignored())  # a second Ctrl-C waits
         runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
         bar = stack.enter_context(TrialProgress(runner, "collecting"))
 

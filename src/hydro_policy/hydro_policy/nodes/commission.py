@@ -18,7 +18,7 @@ from pathlib import Path
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import running_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_core.cli.console import UserError, command, command_line, writable_folder
+from hydro_core.cli.console import UserError, command, make_parser, writable_folder
 from hydro_core.files import bench_file, site
 from hydro_policy.commissioning.record import FAILED, PASSED, SKIPPED, GateError, GateSkipped, Record, digests
 from hydro_policy.nodes.commissioning import GATES, NAMES, Gate
@@ -32,7 +32,7 @@ LOG = "commission.log"
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = command_line("commission", __doc__)
+    result = make_parser("commission", __doc__)
     result.add_argument("--site", required=True, type=writable_folder, metavar="DIR", help="folder of this bench")
     plant = result.add_mutually_exclusive_group()
     plant.add_argument("--port", metavar="PATH", help="serial port of the box; a site keeps it")
@@ -94,7 +94,7 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
     if options.truth and plant != EMULATED:
         raise UserError("--truth is of the emulated bench: it goes with --plant emulator")
     own = folder / site.BENCH
-    given = options.bench or (bench_file.shipped() if plant == EMULATED else None)
+    given = options.bench or (bench_file.shipped_bench_file() if plant == EMULATED else None)
     if own.is_file():
         if options.bench and bench_file.digest(bench_file.read_numbers(options.bench)) != bench_file.digest(
             bench_file.read_numbers(own)

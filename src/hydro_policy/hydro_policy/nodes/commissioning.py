@@ -25,11 +25,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.bags.recording import objects, read_bag
+from hydro_bridge.bags.recording import read_bag, read_messages
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.ros.topics import BOX, BOX_LAW, DIAGNOSTICS, STATE
 from hydro_core.files import site
-from hydro_core.files.site import ANEW
+from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import Flag, StateArray
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import ScheduledMetric
@@ -54,7 +54,7 @@ COMPARED = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0))
 POLICY = "policy"
 """Folder of the pretrained policy."""
 WATCH = (
-    f"The filter says MISMATCH where the bench is no longer the one that was diagnosed: {ANEW}.",
+    f"The filter says MISMATCH where the bench is no longer the one that was diagnosed: {RECOMMISSION_HINT}.",
     "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
 )
 FIXED_SHARES = (0.5, 0.9)
@@ -91,7 +91,7 @@ def link(at: Site) -> str:
     at.rest(AT_REST, REST)
     folder = at.recording(AT_REST)
     states = _states(folder)
-    status = {e.key: e.value for _, m in objects(folder, DIAGNOSTICS) for s in m.status for e in s.values
+    status = {e.key: e.value for _, m in read_messages(folder, DIAGNOSTICS) for s in m.status for e in s.values
               if s.name == "bridge"}  # fmt: skip
     if status.get("box differs", "no") != "no":
         raise GateError(f"the box is not what its bench file says: {status['box differs']}")
@@ -105,11 +105,11 @@ def sensors(at: Site) -> str:
     bench = Bench.load(at.bench)
     states = _states(at.recording(AT_REST))
     noise, off = checks.sensors(states, bench)
-    box = next(iter(objects(at.recording(AT_REST), BOX)))[1]
+    box = next(iter(read_messages(at.recording(AT_REST), BOX)))[1]
     at.record.base_gains = [float(box.base_kp), float(box.base_ki)]
     if not at.record.amplitude:
         at.record.amplitude = bench.size.force
-    law = next(iter(objects(at.recording(AT_REST), BOX_LAW)))[1]
+    law = next(iter(read_messages(at.recording(AT_REST), BOX_LAW)))[1]
     most = REACH * float(law.reference_max)
     if law.offered and at.record.amplitude > most:
         raise GateError(f"--amplitude {at.record.amplitude:.0f}: this box's force law reaches {most:.0f} N")
@@ -171,7 +171,7 @@ def metric(at: Site) -> str:
     words = ("--model", str(at.folder / site.MODEL), "--bench", str(at.bench), "--out", str(out))
     said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", "both")
     found = ScheduledMetric.load(out)
-    if reason := found.unfit(out.name):
+    if reason := found.validity_error(out.name):
         raise GateError(reason)
     at.record.certified_gains = {
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]

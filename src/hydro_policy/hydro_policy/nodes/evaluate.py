@@ -15,13 +15,13 @@ from pathlib import Path
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_core.cli.console import command, command_line, writable, writable_folder
+from hydro_core.cli.console import command, make_parser, writable_file, writable_folder
 from hydro_policy.nodes.startup.options import LAWS, add_plant_options, take_site
 
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = command_line("evaluate", __doc__)
+    result = make_parser("evaluate", __doc__)
     add_plant_options(result)
     what = result.add_argument_group("what")
     what.add_argument(
@@ -78,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
         "--runs", type=writable_folder, default="runs", metavar="DIR", help="folder of all runs (default: runs)"
     )
     files.add_argument("--name", help="of this one's folder: figures, plot, page, recording (default: date and time)")
-    files.add_argument("--json", type=writable, metavar="FILE", help="write every run's figures to FILE, too")
+    files.add_argument("--json", type=writable_file, metavar="FILE", help="write every run's figures to FILE, too")
     files.add_argument("--record", type=writable_folder, metavar="DIR", help="record there instead (companions only)")
     files.add_argument("--no-record", dest="keeps_bag", action="store_false", help="make no recording")
     return result

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section, results_page
-from hydro_bridge.ros.companion import CompanionError, start_page
+from hydro_bridge.ros.companion import CompanionError, start_dashboard
 from hydro_bridge.ros.node import declare_parameters, leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import NOT_OFFERED
@@ -29,8 +29,8 @@ from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import UserError
 from hydro_core.files.atomic import write_whole
-from hydro_core.process.endings import undisturbed
-from hydro_core.size import resized
+from hydro_core.process.endings import signals_ignored
+from hydro_core.size import rescale
 from hydro_policy.compensation.estimator import CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.compensation.residual import Network
@@ -259,17 +259,17 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
                 # the plant's flags tell nothing of the filter under a law that needs none
                 node.requirements.append(corrections(lambda: node.corrected))
         stack.callback(node.disarm)
-        stack.callback(quiet.enter_context, undisturbed())
+        stack.callback(quiet.enter_context, signals_ignored())
         if not node.wait_for_plant(law=options.law != "paper") or node.box is None:
             return 130
         if options.plant == "external":  # only now it is known whether the graph has a page
-            start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
+            start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
         if options.law != "paper" and node.law is None:
             if options.law == "compensated" or cell:
                 raise NotReadyError(NOT_OFFERED)
             node.say(f"{NOT_OFFERED}; the paper's law alone is compared")
         box = BoxIdentity.of_box(node.box)
-        settings = unless_said(node, settings, resized(settings, NOMINAL, node.size))
+        settings = unless_said(node, settings, rescale(settings, NOMINAL, node.size))
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
         reach = guard_range(required_gain_range(controllers, grid, box.base_gains))
@@ -309,7 +309,7 @@ def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings,
     """Search the best fixed gains on the plant by short trials; after a signal it is not at its end."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     plan = GridPlan(grid, short, node.override.base)
-    runner = TrialRunner(plan, watch, monitor=SafetyMonitor(resized(MonitorSettings(), NOMINAL, node.size)))
+    runner = TrialRunner(plan, watch, monitor=SafetyMonitor(rescale(MonitorSettings(), NOMINAL, node.size)))
     told = 0
 
     def tick() -> None:
@@ -346,7 +346,7 @@ def evaluate_on(
     of that; if `learned`, also with the learned residual.
     """
     if compensated and node.law is not None and node.compensation is None:
-        estimator = resized(CompensatorSettings(), NOMINAL, node.size)
+        estimator = rescale(CompensatorSettings(), NOMINAL, node.size)
         node.compensate(LiveCompensation(node.law, estimator, cell, Network.load()))
     compensation = node.compensation if compensated else None
     if compensation is not None:

@@ -13,7 +13,7 @@ import argparse
 
 from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import OVERRIDE_SERVICE
-from hydro_core.cli.console import UserError, command, command_line
+from hydro_core.cli.console import UserError, command, make_parser
 from hydro_msgs.srv import OverrideGains
 
 DISCOVERY = 10.0  # s, to find the service: on a busy machine announcements get lost and come again each few seconds
@@ -23,7 +23,7 @@ _WHO = "a person, by `override`"
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = command_line("override", __doc__)
+    result = make_parser("override", __doc__)
     result.add_argument("--kp", type=float, metavar="1/s", help="K_p in all, the box's base gain included")
     result.add_argument("--ki", type=float, metavar="1/s^2", help="K_i in all")
     result.add_argument("--seconds", type=float, default=0.0, metavar="S", help="give back after so long")

@@ -23,9 +23,9 @@ from hydro_bridge.ros.companion import Companion, RecorderWatch
 from hydro_bridge.ros.node import leave_graph
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_core.cli.console import UserError, print_above_progress, typed_lines
+from hydro_core.cli.console import UserError, print_above_progress, terminal_lines
 from hydro_core.files import site
-from hydro_core.process.endings import undisturbed
+from hydro_core.process.endings import signals_ignored
 from hydro_policy.commissioning.record import GateError, Record
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import Controller
@@ -70,7 +70,7 @@ class Site:
     def __init__(self, folder: Path, record: Record, *, rearm: bool, policy: bool, log: IO[str]) -> None:
         self.folder, self.record, self.policy, self.bench = folder, record, policy, folder / site.BENCH
         self._rearm, self._log = rearm, log
-        self._typed = None if rearm else typed_lines()
+        self._typed = None if rearm else terminal_lines()
         self._port = str(folder / "port") if record.plant == EMULATED else record.plant
         self._emulator: Companion | None = None
         self._bridge: Companion | None = None
@@ -232,7 +232,7 @@ class Site:
             stack.callback(recorder.stop, ENDS_WITHIN)
             node.companions = self._watched(recorder)
             stack.callback(node.disarm)
-            stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C waits
+            stack.callback(quiet.enter_context, signals_ignored())  # first of all: a second Ctrl-C waits
             yield node, RecorderWatch(node, folder, recorder).requirement
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_core.cli.console import NEW_ONLY, command, command_line, explicit_options, refuse_changes
+from hydro_core.cli.console import FIXED_ON_RESUME, command, explicit_options, make_parser, reject_changed_options
 from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options, take_site
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run import RunDirectory
@@ -34,7 +34,7 @@ every setting is a ROS parameter, too: --ros-args -p sac.gamma:=0.98 -p task.ste
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser of the command line."""
-    result = command_line("trainer", __doc__, epilog=EPILOG)
+    result = make_parser("trainer", __doc__, epilog=EPILOG)
     result.add_argument("--demo", action="store_true", help="the main job: see the examples")
     add_plant_options(result)
     run = result.add_argument_group("run")
@@ -87,9 +87,9 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
     options = result.parse_args(words)
     if options.resume is not None:
         run = RunDirectory(options.resume)
-        begun = {"start": NEW_ONLY, "configuration": NEW_ONLY, "seed": run.load_settings().seed}
+        begun = {"start": FIXED_ON_RESUME, "configuration": FIXED_ON_RESUME, "seed": run.load_settings().seed}
         place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
-        refuse_changes(parser(), words, str(run.path), {**begun, **place})
+        reject_changed_options(parser(), words, str(run.path), {**begun, **place})
         restore_plant_options(result, run.load_plant(), explicit_options(parser(), words))
         options = result.parse_args(words)
     take_site(options)

@@ -17,8 +17,8 @@ import numpy as np
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
 from hydro_core.cli.console import writable_folder
-from hydro_core.process.endings import undisturbed
-from hydro_core.size import resized
+from hydro_core.process.endings import signals_ignored
+from hydro_core.size import rescale
 from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
@@ -133,7 +133,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         require_matching_agent(start, box)
         if new:
             size = settings.task.size
-            settings = unless_said(node, settings, resized(settings, size, box.size or size))
+            settings = unless_said(node, settings, rescale(settings, size, box.size or size))
         if new and start is None:
             base, gains = box.base_gains or BASE, settings.task.gains
             shifted = unless_said(node, gains, gains.shifted(BASE[0] - base[0], BASE[1] - base[1]), "task.gains.")
@@ -292,7 +292,9 @@ def train(options: argparse.Namespace) -> int:
         node.tell_steps()
         stack.callback(lambda: learner.stop(plan.state()))
         stack.callback(node.disarm)
-        stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits
+        stack.callback(
+            quiet.enter_context, signals_ignored()
+        )  # first of all: a second Ctrl-C, or a closed terminal, waits
         finished, results = drive(options, node, session, start)
         if finished:  # a stopped run hands nothing over
             node.successor = options.hand_over or ""

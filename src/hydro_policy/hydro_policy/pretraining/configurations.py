@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydro_core.size import Size, resized
+from hydro_core.size import Size, rescale
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
@@ -34,4 +34,4 @@ def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE, si
     else:
         raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")
     gains = task.gains.shifted(BASE[0] - base[0], BASE[1] - base[1])
-    return resized(TrainingSettings(seed=seed, sac=sac, task=replace(task, gains=gains)), NOMINAL, size)
+    return rescale(TrainingSettings(seed=seed, sac=sac, task=replace(task, gains=gains)), NOMINAL, size)

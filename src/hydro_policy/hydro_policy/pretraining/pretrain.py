@@ -13,7 +13,7 @@ import argparse
 from pathlib import Path
 from typing import get_args
 
-from hydro_core.cli.console import add_json_argument, command, command_line, writable_folder
+from hydro_core.cli.console import add_json_argument, command, make_parser, writable_folder
 from hydro_core.files import site
 from hydro_policy.envs import FILTERS
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
@@ -22,7 +22,7 @@ from hydro_sim.box.box import Integral
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    result = command_line("pretrain", __doc__)
+    result = make_parser("pretrain", __doc__)
     where = result.add_mutually_exclusive_group(required=True)
     where.add_argument("--out", type=writable_folder, metavar="RUN", help="folder of a new run")
     where.add_argument(
@@ -70,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Entry point."""
     options = parser().parse_args()
-    site.take_site(options, model=site.MODEL, box=site.BENCH)
+    site.apply_site_option(options, model=site.MODEL, box=site.BENCH)
     if options.site and not options.base_gains:
         options.base_gains = site.base_gains(options.site)
     from hydro_policy.pretraining.run import pretrain  # it compiles: not for --help or a slip

@@ -21,12 +21,12 @@ from tqdm import tqdm
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_core.cli.console import NEW_ONLY, Table, UserError, explicit_options, progress, refuse_changes
+from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_options, progress, reject_changed_options
 from hydro_core.files.atomic import write_whole
 from hydro_core.process import endings
 from hydro_core.settings import SettingsError, from_mapping, read_yaml
 from hydro_core.signals import FloatArray
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_policy.envs.environment import Transitions
 from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.pretraining.configurations import configuration
@@ -40,7 +40,7 @@ from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL
-from hydro_sim.plotting import BLUE, figure, legend
+from hydro_sim.plotting import BLUE, add_legend, figure
 
 SOURCE = "pretrain.yaml"
 """File name in a run's folder, beside config.yaml."""
@@ -48,7 +48,7 @@ SOURCE = "pretrain.yaml"
 
 def new_pretraining(source: SimulationSetup, training: TrainingSettings) -> Pretraining:
     """Return a new pretraining."""
-    randomisation = resized(Randomisation(), NOMINAL, training.task.size) if source.randomise else None
+    randomisation = rescale(Randomisation(), NOMINAL, training.task.size) if source.randomise else None
     settings = PretrainSettings(
         training=training, benches=source.benches, randomisation=randomisation, filter=source.filter,
         box=source.box_config(), evaluation=EvaluationSettings(amplitude=training.task.size.force),
@@ -114,7 +114,7 @@ def draw_curve(history: Sequence[dict[str, Any]], cases: Sequence[Case], referen
             ratios.plot(episodes, changed, color="k", marker=".", label="drawn benches, mean")
         ratios.axhline(1.0, color="0.5", linestyle="--")
         ratios.set(xlabel="episodes", ylabel="RMSE / fixed ({:g}, {:g})".format(*REFERENCE_GAINS))
-        legend(ratios)
+        add_legend(ratios)
 
 
 SAVE_PERIOD = 20.0
@@ -149,7 +149,7 @@ def pretrain(options: argparse.Namespace) -> int:
             f"interrupted after {pretraining.episode} episodes; go on with: pretrain --resume {run.path}",
             file=sys.stderr,
         )
-        return endings.status(interruption)
+        return endings.exit_status(interruption)
     finally:
         _leave_page(run, pretraining, source)
     _show(run, pretraining, options.json, time.monotonic() - began)
@@ -180,10 +180,10 @@ def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, 
     source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.made_for())
     begun = {
-        **asdict(source), "configuration": NEW_ONLY, "hidden": settings.sac.hidden_size,
+        **asdict(source), "configuration": FIXED_ON_RESUME, "hidden": settings.sac.hidden_size,
         "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
     }  # fmt: skip
-    refuse_changes(parser(), words, str(run.path), begun)
+    reject_changed_options(parser(), words, str(run.path), begun)
     episodes = explicit_options(parser(), words).get("episodes", settings.episodes)
     if episodes != settings.episodes:
         settings = replace(settings, episodes=episodes)
@@ -200,15 +200,15 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
     due, scalars, asked = 0.0, Scalars(run.path), list[int]()
 
     def ask(number: int, frame: object) -> None:
-        endings.let_go_of_terminal()
+        endings.detach_closed_terminal()
         asked.append(number)
 
     def each_step(transitions: Transitions) -> None:
         if asked:  # looked at between steps: an exception raised anywhere could be dropped in a finalizer
-            raise endings.Ended(asked[-1])
+            raise endings.Terminated(asked[-1])
         bar.update(len(transitions.reward))
 
-    endings.answer(ask)
+    endings.install_handlers(ask)
 
     while not pretraining.finished:
         entry = pretraining.round(each_step)

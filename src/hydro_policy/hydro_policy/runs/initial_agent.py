@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hydro_core.size import Size, resized
+from hydro_core.size import Size, rescale
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.sac import Sac, dump, restore, settings_of
@@ -58,7 +58,7 @@ class InitialAgent:
             log_std_max=self.sac.log_std_max,
             reward_scale=self.sac.reward_scale,
         )
-        reward = resized(replace(settings.task, **self.reward), self.size, settings.task.size)
+        reward = rescale(replace(settings.task, **self.reward), self.size, settings.task.size)
         task = replace(settings.task, gains=self.gains, **{name: getattr(reward, name) for name in self.reward})
         starts = max(settings.learning_starts, task.steps_per_episode)
         return replace(settings, sac=sac, task=task, learning_starts=starts)

@@ -10,7 +10,7 @@ from typing import Any
 
 from hydro_bridge.pages import Section
 from hydro_core.cli.console import Table, plural
-from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 Events = Sequence[Mapping[str, Any]]
 
@@ -51,7 +51,7 @@ def draw_curve(events: Events, path: Path) -> None:
         for panel in axes:
             for n, stop in enumerate(_stops(events)):
                 panel.axvline(stop, color=RED, linewidth=0.8, label=None if n else "rolled back")
-            legend(panel)
+            add_legend(panel)
         axes[-1].set(xlabel="episodes")
         axes[-1].xaxis.get_major_locator().set_params(integer=True)
         drawing.align_ylabels()

@@ -34,8 +34,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hydro_core.files.atomic import flush_folder, json_text, write_whole
-from hydro_core.files.tensors import UnsoundError, check_numbers
+from hydro_core.files.atomic import encode_json, fsync_folder, write_whole
+from hydro_core.files.tensors import InvalidTensorError, check_numbers
 from hydro_core.settings import SettingsError, check, from_mapping, quantity, read_yaml
 from hydro_policy.sac.settings import SacSettings, present_names
 from hydro_policy.supervision.monitor import MonitorSettings
@@ -224,7 +224,7 @@ class RunRecord:
 
 def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
-    write_whole(path, json_text({"events": events}))
+    write_whole(path, encode_json({"events": events}))
 
 
 def _plain(value: Any) -> Any:
@@ -266,7 +266,7 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
     if folder.exists():
         folder.rename(previous)
     partial.rename(folder)
-    flush_folder(folder.parent)
+    fsync_folder(folder.parent)
     shutil.rmtree(previous, ignore_errors=True)
 
 
@@ -281,7 +281,9 @@ def load_checkpoint(folder: Path) -> Checkpoint:
         state = json.loads((source / "trainer.json").read_text())
         rows = np.load(source / "replay.npy", allow_pickle=False)
         if rows.ndim != 2 or not len(rows) <= int(state["produced"]) or not isinstance(state["trainer"], dict):
-            raise UnsoundError(f"{rows.shape} transitions of {state['produced']} and the state beside them do not fit")
+            raise InvalidTensorError(
+                f"{rows.shape} transitions of {state['produced']} and the state beside them do not fit"
+            )
         check_numbers({"replay.npy": rows})
         return Checkpoint((source / "learner.safetensors").read_bytes(), rows, int(state["produced"]), state["trainer"])
     except (OSError, EOFError, ValueError, KeyError, TypeError) as error:

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_core.cli.console import command, writable
+from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
-from hydro_sim.box.header import header_file, initializer, wrapped
+from hydro_sim.box.header import header_file, initializer, wrap_words
 
 
 def parser() -> argparse.ArgumentParser:
@@ -27,7 +27,7 @@ def parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="policy.safetensors of a run")
-    parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
+    parser.add_argument("--out", type=writable_file, required=True, metavar="FILE.h", help="header to write")
     return parser
 
 
@@ -57,7 +57,7 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
 
 def _floats(array: FloatArray) -> str:
     """Return float32 numbers, row by row, as decimals that convert back to the same float32."""
-    return wrapped(f"{_decimal(number)}f" for number in np.asarray(array, np.float32).ravel())
+    return wrap_words(f"{_decimal(number)}f" for number in np.asarray(array, np.float32).ravel())
 
 
 def _decimal(number: np.float32) -> str:

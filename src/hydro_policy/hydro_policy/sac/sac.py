@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from hydro_core.files.tensors import UnsoundError, check_numbers, check_shapes
+from hydro_core.files.tensors import InvalidTensorError, check_numbers, check_shapes
 from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.dense import BATCH_MAX, BLOCK, ROW, Floats, affine, outer, relu, relu_gradient
@@ -585,10 +585,10 @@ def _opened(blob: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
         length = int.from_bytes(blob[:8], "little")
         header: dict[str, Any] = json.loads(json.loads(blob[8 : 8 + length])["__metadata__"]["hydro"])
         if "actor.parameters" not in tensors:
-            raise UnsoundError("actor.parameters is missing")
+            raise InvalidTensorError("actor.parameters is missing")
         counted = [header["counters"]["updates"], *(header["counters"][f"{name}.steps"] for name in _ADAMS)]
         if not all(isinstance(count, int) and count >= 0 for count in counted):
-            raise UnsoundError(f"its counters are {counted}")
+            raise InvalidTensorError(f"its counters are {counted}")
     except (SafetensorError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"not a whole agent: {' '.join(str(error).split())}") from error
     check_numbers(tensors)

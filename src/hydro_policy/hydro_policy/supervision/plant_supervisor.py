@@ -21,9 +21,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hydro_bridge.safety.limits import NARROW
+from hydro_bridge.safety.limits import PAPER_RANGES
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
-from hydro_core.files.site import ANEW
+from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import FAULTS, CorrectionStatus, Flag, FloatArray, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
@@ -47,7 +47,7 @@ def corrections(ready: Callable[[], bool]) -> Requirement:
 
 def fitting_filter(ready: Callable[[], bool]) -> Requirement:
     """The filter's model fits this bench, by the filter's own monitor of its predictions."""
-    hint = f"its model is not this bench's: {ANEW}"
+    hint = f"its model is not this bench's: {RECOMMISSION_HINT}"
     missing = f"the filter says MISMATCH for 300 s: {hint}"
     return Requirement(name="a filter that fits", ready=ready, hint=hint, within=300.0, missing=missing)
 
@@ -60,7 +60,7 @@ def learner(ready: Callable[[], bool]) -> Requirement:
     )
 
 
-FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)
+FALLBACK = (PAPER_RANGES.delta_kp_max, PAPER_RANGES.delta_ki_max)
 """Changes of K_p, K_i held while the filter reports MISMATCH: the upper end of the range that the guard then passes,
 the paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
 
@@ -79,7 +79,7 @@ LOST_AFTER = 0.1  # s without a sample
 UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law starts again"
 MISMATCH = (
     "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
-    f"range, under the compensated law its base gains; nothing is learned or begun; {ANEW}"
+    f"range, under the compensated law its base gains; nothing is learned or begun; {RECOMMISSION_HINT}"
 )
 FITS = "the filter's model fits again: going on"
 UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
@@ -214,7 +214,7 @@ class PlantSupervisor:
     @property
     def summary(self) -> str:
         """Condition and awaited requirements as text."""
-        return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.awaited}")
+        return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.missing_names}")
 
     def on_sample(self, flags: int, now: float) -> None:
         """Process a sample's flags."""
@@ -338,7 +338,7 @@ class PlantSupervisor:
             self._arm_anew(now)
         else:
             self._prompted = ""
-            sentence = f"not armed, still waiting for {self.readiness.awaited}: you are asked once all is ready"
+            sentence = f"not armed, still waiting for {self.readiness.missing_names}: you are asked once all is ready"
             self.outputs.say(sentence, warning=True)
 
     def _tell(self, now: float) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_bridge.conformance.reference import FADE
+from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_core.settings import SettingsError, check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_policy.task import recorded
@@ -97,7 +97,7 @@ class EvaluationSettings:
     def measured(self, case: Case) -> float:
         """Return the measured time [s]: whole periods, of a record what is left of it behind `settle`."""
         if case.pieces:
-            return max(FADE * (len(case.pieces) + 1) - self.settle, self.measure)
+            return max(FADE_TIME * (len(case.pieces) + 1) - self.settle, self.measure)
         frequency = case.signal.frequency
         return max(math.ceil(self.measure * frequency - 1e-9), self.periods) / frequency
 

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.conformance.reference import FADE
+from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 
@@ -29,7 +29,7 @@ BANDWIDTH = 3.0
 """Hz, of the low-pass, second order forwards and backwards."""
 FREQUENCIES = np.arange(0.5, 10.01, 0.25)
 """Hz, of a piece."""
-SAMPLES = round(FADE / SAMPLE_PERIOD)
+SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)
 """Samples between two pieces."""
 
 
@@ -72,7 +72,7 @@ def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     time, value = read(path)
     value = np.interp(np.arange(time[0], time[-1], SAMPLE_PERIOD), time, value)
     if len(value) < 3 * SAMPLES:
-        raise SettingsError(f"{path} is shorter than {3 * FADE:.1f} s")
+        raise SettingsError(f"{path} is shorter than {3 * FADE_TIME:.1f} s")
     smooth = sosfiltfilt(butter(2, BANDWIDTH, fs=1.0 / SAMPLE_PERIOD, output="sos"), value - value.mean())
     length = min(len(smooth), round(SECONDS / SAMPLE_PERIOD))
     energy = np.concatenate(([0.0], np.cumsum(smooth**2)))

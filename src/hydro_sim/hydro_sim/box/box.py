@@ -25,7 +25,7 @@ import numpy as np
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
 from hydro_core.settings import SettingsError, check, quantity
 from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, ReferenceSignal, StateArray
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_sim.box import firmware
 from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records
 from hydro_sim.model import equations, hydraulics
@@ -97,18 +97,18 @@ class BoxConfig:
             raise SettingsError(f"hold_timeout {self.hold_timeout:g} s is above trip_timeout {self.trip_timeout:g} s")
 
     def of_bench(self, bench: Bench) -> BoxConfig:
-        """Return these settings, which are for the nominal bench, for the box of another.
+        """Return these settings of the nominal bench's box, scaled to another bench.
 
         The compensated law's gains go with 1 + R, so that its loop closes at the same rate.
         """
         gain = (1.0 + stiffness_ratio(bench)) / (1.0 + _NOMINAL_RATIO)
-        law = self.compensated.enlarged(bench.size.force / NOMINAL.force, gain)
-        return replace(resized(self, NOMINAL, bench.size), compensated=law)
+        law = self.compensated.scaled(bench.size.force / NOMINAL.force, gain)
+        return replace(rescale(self, NOMINAL, bench.size), compensated=law)
 
     def constants(
         self, bench: Bench, sensors: Sensors | None = None, name: str = NAME, precision: Precision = "double"
     ) -> Records:
-        """Return hydro_config of a box: one record of `firmware.structures`, shape (1,).
+        """Return the firmware's configuration hydro_config: one record, shape (1,).
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ def _law(law: BoxLaw) -> tuple[Any, ...]:
 
 
 def stiffness_ratio(bench: Bench) -> float:
-    """Return R [-], the oil's stiffness with the spring relaxed over the spring's: h = -R f_l'."""
+    """Return R [-], the ratio of the oil's to the spring's stiffness at rest: h = -R f_l'."""
     numbers = bench.constants().view(np.recarray)[0]
     position = min(max(numbers.spring_rest_position, 0.0), numbers.stroke)
     stiff = equations.stiffnesses(numbers, (numbers.bulk_modulus, numbers.bulk_modulus), position)
@@ -175,9 +175,9 @@ class Box:
     Parameters
     ----------
     bench, config, sensors
-        What its force law believes, its settings, and the ages of its rates.
+        Bench that its force law assumes, its settings, and the filters of its rates.
     name, epoch
-        What it calls itself on the line, and the number of its power-on.
+        Name in HELLO, and number of the power-on.
     precision
         Of its numbers.
 
@@ -204,18 +204,18 @@ class Box:
         self.reset(epoch)
 
     def reset(self, epoch: int | None = None) -> None:
-        """Power it on anew, as the next epoch unless one is given: disarmed, no command seen, sequence 0."""
+        """Restart the box, as the next epoch unless one is given: disarmed, without command, sequence 0."""
         self.epoch = self.epoch % 0xFFFFFFFF + 1 if epoch is None else epoch
         self._code.hydro_c_power_on(*self._memory, self.epoch)
 
     def receive(self, command: Command, time: float) -> None:
-        """Take a command in at box time [s], past the line: its numbers stay float64."""
+        """Receive a command at box time [s] without the serial line; its numbers stay float64."""
         fill_command(self._command, command)
-        self._code.hydro_c_receive(*self._memory, firmware.at(self._command), time)
+        self._code.hydro_c_receive(*self._memory, firmware.address_of(self._command), time)
 
-    def take(self, data: bytes) -> None:
-        """Process bytes that arrived over the line; the next `tick` takes the newest command in."""
-        self._code.hydro_c_bytes(firmware.at(self.state), data, len(data))
+    def feed(self, data: bytes) -> None:
+        """Feed bytes received over the line; the next `tick` uses the newest command."""
+        self._code.hydro_c_bytes(firmware.address_of(self.state), data, len(data))
 
     def tick(self, measurement: FloatArray, time: float) -> np.void:
         """Run one sample at box time [s] on a measurement x, shape (8,); return a record of `STATE_DTYPE`.
@@ -224,19 +224,19 @@ class Box:
         """
         output: StateArray = np.zeros(1, STATE_DTYPE)
         read = np.ascontiguousarray(measurement, np.float64)
-        self._code.hydro_c_tick(*self._memory, firmware.at(read), time, firmware.at(output))
+        self._code.hydro_c_tick(*self._memory, firmware.address_of(read), time, firmware.address_of(output))
         sample: np.void = output[0]
         return sample
 
     def frames(self) -> bytes:
-        """Return the bytes that go up the line after a `tick`."""
+        """Return the frames to send after a `tick`, as bytes."""
         out = np.empty(firmware.BURST_MAX, np.uint8)
-        count = self._code.hydro_c_frames(*self._memory, firmware.at(out))
+        count = self._code.hydro_c_frames(*self._memory, firmware.address_of(out))
         return out[:count].tobytes()
 
     @property
     def refused(self) -> tuple[int, int]:
-        """Numbers of values in commands that were not finite or out of range, and of references, since the reset."""
+        """Numbers of values and of references in commands that were refused since the reset."""
         values, references = self.state["guard"]["refused"][0].tolist()
         return values, references
 
@@ -246,7 +246,7 @@ class Box:
 
     @property
     def _memory(self) -> tuple[int, int]:
-        return firmware.at(self.state), firmware.at(self.settings)
+        return firmware.address_of(self.state), firmware.address_of(self.settings)
 
 
 def with_base_gains(kp: float, ki: float) -> BoxConfig:
@@ -263,13 +263,13 @@ def with_base_gains(kp: float, ki: float) -> BoxConfig:
 
 
 def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
-    """The HELLO of a box with these settings, under this name."""
+    """Return the HELLO of a box with these settings."""
     settings = {entry.name: getattr(config, entry.name) for entry in fields(BoxInfo) if hasattr(config, entry.name)}
     return BoxInfo(name=name, valve_current_max=bench.valve_current_max, **settings)
 
 
 def law_state(state: np.void) -> LawState:
-    """Force law as it acted in the last sample, of a record of hydro_box."""
+    """Return the force law's state in the last sample from a record of hydro_box."""
     acting = state["acting"]
     a_0, a_1, a_2, a_3, c_1, c_2 = acting["shaping"].tolist()
     followed = float(acting["reference"]), float(acting["reference_rate"])
@@ -277,7 +277,7 @@ def law_state(state: np.void) -> LawState:
 
 
 def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
-    """Fields of a record of hydro_signal."""
+    """Return a reference as the fields of a record of hydro_signal."""
     return signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0
 
 

@@ -28,7 +28,7 @@ from numba.extending import intrinsic
 from hydro_bridge.serial.protocol import GAIN_FIELDS
 from hydro_core.settings import SettingsError
 from hydro_core.signals import FloatArray, ReferenceSignal
-from hydro_sim.model.machine_code import call
+from hydro_sim.model.machine_code import declare_call
 
 Precision = Literal["double", "single"]
 Records = npt.NDArray[np.void]
@@ -124,7 +124,7 @@ def library_path(precision: Precision) -> Path:
 
 @cache
 def library(precision: Precision = "double") -> ctypes.CDLL:
-    """Return the library, its functions declared. Raises SettingsError: it is not built, or of another version."""
+    """Load the firmware's library. Raises SettingsError: it is not built, or of another version."""
     code = ctypes.CDLL(str(library_path(precision)))
     number, count = ctypes.c_double, ctypes.c_size_t
     declared: dict[str, tuple[Any, list[Any]]] = {
@@ -152,12 +152,12 @@ def library(precision: Precision = "double") -> ctypes.CDLL:
     return code
 
 
-def at(array: npt.NDArray[Any]) -> int:
+def address_of(array: npt.NDArray[Any]) -> int:
     """Return the address of an array's memory."""
     return array.ctypes.data
 
 
-class Calls(NamedTuple):
+class FunctionAddresses(NamedTuple):
     """Addresses of the library's functions in this process, for `receive` and `tick`."""
 
     receive: int
@@ -165,23 +165,23 @@ class Calls(NamedTuple):
 
 
 @cache
-def calls(precision: Precision = "double") -> Calls:
-    """Return the addresses. Raises SettingsError, as `library`."""
+def function_addresses(precision: Precision = "double") -> FunctionAddresses:
+    """Return the addresses of the library's functions. Raises SettingsError, as `library`."""
     code = library(precision)
     functions = (code.hydro_c_receive, code.hydro_c_tick)
-    return Calls(*(ctypes.cast(function, Pointer).value or 0 for function in functions))
+    return FunctionAddresses(*(ctypes.cast(function, Pointer).value or 0 for function in functions))
 
 
 @intrinsic
 def receive(typingctx: Any, address: Any, box: Any, config: Any, command: Any, time: Any) -> Any:
-    """Take a command in at box time [s]. For numba."""
-    return call(types.void(types.int64, box, config, command, types.float64), "pppd")
+    """Numba intrinsic: receive a command at box time [s]."""
+    return declare_call(types.void(types.int64, box, config, command, types.float64), "pppd")
 
 
 @intrinsic
 def tick(typingctx: Any, address: Any, box: Any, config: Any, measurement: Any, time: Any, sample: Any) -> Any:
-    """Run one sample on a measurement, shape (8,), at box time [s] into a record of `STATE_DTYPE`. For numba."""
-    return call(types.void(types.int64, box, config, measurement, types.float64, sample), "pppdp")
+    """Numba intrinsic: run one sample on a measurement, shape (8,), at box time [s] into a record of `STATE_DTYPE`."""
+    return declare_call(types.void(types.int64, box, config, measurement, types.float64, sample), "pppdp")
 
 
 def nominal_current(
@@ -208,13 +208,15 @@ def nominal_current(
         C_1, C_2.
     """
     numbers = (error, action, reference_rate, kp, velocity_compensation, valve_gain_scale)
-    return float(library().hydro_c_nominal_current(at(config), at(np.ascontiguousarray(measurement)), *numbers))
+    return float(
+        library().hydro_c_nominal_current(address_of(config), address_of(np.ascontiguousarray(measurement)), *numbers)
+    )
 
 
 def reference_force(signal: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return value [N] and rate [N/s] of a signal that began at 0, at `times` [s], shape (n,)."""
+    """Return value [N] and rate [N/s] of a signal that starts at time 0, at `times` [s], shape (n,) each."""
     record, times = np.zeros(1, DOUBLE.signal), np.ascontiguousarray(times, np.float64)
     record[0] = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
     values, rates = np.empty(len(times)), np.empty(len(times))
-    library().hydro_c_play(at(record), at(times), len(times), at(values), at(rates))
+    library().hydro_c_play(address_of(record), address_of(times), len(times), address_of(values), address_of(rates))
     return values, rates

@@ -33,8 +33,8 @@ def initializer(value: Any, indent: str = "") -> str:
     return f"{{{', '.join(initializer(one, indent) for one in value)}}}"
 
 
-def wrapped(words: Iterable[str], indent: str = "    ") -> str:
-    """Comma-separated words in lines of at most 118 characters."""
+def wrap_words(words: Iterable[str], indent: str = "    ") -> str:
+    """Return words joined by commas, in lines of at most 118 characters."""
     return fill(", ".join(words), 118, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False)
 
 
@@ -44,12 +44,12 @@ def header_file(guard: str, origin: str, body: str) -> str:
     return f"{head}#ifndef {guard}\n#define {guard}\n\n{body}\n\n#endif\n"
 
 
-def header(config: Records) -> str:
+def render_header(config: Records) -> str:
     """Return a C header that defines `HYDRO_BOX_CONFIG` from a record of hydro_config in double precision, shape (1,).
 
     Decimals give the same doubles back.
     """
-    members = members_of(config[0])
+    members = record_members(config[0])
     members |= {name: repr(float(config[name][0])) for name in ("hold_timeout", "trip_timeout")}  # of type hydro_time
     name, digest = (config[field][0].tobytes().rstrip(b"\0").decode() for field in ("name", "digest"))
     body = f'#include "hydro/config.h"\n\nstatic const hydro_config HYDRO_BOX_CONFIG = {initializer(members)};'
@@ -57,15 +57,15 @@ def header(config: Records) -> str:
     return header_file("HYDRO_BOX_CONFIG_H", origin, body)
 
 
-def members_of(record: np.void) -> dict[str, Any]:
-    """Fields of a record for `initializer`; those that are records, or arrays of some, as mappings, too."""
+def record_members(record: np.void) -> dict[str, Any]:
+    """Return the fields of a record as nested mappings, for `initializer`."""
     members: dict[str, Any] = {}
     for name in record.dtype.names or ():
         value = record[name]
         if isinstance(value, np.void):
-            members[name] = members_of(value)
+            members[name] = record_members(value)
         elif value.dtype.names:
-            members[name] = [members_of(one) for one in value]
+            members[name] = [record_members(one) for one in value]
         else:
             members[name] = value
     return members

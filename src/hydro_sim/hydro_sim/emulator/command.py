@@ -11,8 +11,8 @@ from pathlib import Path
 from types import FrameType
 from typing import get_args
 
-from hydro_bridge.safety.pace import parse_pace, refuse_speed
-from hydro_core.cli.console import command, number, writable, writable_folder
+from hydro_bridge.safety.pace import parse_pace, reject_speed_option
+from hydro_core.cli.console import bounded_number, command, writable_file, writable_folder
 from hydro_core.process import endings
 from hydro_core.settings import SettingsError
 from hydro_sim.box.box import BoxConfig, Integral
@@ -22,7 +22,7 @@ from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.realtime import ControlPipe, Running, raise_priority
+from hydro_sim.emulator.realtime import ControlPipe, RealtimeEmulator, request_realtime
 from hydro_sim.excitation import load_schedule
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
@@ -31,7 +31,7 @@ from hydro_sim.model.bench import Bench
 @command(ValueError, OSError)
 def main() -> None:
     """Entry point."""
-    refuse_speed(sys.argv[1:])
+    reject_speed_option(sys.argv[1:])
     options = _parser().parse_args()
     if options.offline:
         _record(options)
@@ -45,9 +45,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--bench", metavar="FILE", help="what the box believes, and the numbers of the "
                         "emulated bench where --truth has no others (default: the nominal bench)")  # fmt: skip
     parser.add_argument(
-        "--seconds", type=number(1e-3, 36000.0), metavar="S", help="how long (default: until stopped, or the schedule)"
+        "--seconds",
+        type=bounded_number(1e-3, 36000.0),
+        metavar="S",
+        help="how long (default: until stopped, or the schedule)",
     )
-    parser.add_argument("--seed", type=number(0), default=0, metavar="N", help="of noise, random forces, link faults")
+    parser.add_argument(
+        "--seed", type=bounded_number(0), default=0, metavar="N", help="of noise, random forces, link faults"
+    )
     parser.add_argument(
         "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
     )
@@ -71,7 +76,10 @@ def _parser() -> argparse.ArgumentParser:
     group.add_argument("--offline", action="store_true")
     group.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
     group.add_argument(
-        "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
+        "--noise-free",
+        type=writable_file,
+        metavar="FILE.npz",
+        help="also write the run without noise, for scoring only",
     )
     group.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
     return parser
@@ -88,10 +96,10 @@ def _record(options: argparse.Namespace) -> None:
     if options.precision != "double":
         raise SettingsError("--precision is for a serial line: offline the box computes in double precision")
     began, bench = time.perf_counter(), _believed(options)
-    truth = offline.truth(options.truth, bench)
+    truth = offline.load_truth_config(options.truth, bench)
     segments = load_schedule(options.schedule) if options.schedule else offline.default_schedule(bench)
     if options.seconds is not None:
-        segments = offline.fit_to(segments, options.seconds)
+        segments = offline.fit_duration(segments, options.seconds)
     box = offline.with_gain_limits_for(segments, BoxConfig(integral=options.integral).of_bench(bench))
     recording = offline.record_offline(truth, segments, bench=bench, box=box, seed=options.seed)
     offline.write_bag(options.out, recording, bench)
@@ -104,15 +112,15 @@ def _serve(options: argparse.Namespace) -> None:
     if options.out or options.schedule or options.noise_free:
         raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
     bench, pace = _believed(options), parse_pace(options.pace)
-    box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.truth(options.truth, bench)
+    box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.load_truth_config(options.truth, bench)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
     machine = Machine(truth, bench, box, options.seed, precision=options.precision, epoch=epoch)
     machine.warm_up()
     terminal = Terminal(options.link or default_link())
     link = BoxLink(terminal, machine.box, faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
-    felt = load_force.create(options.load_force) if options.load_force else None
-    running = Running(machine, link, pace, control, felt)
+    felt = load_force.create_ring(options.load_force) if options.load_force else None
+    running = RealtimeEmulator(machine, link, pace, control, felt)
     stop = _stopper()
     told = _told(pace)
     print(f"port {terminal.path}, {told}: ros2 run hydro_bridge bridge --port {terminal.path}", flush=True)
@@ -137,7 +145,7 @@ def _serve(options: argparse.Namespace) -> None:
 def _told(pace: float | None) -> str:
     if pace is None:
         return "each sample waits for its host"
-    return f"1 kHz, {raise_priority()}" if pace == 1.0 else f"{pace:g} times real time"
+    return f"1 kHz, {request_realtime()}" if pace == 1.0 else f"{pace:g} times real time"
 
 
 def _stopper() -> list[int]:
@@ -145,8 +153,8 @@ def _stopper() -> list[int]:
     asked: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:
-        endings.let_go_of_terminal()
+        endings.detach_closed_terminal()
         asked.append(number)
 
-    endings.answer(ask)
+    endings.install_handlers(ask)
     return asked

@@ -21,7 +21,7 @@ from hydro_sim.model.bench import Bench
 
 
 @njit
-def exchange(code, settings, box, plant, scratch, noise, time, sample, clean, physical):
+def step_box_and_plant(code, settings, box, plant, scratch, noise, time, sample, clean, physical):
     """Advance box and plant by one sample, in place.
 
     Parameters
@@ -43,9 +43,9 @@ def exchange(code, settings, box, plant, scratch, noise, time, sample, clean, ph
     """
     parameters, differentiation, state, chain = plant
     copy_vector(clean, chain[0].clean)
-    truth.physical(state, physical)
+    truth.copy_physical(state, physical)
     firmware.tick(code.tick, box, settings, chain[0].measurement, time, sample)
-    truth.advance(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)
+    truth.advance_sample(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)
 
 
 class Machine:
@@ -91,7 +91,7 @@ class Machine:
 
     @property
     def law_state(self) -> LawState:
-        """Force law as it acted in the last sample."""
+        """State of the force law in the last sample."""
         return law_state(self.box.state[0])
 
     @property
@@ -100,14 +100,14 @@ class Machine:
         return self.samples * SAMPLE_PERIOD
 
     def warm_up(self) -> None:
-        """Run everything once, so that all is compiled, and start again."""
+        """Compile all kernels by one sample, then reset."""
         self.receive(Command())
         self.tick()
         self.plant.reset(self._seed)
         self.restart()
 
     def restart(self) -> None:
-        """Power-cycle the box: disarmed, sequence and clock from zero, the next epoch. The plant goes on."""
+        """Power-cycle the box: disarmed, sequence and clock from zero, next epoch. The plant's state is kept."""
         self.box.reset()
         self.samples = 0
 
@@ -116,11 +116,11 @@ class Machine:
         self.box.receive(command, self.time)
 
     def tick(self) -> np.void:
-        """Run one sample; return a record of `STATE_DTYPE`. `clean` and `physical` then belong to it."""
+        """Run one sample; return its record of `STATE_DTYPE`. Sets `clean` and `physical` of this sample."""
         sample: StateArray = np.empty(1, STATE_DTYPE)
-        box, plant, code = self.box, self.plant, firmware.calls(self.box.precision)
+        box, plant, code = self.box, self.plant, firmware.function_addresses(self.box.precision)
         place = (self.time, sample, self.clean, self.physical)
-        exchange(code, box.settings, box.state, self.records, plant.work, plant.noise.row(), *place)
+        step_box_and_plant(code, box.settings, box.state, self.records, plant.work, plant.noise.row(), *place)
         self.samples += 1
         record: np.void = sample[0]
         return record
@@ -145,7 +145,7 @@ class Machine:
         states = np.empty(count, STATE_DTYPE)
         clean, physical = np.empty((count, len(PLANT_FIELDS))), np.empty((count, len(truth.TRUTH_FIELDS)))
         noise = self.plant.noise.rows(count)
-        box = (firmware.calls(self.box.precision), self.box.settings, self.box.state)
+        box = (firmware.function_addresses(self.box.precision), self.box.settings, self.box.state)
         _run(box, self.records, self.plant.work, noise, self.samples, commands, which, states, clean, physical)
         self.samples += count
         return states, clean, physical
@@ -157,4 +157,6 @@ def _run(box, plant, scratch, noise, first, commands, which, states, clean, phys
     for k in range(len(which)):
         time = (first + k) * SAMPLE_PERIOD
         firmware.receive(code.receive, memory, settings, commands[which[k] : which[k] + 1], time)
-        exchange(code, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k])
+        step_box_and_plant(
+            code, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k]
+        )

@@ -16,7 +16,7 @@ import yaml
 from hydro_bridge.bags.recording import BagWriter
 from hydro_core.settings import from_mapping
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
-from hydro_core.size import resized
+from hydro_core.size import rescale
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
@@ -79,7 +79,7 @@ def record_offline(
 
 
 def with_gain_limits_for(segments: Sequence[Segment], base: BoxConfig | None = None) -> BoxConfig:
-    """`base` (absent: the defaults) with gain limits wide enough for the segments."""
+    """Return `base` (None: the defaults) with gain limits wide enough for the segments."""
     base = base or BoxConfig()
     kp = [segment.kp - base.base_kp for segment in segments]
     ki = [segment.ki - base.base_ki for segment in segments]
@@ -126,10 +126,10 @@ DEFAULT_SCHEDULE = (
 
 def default_schedule(bench: Bench) -> list[Segment]:
     """Return the default schedule for a bench of this size."""
-    return [resized(segment, NOMINAL, bench.size) for segment in DEFAULT_SCHEDULE]
+    return [rescale(segment, NOMINAL, bench.size) for segment in DEFAULT_SCHEDULE]
 
 
-def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
+def fit_duration(segments: Sequence[Segment], seconds: float) -> list[Segment]:
     """Repeat or cut the segments so that they last `seconds` in total."""
     result: list[Segment] = []
     left = seconds
@@ -141,7 +141,7 @@ def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
 
 
 def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:
-    """Write what the bench recorded as a rosbag2 folder; the truth stays out of it.
+    """Write the recording as a rosbag2 folder, without the truth.
 
     Box time 0 becomes the present second of ROS time.
     """
@@ -152,8 +152,8 @@ def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:
         bag.write_states(states)
 
 
-def truth(path: str | None, bench: Bench) -> TruthConfig:
-    """Truth of a YAML file, absent: the default profile; its numbers are those of `bench` where the file has no other.
+def load_truth_config(path: str | None, bench: Bench) -> TruthConfig:
+    """Load the truth of a YAML file (None: the default profile), with numbers of `bench` where the file has none.
 
     Raises SettingsError: as `truth_from_mapping`, or a number of `bench` is outside of what can be emulated.
     """

@@ -14,16 +14,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from hydro_core.process.realtime import Pacer, exact_timers, limit_run
+from hydro_core.process.realtime import Pacer, disable_timer_slack, limit_run_time
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD
-from hydro_sim.emulator.line.faults import CHANCES, LinkFaults
+from hydro_sim.emulator.line.faults import FAULT_NAMES, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.files import load_force
 
-ORDERS = (*CHANCES, "stall", "unplug", "clear", "reboot")
+COMMANDS = (*FAULT_NAMES, "stall", "unplug", "clear", "reboot")
 
 
 class ControlPipe:
@@ -56,11 +56,13 @@ class ControlPipe:
             self.path.unlink()
 
 
-def execute(order: str, machine: Machine, link: BoxLink, now: float) -> None:
+def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> None:
     """Execute one command at time `now` [s]. Raises SettingsError if it is not an order."""
     word, *rest = order.split() or [""]
-    if word not in ORDERS or len(rest) != (0 if word in ("clear", "reboot") else 1):
-        raise SettingsError(f"order {order!r} is none of: {', '.join(ORDERS)}; all but clear and reboot take a number")
+    if word not in COMMANDS or len(rest) != (0 if word in ("clear", "reboot") else 1):
+        raise SettingsError(
+            f"order {order!r} is none of: {', '.join(COMMANDS)}; all but clear and reboot take a number"
+        )
     number = _number(rest[0]) if rest else 0.0
     if word == "clear":
         link.set_faults(LinkFaults())
@@ -93,8 +95,8 @@ SILENCE_MAX = 90.0
 """s of wall clock without a frame after which a host counts as dead; while its graph works it sends one a second."""
 
 
-class Running:
-    """The running emulator.
+class RealtimeEmulator:
+    """Emulated bench on its line, in real time or paced by its host.
 
     ======== ======================================================================================================
     pace     when the next sample follows
@@ -160,7 +162,7 @@ class Running:
         self._deserted = self._deserted and self.link.host.time_us != self._sent_us
         sample = self.machine.tick()
         if self.load_force is not None:
-            load_force.keep(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
+            load_force.write_force(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
         self.link.send(now)
         self._sent_us = round(1e6 * float(sample["time"]))
 
@@ -178,7 +180,7 @@ class Running:
                 return True
             if host.greetings > greetings:  # greeted again before the answer came, which is in the last sample's frames
                 greetings = host.greetings
-                link.send_again(now)
+                link.resend(now)
             if self._deserted or not host.follows:
                 return False
             waited = time.monotonic() - began
@@ -197,16 +199,16 @@ class Running:
     def _obey(self, now: float) -> None:
         for order in self.control.lines() if self.control is not None else ():
             try:
-                execute(order, self.machine, self.link, now)
+                execute_command(order, self.machine, self.link, now)
             except SettingsError as error:
                 print(f"error: {error}", file=sys.stderr)
 
 
-def raise_priority() -> str:
-    """Ask the kernel for real-time scheduling and exact timers; returns a sentence on what was granted."""
-    exact_timers()
+def request_realtime() -> str:
+    """Request SCHED_FIFO and exact timers from the kernel; return a message on what was granted."""
+    disable_timer_slack()
     try:
-        limit_run()
+        limit_run_time()
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
         return "SCHED_FIFO 40"
     except (OSError, AttributeError):

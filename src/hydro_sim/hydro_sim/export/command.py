@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args
 
-from hydro_core.cli.console import UserError, command, writable
+from hydro_core.cli.console import UserError, command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_sim.box.box import NAME, BoxConfig, Integral
-from hydro_sim.box.header import header
-from hydro_sim.export.model import Exported
+from hydro_sim.box.header import render_header
+from hydro_sim.export.model import ExportedModel
 from hydro_sim.model.bench import Bench
 
 FORMATS = {
@@ -27,7 +27,7 @@ FORMATS = {
 
 
 def parser() -> argparse.ArgumentParser:
-    """Parser of the command line."""
+    """Return the argument parser."""
     parser = argparse.ArgumentParser(
         prog="export",
         description="Write a bench for another program, its effects and closures with it. Input: valve current [A]. "
@@ -36,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     )
     formats = parser.add_mutually_exclusive_group(required=True)
     for name, (suffix, text) in FORMATS.items():
-        formats.add_argument(f"--{name}", type=writable, metavar=f"FILE{suffix}", help=text)
+        formats.add_argument(f"--{name}", type=writable_file, metavar=f"FILE{suffix}", help=text)
     parser.add_argument(
         "--bench", type=Path, metavar="FILE", help="bench.yaml, or corrected.yaml of `diagnose`, whose report.json "
         "beside it gives the intervals of the FMU's parameters; default: nominal",
@@ -61,7 +61,7 @@ def main() -> None:
         raise UserError(f"--name {options.name!r}: a box is named by letters, digits, spaces, _, . and -")
     name = re.sub(r"\W|^(?=\d)", "_", out.stem, flags=re.ASCII)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    exported = Exported(bench, intervals_beside(options.bench) if options.bench else ())
+    exported = ExportedModel(bench, read_intervals(options.bench) if options.bench else ())
     content: str | bytes
     if kind == "fmu":
         content = exported.fmu(name)
@@ -71,17 +71,17 @@ def main() -> None:
         content = exported.simulink(name)
     elif kind == "box":
         config = BoxConfig(integral=options.integral).of_bench(bench)
-        content = header(config.constants(bench, name=options.name))
+        content = render_header(config.constants(bench, name=options.name))
     else:
-        content = exported.mujoco() if kind == "mujoco" else exported.c()
+        content = exported.mujoco() if kind == "mujoco" else exported.c_source()
     write_whole(out, content.encode() if isinstance(content, str) else content)
     print(f"{out}: bench {bench.digest}, {f'box {options.name}' if kind == 'box' else f'{len(bench.terms)} effects'}")
-    if kind == "fmu" and exported.stepping:
-        print(f"co-simulation only: {', '.join(exported.stepping)} move on by whole steps")
+    if kind == "fmu" and exported.discrete_effects:
+        print(f"co-simulation only: {', '.join(exported.discrete_effects)} move on by whole steps")
 
 
-def intervals_beside(bench: Path) -> Iterator[tuple[str, float, float, float]]:
-    """Yield name, value and 95 % interval of what was estimated, from the report.json beside a corrected.yaml."""
+def read_intervals(bench: Path) -> Iterator[tuple[str, float, float, float]]:
+    """Yield name, value and 95 % interval of each estimate, from the report.json beside a corrected.yaml."""
     try:
         report = json.loads((bench.parent / "report.json").read_text(encoding="utf-8"))
         estimates: list[tuple[str, Any]] = [(one["name"], one) for one in report["estimated"]]

@@ -33,7 +33,7 @@ FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
 """Of the FMU's binary, which is for any processor of this kind: no -march."""
 OUTPUTS = dict(zip(READINGS, ("N", "N", "Pa", "Pa", "m"), strict=True))
 """Outputs with their units."""
-FIRST = 2 + len(OUTPUTS)
+FIRST_PARAMETER_REFERENCE = 2 + len(OUTPUTS)
 """First value reference of an FMU's parameters, behind time, current and outputs."""
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("hydro_sim.export"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
@@ -41,8 +41,8 @@ _TEMPLATES = jinja2.Environment(
 _TEMPLATES.filters["quoted"] = json.dumps  # a string of C and of Python
 
 
-class Exported:
-    """A bench, ready to be written for another program.
+class ExportedModel:
+    """Bench model for export to other programs.
 
     Parameters
     ----------
@@ -57,35 +57,35 @@ class Exported:
         self._intervals = {(name, value): (low, high) for name, value, low, high in intervals}
 
     @property
-    def stepping(self) -> list[str]:
-        """Effects with states that only an integration step moves on, which rule model exchange out."""
-        kinds = {catalogue.label(entry): catalogue.kind_of(entry)[0].effect for entry in self.bench.terms}
+    def discrete_effects(self) -> list[str]:
+        """Effects with discrete states, which rule out FMI model exchange."""
+        kinds = {catalogue.label(entry): catalogue.parse_entry(entry)[0].effect for entry in self.bench.terms}
         found = [
             label for label, kind in kinds.items()
             if not (kind.acts_in("flow") or all(one.integrated for one in kind.states))
         ]  # fmt: skip
         return [*found, *([DEAD_TIME.partition(".")[0]] if self.model.structure.past else [])]
 
-    def c(self) -> str:
-        """The model in C99."""
+    def c_source(self) -> str:
+        """Return the model's C99 source."""
         return self._rendered("model.c.j2", source=exported_source(self.model.symbols(), self.model.substeps))
 
     def simulink(self, name: str) -> str:
-        """The source of a level-2 S-function of this name."""
+        """Return the source of a level-2 S-function of this name."""
         return self._static + self._rendered("simulink.c.j2", name=name)
 
     def mujoco(self) -> str:
-        """A Python module with the cylinder as an actuator of MuJoCo."""
+        """Return a Python module with the cylinder as an actuator of MuJoCo."""
         mass = [one.name for one in self.model.parameters].index("moving_mass")
         return self._rendered("mujoco.py.j2", code=self._static, mass=mass)
 
     def fmu(self, name: str) -> bytes:
-        """The archive of an FMU with this model identifier.
+        """Return the archive of an FMU with this model identifier.
 
         Raises ValueError: there is no C compiler, or it fails.
         """
         token = hashlib.sha256(self._static.encode()).hexdigest()[:32]
-        common = {"name": name, "token": token, "exchange": not self.stepping}
+        common = {"name": name, "token": token, "exchange": not self.discrete_effects}
         scales = [one.scale for one in self.model.states]
         source = self._static + self._rendered("fmu.c.j2", scales=scales, **common)
         with tempfile.TemporaryDirectory() as place:
@@ -108,10 +108,10 @@ class Exported:
         """modelDescription.xml; without model exchange of the states only those that may be set."""
         exchange, count = common["exchange"], len(self.model.states)
         rest = hydraulics.rest_state(self.bench.constants()[0]).tolist()
-        terms = [(catalogue.label(entry), catalogue.kind_of(entry)[0].effect.states) for entry in self.bench.terms]
+        terms = [(catalogue.label(entry), catalogue.parse_entry(entry)[0].effect.states) for entry in self.bench.terms]
         labels = [*("" for _ in rest), *(f"{label}." for label, states in terms for _ in states)]
-        names = unique(f"{label}{one.name}" for label, one in zip(labels, self.model.states, strict=False))
-        first = FIRST + len(self.model.parameters)
+        names = unique_names(f"{label}{one.name}" for label, one in zip(labels, self.model.states, strict=False))
+        first = FIRST_PARAMETER_REFERENCE + len(self.model.parameters)
         states = [
             {"name": name, "unit": one.unit, "reference": first + i, "derivative": first + count + i}
             for i, (name, one) in enumerate(zip(names, self.model.states, strict=False))
@@ -121,25 +121,26 @@ class Exported:
         units = {"s", "A", *OUTPUTS.values(), *(one["unit"] for one in (*self._parameters, *states))} - {"-"}
         return self._rendered(
             "modelDescription.xml.j2", outputs=OUTPUTS, units=sorted(units), states=states, start=rest, sliding=sliding,
-            unknown=[*range(2, FIRST), *unknown], **common,
+            unknown=[*range(2, FIRST_PARAMETER_REFERENCE), *unknown], **common,
         )  # fmt: skip
 
     @cached_property
     def _static(self) -> str:
-        return f"#define HYDRO_API static\n{self.c()}"
+        return f"#define HYDRO_API static\n{self.c_source()}"
 
     @cached_property
     def _parameters(self) -> list[dict[str, Any]]:
         """Parameters in the model's order, by unique names."""
         numbers, listed = self.bench.quantities(), list[dict[str, Any]]()
-        names = unique(
+        names = unique_names(
             f"bench.{one.name}" if i < len(numbers) else one.name for i, one in enumerate(self.model.parameters)
         )
-        room = max(self.model.structure.past - 2, 0) * SAMPLE_PERIOD - catalogue.delay(self.bench.effects)
+        room = max(self.model.structure.past - 2, 0) * SAMPLE_PERIOD - catalogue.total_delay(self.bench.effects)
         for i, (one, value) in enumerate(zip(self.model.parameters, self.model.values.tolist(), strict=True)):
             listed.append({
                 "name": names[i], "unit": one.unit, "value": value,
-                "low": one.low, "high": value + room if one.name == DEAD_TIME else one.high, "reference": FIRST + i,
+                "low": one.low, "high": value + room if one.name == DEAD_TIME else one.high,
+                "reference": FIRST_PARAMETER_REFERENCE + i,
                 "meaning": numbers[one.name].meaning if i < len(numbers) else "",
                 "ci95": self._intervals.get((one.name.rpartition(".")[2], value)),
             })  # fmt: skip
@@ -154,8 +155,8 @@ class Exported:
         )  # fmt: skip
 
 
-def unique(names: Iterable[str]) -> list[str]:
-    """The names, the second of the same with [2] behind it."""
+def unique_names(names: Iterable[str]) -> list[str]:
+    """Return the names with [2], [3], ... appended to repeated ones."""
     seen, found = Counter[str](), list[str]()
     for name in names:
         seen[name] += 1

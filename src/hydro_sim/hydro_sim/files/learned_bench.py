@@ -20,29 +20,29 @@ if TYPE_CHECKING:
 BENCH_FILES = (".yaml", ".yml")
 
 
-def shipped() -> Path:
-    """Path of the learned bench shipped with this package."""
+def shipped_bench() -> Path:
+    """Return the path of the learned bench shipped with this package."""
     return Path(str(resources.files("hydro_sim") / "data" / "learned_bench.yaml"))
 
 
 def is_bench_file(path: str | Path) -> bool:
-    """Return whether a file's name is a bench file's."""
+    """Return whether a file has the suffix of a bench file."""
     return Path(path).suffix in BENCH_FILES
 
 
 def read(path: str | Path | None = None) -> Bench:
     """Read a bench file; None: the shipped one. Raises ValueError: it is invalid."""
-    return Bench.load(path or shipped())
+    return Bench.load(path or shipped_bench())
 
 
 def load_model(path: str | Path | None = None) -> Bench:
-    """Load a bench that a certificate may rest on; None: the shipped one.
+    """Load a bench of sufficient prediction quality for a certificate; None: the shipped one.
 
-    Raises ValueError: as `read`, or the file states that it predicts the bench badly.
+    Raises ValueError: as `read`, or the file states a prediction error that is too large.
     """
     bench = read(path)
-    if bench.unfit:
-        raise ValueError(f"{path}: {bench.unfit}")
+    if bench.rejection_reason:
+        raise ValueError(f"{path}: {bench.rejection_reason}")
     return bench
 
 
@@ -56,18 +56,18 @@ def make_plant(path: str | Path | None = None, *, noise: float = 1.0) -> Analyti
 
 
 def digest(path: str | Path | None = None) -> str:
-    """Digest that identifies a learned bench: of the bench file's keys and numbers."""
+    """Return the digest of a learned bench's keys and numbers."""
     return read(path).digest
 
 
 def box_mismatch(path: str | Path | None, box: BoxIdentity, remedy: str) -> str:
-    """Return why a learned bench is not of a box, in one sentence; empty if it is: the user's own is of any."""
-    if path is not None and Path(path) != shipped():
+    """Return an error message if a learned bench was made for another box; empty if not, and for user files."""
+    if path is not None and Path(path) != shipped_bench():
         return ""
     made = MadeFor(box=Bench.nominal().digest)
-    return mismatch(f"the model {shipped().name}", made, box, remedy)
+    return mismatch(f"the model {shipped_bench().name}", made, box, remedy)
 
 
 def require_match(path: str | Path | None, box: BoxIdentity, remedy: str) -> None:
-    """Raise PairingError if a learned bench is not of a box."""
+    """Raise PairingError if a learned bench was made for another box."""
     raise_if_mismatched(box_mismatch(path, box, remedy))

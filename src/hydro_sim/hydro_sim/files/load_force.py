@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last forces on an emulated load, in front of its cell: a file that the emulator writes and scores are made from.
+"""Ring file of the true load forces of an emulated bench, written by the emulator and read for scores.
 
 No sensor shows them: for scoring only.
 """
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from hydro_core.signals import FloatArray
 
-SAMPLES = 1 << 17
+RING_SIZE = 1 << 17
 """Number of samples that are kept, 131 s."""
 
 _DTYPE = np.dtype([("force", np.float64), ("sequence", np.uint32), ("known", np.uint32)])
@@ -21,19 +21,19 @@ _DTYPE = np.dtype([("force", np.float64), ("sequence", np.uint32), ("known", np.
 Ring = npt.NDArray[np.void]
 
 
-def create(path: Path) -> Ring:
-    """Create the file; write to it by `keep`."""
-    return np.memmap(path, _DTYPE, "w+", shape=(SAMPLES,))
+def create_ring(path: Path) -> Ring:
+    """Create the ring file; write to it by `write_force`."""
+    return np.memmap(path, _DTYPE, "w+", shape=(RING_SIZE,))
 
 
-def keep(ring: Ring, sequence: int, force: float) -> None:
-    """Write the force [N] of a sample."""
-    ring[sequence % SAMPLES] = (force, sequence, 1)
+def write_force(ring: Ring, sequence: int, force: float) -> None:
+    """Write the true load force [N] of sample `sequence`."""
+    ring[sequence % RING_SIZE] = (force, sequence, 1)
 
 
-def read(path: Path, sequences: npt.NDArray[np.uint32]) -> FloatArray:
-    """Return the forces [N] of these samples, shape (n,); NaN where one is not kept, or there is no file."""
+def read_forces(path: Path, sequences: npt.NDArray[np.uint32]) -> FloatArray:
+    """Return the forces [N] of these samples, shape (n,); NaN where overwritten, or without a file."""
     if not path.is_file():
         return np.full(len(sequences), np.nan)
-    entries = np.memmap(path, _DTYPE, "r", shape=(SAMPLES,))[sequences % SAMPLES]
+    entries = np.memmap(path, _DTYPE, "r", shape=(RING_SIZE,))[sequences % RING_SIZE]
     return np.where((entries["sequence"] == sequences) & (entries["known"] == 1), entries["force"], np.nan)

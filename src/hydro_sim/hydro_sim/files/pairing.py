@@ -29,7 +29,7 @@ from hydro_core.errors import UserError
 from hydro_core.size import Size
 from hydro_sim.model.bench import Bench
 
-ENTRY = "made_for"
+HEADER_KEY = "made_for"
 """Key of the entry in a file's header."""
 
 
@@ -80,25 +80,25 @@ class BoxIdentity:
     def of_box(cls, box: KnownBox) -> BoxIdentity:
         """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
-        size, integral = Size.if_known(yaml.safe_load(box.bench)), box.info.integral
+        size, integral = Size.of_known_bench(yaml.safe_load(box.bench)), box.info.integral
         return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=integral, size=size)
 
     @property
     def description(self) -> str:
-        """Return a description for use in sentences."""
+        """Description for messages."""
         return f"{self.digest} ({self.source})"
 
 
-def made_for(header: Mapping[str, Any]) -> MadeFor | None:
-    """Return the provenance in a file's header; None if there is none that can be read."""
+def parse_provenance(header: Mapping[str, Any]) -> MadeFor | None:
+    """Return the provenance in a file's header; None if it is missing or unreadable."""
     try:
-        return MadeFor(**header[ENTRY])
+        return MadeFor(**header[HEADER_KEY])
     except (KeyError, TypeError):
         return None
 
 
 def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *, model: str | None = None) -> str:
-    """Return why `thing` does not match this box, in one sentence that ends with the remedy; empty if it does.
+    """Return an error message with remedy if `thing` was made for another box; empty if it matches.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *,
 
 
 def raise_if_mismatched(trouble: str) -> None:
-    """Raise PairingError unless `trouble` is empty."""
+    """Raise PairingError with the message `trouble`, unless it is empty."""
     if trouble:
         raise PairingError(trouble)
 
@@ -149,19 +149,19 @@ def header_of(blob: bytes) -> dict[str, Any]:
 def read_provenance(path: Path) -> MadeFor | None:
     """Return the provenance of a file; None if it has none or is of another project."""
     try:
-        return made_for(header_of(path.read_bytes()))
+        return parse_provenance(header_of(path.read_bytes()))
     except ValueError:
         return None
 
 
 def with_provenance(blob: bytes, made: MadeFor | None) -> bytes:
-    """Return the same tensors with this provenance; None: with none.
+    """Return a safetensors blob with its provenance replaced; None: removed.
 
     Raises ValueError: see `header_of`, or the file is not whole.
     """
-    header = {key: value for key, value in header_of(blob).items() if key != ENTRY}
+    header = {key: value for key, value in header_of(blob).items() if key != HEADER_KEY}
     if made is not None:
-        header[ENTRY] = asdict(made)
+        header[HEADER_KEY] = asdict(made)
     try:
         tensors = load(blob)
     except SafetensorError as error:

@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.bags.recording import RecordingError, objects, read_bag
+from hydro_bridge.bags.recording import RecordingError, read_bag, read_messages
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
+from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, to_matrix
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 
 LAW_TOPIC = "/hydro/box_law"
 
 BOX_TOPIC = "/hydro/box"
 
-SHORTEST = 2000
+MIN_SAMPLES = 2000
 """Shortest run [samples] that is used."""
 
-VALIDATION = 1000
+MIN_VALIDATION_SAMPLES = 1000
 """Smallest number of validation samples of a run: room for a few predictions after an observer has settled."""
 
 READING_COLUMNS = (0, 2, 4, 5, 6)
@@ -37,7 +37,7 @@ class DataError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """Successive samples without a gap: u[k] is held from x[k] to x[k + 1]."""
+    """Consecutive samples without a gap; u[k] is held from x[k] to x[k + 1]."""
 
     name: str
     """Name of the recording."""
@@ -56,26 +56,26 @@ class Run:
         """The five readings, shape (n, 5)."""
         return np.ascontiguousarray(self.x[:, READING_COLUMNS])
 
-    def part(self, begin: int, end: int) -> Run:
-        """Samples begin:end."""
+    def slice(self, begin: int, end: int) -> Run:
+        """Return the samples `begin` to `end` (exclusive)."""
         return Run(name=self.name, x=self.x[begin:end], u=self.u[begin:end], first=self.first + begin)
 
 
 def digest(states: StateArray) -> str:
-    """SHA-256 of a recording's samples: sequence, x and u."""
+    """Return the SHA-256 digest of a recording's samples: sequence, x and u."""
     sha = hashlib.sha256(np.ascontiguousarray(states["sequence"]).tobytes())
-    sha.update(matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes())
+    sha.update(to_matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes())
     return sha.hexdigest()
 
 
-def runs(name: str, states: StateArray) -> list[Run]:
+def split_runs(name: str, states: StateArray) -> list[Run]:
     """Return the gapless runs of a recording that are long enough and have valid sensors."""
-    x, u = matrix(states), np.ascontiguousarray(states["valve_current"])
+    x, u = to_matrix(states), np.ascontiguousarray(states["valve_current"])
     good = np.isfinite(x).all(axis=1) & np.isfinite(u) & ((states["flags"] & Flag.SENSOR_FAULT) == 0)
     joined = good[1:] & good[:-1] & (np.diff(states["sequence"]).view(np.int32) == 1)
     edges = np.flatnonzero(~np.concatenate(([False], joined, [False])))
     found = [Run(name=name, x=x[a:b], u=u[a:b], first=int(a)) for a, b in pairwise(edges)]
-    return [run for run in found if len(run) >= SHORTEST and good[run.first]]
+    return [run for run in found if len(run) >= MIN_SAMPLES and good[run.first]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,24 +88,24 @@ class Data:
     """SHA-256 of each recording's samples, by name."""
 
 
-def load(paths: Sequence[str | Path]) -> dict[str, StateArray]:
-    """Load the states of recordings by name; raises hydro_bridge.bags.recording.RecordingError."""
+def load_states(paths: Sequence[str | Path]) -> dict[str, StateArray]:
+    """Load the states of recordings, by recording name; raises hydro_bridge.bags.recording.RecordingError."""
     return {Path(path).name: read_bag(path).state for path in paths}
 
 
 def box_law(path: str | Path) -> BoxLaw | None:
-    """Return the compensated law that the box of a recording told last; None: it has none.
+    """Return the last compensated law in a recording; None: its box has none.
 
     Raises hydro_bridge.bags.recording.RecordingError: damaged, or no box told its law.
     """
-    *_, (_, message) = objects(path, LAW_TOPIC)
+    *_, (_, message) = read_messages(path, LAW_TOPIC)
     return BoxLaw.of_message(message)
 
 
 def require_box(path: str | Path, bench: BoxIdentity) -> None:
-    """Raise PairingError if the box of a recording told another bench than this one."""
+    """Raise PairingError if a recording is of a box with another bench file."""
     with suppress(RecordingError):  # it tells none
-        *_, (_, box) = objects(path, BOX_TOPIC)
+        *_, (_, box) = read_messages(path, BOX_TOPIC)
         if box.bench_digest not in ("", bench.digest):
             told = f"the box of the recording {Path(path).name} believes bench {box.bench_digest}"
             raise PairingError(f"{told}, not {bench.description}: name the bench.yaml of its box by --bench")
@@ -115,29 +115,29 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
     """Return training and validation runs, which share no sample.
 
     With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, at least
-    `VALIDATION` samples, `gap` samples after where training ends; a run that is too short for that is trained on whole.
-    What a model is judged by in the end is another recording: `validate`.
+    `MIN_VALIDATION_SAMPLES` samples, `gap` samples after where training ends; a run that is too short for that is
+    trained on whole. What a model is judged by in the end is another recording: `validate`.
 
     Raises DataError if no run is long enough to be trained on, or none to hold a part back.
     """
     digests = {name: digest(states) for name, states in recordings.items()}
-    found = {name: runs(name, states) for name, states in recordings.items()}
+    found = {name: split_runs(name, states) for name, states in recordings.items()}
     names = [name for name in found if found[name]]
     if not names:
-        raise DataError(f"no recording has {SHORTEST} samples in a row: check them with the bridge's own tools")
+        raise DataError(f"no recording has {MIN_SAMPLES} samples in a row: check them with the bridge's own tools")
     if len(names) >= 3:
         training = [run for name in names[:-1] for run in found[name]]
         return Data(training=training, validation=found[names[-1]], digests=digests)
     training, validation = [], []
     for run in (run for name in names for run in found[name]):
-        end = min(round((1.0 - share) * len(run)), len(run) - gap - VALIDATION)
-        if end < SHORTEST:
+        end = min(round((1.0 - share) * len(run)), len(run) - gap - MIN_VALIDATION_SAMPLES)
+        if end < MIN_SAMPLES:
             training.append(run)
         else:
-            training.append(run.part(0, end))
-            validation.append(run.part(end + gap, len(run)))
+            training.append(run.slice(0, end))
+            validation.append(run.slice(end + gap, len(run)))
     if not validation:
-        longest, needed = max(map(len, training)), SHORTEST + gap + VALIDATION
+        longest, needed = max(map(len, training)), MIN_SAMPLES + gap + MIN_VALIDATION_SAMPLES
         raise DataError(
             f"the longest unbroken run has {longest} samples, too few to hold some back for validation: name three "
             f"recordings, or one with {needed} samples in a row"

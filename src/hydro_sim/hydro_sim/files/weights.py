@@ -18,8 +18,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
 from hydro_core.files.atomic import write_whole
-from hydro_core.files.tensors import UnsoundError, check_numbers
-from hydro_sim.files.pairing import ENTRY, MadeFor
+from hydro_core.files.tensors import InvalidTensorError, check_numbers
+from hydro_sim.files.pairing import HEADER_KEY, MadeFor
 
 FORMAT = 1
 Tensors = dict[str, npt.NDArray[Any]]
@@ -32,7 +32,7 @@ class WeightsError(ValueError):
 def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
     """Write tensors, header and provenance; create missing folders."""
     if made is not None:
-        header = {**header, ENTRY: asdict(made)}
+        header = {**header, HEADER_KEY: asdict(made)}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})
@@ -60,6 +60,6 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
         raise WeightsError(f"{path} is of format {kind}, this version reads format {FORMAT}: make it again")
     try:
         check_numbers(tensors)
-    except UnsoundError as error:
+    except InvalidTensorError as error:
         raise WeightsError(f"{path} is damaged: {error}") from None
     return tensors, header

@@ -17,25 +17,31 @@ import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Data, Run
-from hydro_sim.identification.bench_states import SETTLED, Indices, Sensitivities, StateEstimator, noise_of
+from hydro_sim.identification.bench_states import (
+    SETTLING_SAMPLES,
+    Indices,
+    Sensitivities,
+    StateEstimator,
+    estimate_noise,
+)
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
 from hydro_sim.model.effects import catalogue, valve
 from hydro_sim.model.effects.base import Parameter
 from hydro_sim.model.quality import HORIZON, Quality
 
-PRIOR = 10.0
+PRIOR_WIDTH = 10.0
 """Prior standard deviation of a parameter about its value in the bench file: typical sizes, or factors of e."""
 STEP_MAX = 1.0
 """Largest step of an iteration: a typical size, a factor of e, or all of a parameter larger than its typical size."""
 START_MAX = 4.0
 """Largest step of s in one iteration."""
-CONVERGED = 1e-3
+COST_TOLERANCE = 1e-3
 """Share by which the cost must fall for another iteration."""
 
 
-class Coordinates:
-    """Parameters in sizes that can be compared.
+class Parametrization:
+    """Parametrization of the free parameters by scaled or logarithmic coordinates q.
 
     `parameters`: all of a model. `values`: values in the bench file, shape (parameters,). `free`: those that are
     learned.
@@ -49,7 +55,7 @@ class Coordinates:
         self.logarithm = self.low > 0.0
 
     def parameters(self, q: FloatArray) -> FloatArray:
-        """All parameters, shape (parameters,), at coordinates q, shape (free,)."""
+        """Return all parameters theta, shape (parameters,), at coordinates q, shape (free,)."""
         theta = self.values.copy()
         theta[self.free] = self.free_parameters(q)
         return theta
@@ -60,22 +66,22 @@ class Coordinates:
         return np.asarray(np.clip(found, self.low, self.high))
 
     def coordinates(self, theta: FloatArray) -> FloatArray:
-        """Coordinates q of the free parameters, given all."""
+        """Return the coordinates q, shape (free,), of parameters theta, shape (parameters,)."""
         one = theta[self.free]
         return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
 
     def step_max(self, q: FloatArray) -> FloatArray:
-        """Largest step of q: 1 at least, and |q| of a parameter that may be 0, which then doubles."""
+        """Return the largest step of q per iteration, shape (free,): 1, or |q| where larger and not logarithmic."""
         return np.asarray(np.where(self.logarithm, 1.0, np.maximum(np.abs(q), 1.0)))
 
     def derivative(self, q: FloatArray) -> FloatArray:
-        """d theta/d q of the free ones."""
+        """Return d theta/d q of the free parameters, shape (free,)."""
         return np.asarray(np.where(self.logarithm, self.free_parameters(q), self.scale))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Batch:
-    """Windows, n of them, of H samples."""
+class WindowBatch:
+    """Batch of n windows of H samples."""
 
     starts: FloatArray
     """First guesses, shape (n, states)."""
@@ -90,8 +96,8 @@ class Batch:
 
 
 @dataclass
-class Fit:
-    """State of the search."""
+class FitState:
+    """State of the least-squares iteration."""
 
     q: FloatArray
     s: FloatArray
@@ -101,19 +107,19 @@ class Fit:
     """Mean squared error over noise per reading; 1 is what a perfect model leaves."""
 
 
-class Problem:
+class LeastSquaresProblem:
     """Least-squares problem on a batch.
 
     `exact`: the model. `coordinates`: of its parameters. `batch`: windows.
     """
 
-    def __init__(self, exact: Sensitivities, coordinates: Coordinates, batch: Batch) -> None:
+    def __init__(self, exact: Sensitivities, coordinates: Parametrization, batch: WindowBatch) -> None:
         self.exact, self.coordinates, self.batch = exact, coordinates, batch
         self.first = coordinates.coordinates(coordinates.values)
         self.size = batch.targets.size
 
-    def iterate(self, fit: Fit) -> bool:
-        """Run one iteration in place; return whether another one is worthwhile."""
+    def iterate(self, fit: FitState) -> bool:
+        """Run one Levenberg-Marquardt iteration in place; return whether the cost still falls."""
         matrix, gradient, eliminated = self.normal_equations(fit)
         cost = self.cost(fit.q, fit.s)
         reach = STEP_MAX * self.coordinates.step_max(fit.q)
@@ -127,33 +133,36 @@ class Problem:
             if better < cost:
                 fit.q, fit.s, fit.damping = q, s, max(fit.damping / 10.0, 1e-7)
                 fit.costs.append(better)
-                return better < (1.0 - CONVERGED) * cost
+                return better < (1.0 - COST_TOLERANCE) * cost
             fit.damping *= 10.0
         return False
 
     def cost(self, q: FloatArray, s: FloatArray) -> float:
-        """Mean squared error over noise, priors with it; infinite where a prediction is not finite."""
+        """Return the mean squared normalized error with priors; infinite if a prediction is not finite."""
         k, _ = self.exact.coefficients(self.coordinates.parameters(q))
-        total = float(np.sum(s * s) + np.sum(((q - self.first) / PRIOR) ** 2))
+        total = float(np.sum(s * s) + np.sum(((q - self.first) / PRIOR_WIDTH) ** 2))
         for i in range(len(s)):
             z = self.exact.model.rollout(k, self._start(i, s[i]), self.batch.currents[i])
             total += float(np.sum(((z - self.batch.targets[i]) / self.batch.noise) ** 2))
         return total / self.size if np.isfinite(total) else np.inf
 
-    def residual_rms(self, fit: Fit) -> FloatArray:
-        """RMS prediction error of each reading, shape (5,)."""
+    def residual_rms(self, fit: FitState) -> FloatArray:
+        """Return the RMS prediction error of each reading, shape (5,), in its unit."""
         k, _ = self.exact.coefficients(self.coordinates.parameters(fit.q))
         found = [self.exact.model.rollout(k, self._start(i, s), self.batch.currents[i]) for i, s in enumerate(fit.s)]
         return np.asarray(np.sqrt(np.mean((np.array(found) - self.batch.targets) ** 2, axis=(0, 1))))
 
-    def normal_equations(self, fit: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Matrix and gradient by q, starts eliminated; and A_i^-1 (B_i, a_i), shape (n, held, free + 1)."""
+    def normal_equations(self, fit: FitState) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return Gauss-Newton matrix and gradient in q with initial states eliminated, and the elimination's blocks.
+
+        Shapes (free, free), (free,), and of A_i^-1 (B_i, a_i) (n, held, free + 1).
+        """
         k, dk = self.exact.coefficients(self.coordinates.parameters(fit.q))
         by_q = dk[:, self.coordinates.free] * self.coordinates.derivative(fit.q)
         held, count = self.exact.held, len(self.coordinates.free)
         eliminated = np.empty((len(fit.s), held, count + 1))
-        matrix = np.eye(count) / PRIOR**2
-        gradient = (fit.q - self.first) / PRIOR**2
+        matrix = np.eye(count) / PRIOR_WIDTH**2
+        gradient = (fit.q - self.first) / PRIOR_WIDTH**2
         for i, s in enumerate(fit.s):
             root, noise = self.batch.roots[i], self.batch.noise
             z, dz, _ = self.exact.window(k, self._start(i, s), self.batch.currents[i], root, by_q)
@@ -174,7 +183,7 @@ class Problem:
 
 SUBSTEPS = 10
 """Integration steps per sample: 100 us, a 110th of a period of the 90 Hz mass-on-oil mode."""
-TRUSTS = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
+TRUST_SCHEDULE = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """Model error that the filter assumes, by round."""
 ITERATIONS = 5
 """Largest number of iterations in a round."""
@@ -221,7 +230,7 @@ class Result:
         return Quality.of((self.rmse / self.noise).tolist())
 
     def with_quality(self) -> Bench:
-        """The learned bench with its measured quality."""
+        """Return the learned bench with its measured quality."""
         return replace(self.bench, learned={"bench": self.bench.digest, **self.quality.to_mapping()})
 
 
@@ -229,7 +238,7 @@ def _usual(name: str, **parameters: float) -> dict[str, Any]:
     return {"id": name, "parameters": parameters}
 
 
-USUAL: tuple[dict[str, Any], ...] = (
+COMMON_EFFECTS: tuple[dict[str, Any], ...] = (
     _usual("spring_stiffness", ratio=1.0), _usual("supply_pressure", ratio=1.0), _usual("valve_gain", ratio=1.0),
     _usual("bulk_modulus", ratio=1.0), _usual("friction_viscous", coefficient=0.0),
     _usual("valve_lag", bandwidth=100.0, damping=0.8), _usual("friction_coulomb", force=10.0),
@@ -240,22 +249,22 @@ USUAL: tuple[dict[str, Any], ...] = (
 """Effects that a bench is likely to have, at typical values: what is learned where a bench file names none."""
 
 
-def with_usual_effects(bench: Bench) -> Bench:
-    """The bench with `USUAL` effects, its load cell's lag as one of them, unless its file names effects of its own."""
-    return bench if bench.terms else replace(bench, load_cell_bandwidth=None, effects=USUAL)
+def add_common_effects(bench: Bench) -> Bench:
+    """Return the bench with `COMMON_EFFECTS`, unless its file has effects of its own."""
+    return bench if bench.terms else replace(bench, load_cell_bandwidth=None, effects=COMMON_EFFECTS)
 
 
 def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Report = lambda text: None) -> Result:
     """Return the bench with its effects' and closures' parameters fitted to `count` windows of the training runs.
 
-    A bench file without effects gets `USUAL` ones.
+    A bench file without effects gets `COMMON_EFFECTS`.
 
     Raises ValueError: the recordings have no room for windows.
     """
-    bench = with_usual_effects(bench)
+    bench = add_common_effects(bench)
     exact = Sensitivities(BenchModel(_with_longer_dead_times(bench), substeps=SUBSTEPS))
     coordinates = _coordinates(bench, exact.model)
-    noise = noise_of(data.training)
+    noise = estimate_noise(data.training)
     chosen = _windows(data.training, count, np.random.default_rng(seed))
     q, matrix = _fitted(exact, coordinates, data.training, chosen, noise, report)
     deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
@@ -268,22 +277,22 @@ def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: 
 
 
 def _fitted(
-    exact: Sensitivities, coordinates: Coordinates, runs: list[Run], chosen: list[Indices], noise: FloatArray,
+    exact: Sensitivities, coordinates: Parametrization, runs: list[Run], chosen: list[Indices], noise: FloatArray,
     report: Report,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Parameters, as coordinates, of the round that predicts best, and the information matrix there."""
     weights, q = noise, coordinates.coordinates(coordinates.values)
     best, kept = np.inf, (q, np.eye(len(q)))
-    for number, trust in enumerate(TRUSTS, 1):
+    for number, trust in enumerate(TRUST_SCHEDULE, 1):
         follower = StateEstimator(exact, coordinates.parameters(q), weights, trust)
-        problem = Problem(exact, coordinates, _batch(follower, runs, chosen, weights))
-        fit = Fit(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
+        problem = LeastSquaresProblem(exact, coordinates, _batch(follower, runs, chosen, weights))
+        fit = FitState(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
         for _ in range(ITERATIONS):
             if not problem.iterate(fit):
                 break
         residual = problem.residual_rms(fit)
         q, weights = fit.q, np.maximum(noise, residual)
-        report(f"round {number} of {len(TRUSTS)}: error over noise {np.round(residual / noise, 3)}")
+        report(f"round {number} of {len(TRUST_SCHEDULE)}: error over noise {np.round(residual / noise, 3)}")
         if (error := float(np.mean(np.log(residual / noise)))) < best:
             best, kept = error, (q, problem.normal_equations(fit)[0])
     return kept
@@ -292,7 +301,7 @@ def _fitted(
 def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
 ) -> tuple[FloatArray, StateEstimator]:
-    """Lowest RMSE of 70-sample predictions of the readings, shape (5,), over the filter's trusts, and that filter."""
+    """Return the lowest RMSE of 70-sample predictions, shape (5,), over the filter's trusts, and that filter."""
     followers = [StateEstimator(exact, theta, noise, trust) for trust in FINAL_TRUSTS]
     found = [(_prediction_rmse(follower, runs), follower) for follower in followers]
     return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
@@ -311,9 +320,9 @@ def _with_longer_dead_times(bench: Bench) -> Bench:
     return replace(bench, effects=tuple(lengthened(effect) for effect in bench.effects))
 
 
-def _coordinates(bench: Bench, model: BenchModel) -> Coordinates:
+def _coordinates(bench: Bench, model: BenchModel) -> Parametrization:
     """All parameters of effects and closures but where tables begin and end."""
-    values = [value for effect in bench.terms for value in catalogue.kind_of(effect)[1]]
+    values = [value for effect in bench.terms for value in catalogue.parse_entry(effect)[1]]
     first = len(model.parameters) - len(values)
     free = [
         i for i in range(first, len(model.parameters))
@@ -322,14 +331,14 @@ def _coordinates(bench: Bench, model: BenchModel) -> Coordinates:
     delays = max(sum(one.name == DEAD_TIME for one in model.parameters), 1)
     longest = max(model.structure.past - 2, 0) * SAMPLE_PERIOD / delays
     bounded = [replace(one, high=longest) if one.name == DEAD_TIME else one for one in model.parameters]
-    return Coordinates(bounded, np.concatenate([model.values[:first], values]), np.array(free))
+    return Parametrization(bounded, np.concatenate([model.values[:first], values]), np.array(free))
 
 
 def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> list[Indices]:
     """Start samples of windows in each run, in rising order, without overlap."""
     places = [
         (i, begin) for i, run in enumerate(runs)
-        for begin in range(min(SETTLED, len(run) // 4), len(run) - HORIZON - 1, HORIZON)
+        for begin in range(min(SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, HORIZON)
     ]  # fmt: skip
     if len(places) < 2:
         raise ValueError("the recordings have no room for predictions: record more")
@@ -337,11 +346,11 @@ def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> lis
     return [np.sort([places[j][1] for j in picked if places[j][0] == i]).astype(np.int64) for i in range(len(runs))]
 
 
-def _batch(follower: StateEstimator, runs: list[Run], chosen: list[Indices], weights: FloatArray) -> Batch:
-    starts = [follower.starts(run, samples) for run, samples in zip(runs, chosen, strict=True)]
+def _batch(follower: StateEstimator, runs: list[Run], chosen: list[Indices], weights: FloatArray) -> WindowBatch:
+    starts = [follower.initial_states(run, samples) for run, samples in zip(runs, chosen, strict=True)]
     states, roots = map(np.concatenate, zip(*starts, strict=True))
     steps = np.arange(HORIZON)
-    return Batch(
+    return WindowBatch(
         starts=states, roots=roots,
         currents=np.concatenate([run.u[at[:, None] + steps] for run, at in zip(runs, chosen, strict=True)]),
         targets=np.concatenate([run.readings[at[:, None] + steps + 1] for run, at in zip(runs, chosen, strict=True)]),
@@ -354,7 +363,7 @@ def _prediction_rmse(follower: StateEstimator, runs: list[Run]) -> FloatArray:
     squares, windows = np.zeros(READINGS), 0
     for run in runs:
         states, readings = follower.states(run), run.readings
-        for begin in range(min(SETTLED, len(run) // 4), len(run) - HORIZON - 1, HORIZON // 2):
+        for begin in range(min(SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, HORIZON // 2):
             z = follower.exact.model.rollout(follower.k, states[begin].copy(), run.u[begin : begin + HORIZON])
             squares += np.mean((z - readings[begin + 1 : begin + HORIZON + 1]) ** 2, axis=0)
             windows += 1
@@ -362,7 +371,7 @@ def _prediction_rmse(follower: StateEstimator, runs: list[Run]) -> FloatArray:
 
 
 def _identified(
-    model: BenchModel, coordinates: Coordinates, q: FloatArray, deviation: FloatArray
+    model: BenchModel, coordinates: Parametrization, q: FloatArray, deviation: FloatArray
 ) -> list[IdentifiedParameter]:
     value, half = coordinates.free_parameters(q), QUANTILE * deviation
     low, high = coordinates.free_parameters(q - half), coordinates.free_parameters(q + half)
@@ -370,7 +379,7 @@ def _identified(
         IdentifiedParameter(
             name=model.parameters[index].name, unit=model.parameters[index].unit,
             before=float(coordinates.values[index]), value=float(value[i]), low=float(low[i]), high=float(high[i]),
-            informed=bool(deviation[i] < 0.5 * PRIOR),
+            informed=bool(deviation[i] < 0.5 * PRIOR_WIDTH),
         )
         for i, index in enumerate(coordinates.free)
     ]  # fmt: skip
@@ -378,7 +387,7 @@ def _identified(
 
 def _with(bench: Bench, model: BenchModel, theta: FloatArray) -> Bench:
     """The bench with these parameters in its effects and closures."""
-    kinds = [catalogue.kind_of(effect)[0] for effect in bench.terms]
+    kinds = [catalogue.parse_entry(effect)[0] for effect in bench.terms]
     rest = iter(theta[len(theta) - sum(len(kind.parameters) for kind in kinds) :])
     terms = [
         {**effect, "parameters": {one.name: float(f"{next(rest):.9g}") for one in kind.parameters}}

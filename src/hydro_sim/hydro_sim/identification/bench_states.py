@@ -32,12 +32,12 @@ from hydro_core.signals import FloatArray
 from hydro_sim.files.recordings import Run
 from hydro_sim.model.bench_model import READINGS, TEXTBOOK, BenchModel, library, to_c
 
-SETTLED = 600
+SETTLING_SAMPLES = 600
 """Samples at the beginning of a run without predictions: the filter is still settling."""
 
 Indices = npt.NDArray[np.int64]
 
-ORDER = 6
+SERIES_ORDER = 6
 """Order of the differences by which noise is measured: they reduce motion below 100 Hz to a thirtieth."""
 
 MODEL_ERROR_PRESSURE, MODEL_ERROR_VELOCITY, MODEL_ERROR_HIDDEN = 6e-6, 2.5e-4, 1e-4
@@ -56,7 +56,7 @@ class FilterState:
 
 
 class Sensitivities:
-    """See the module. Compiles what it needs where it was not compiled yet: 2 to 10 s for a set of effects."""
+    """Exact sensitivities of a bench model; compiles a new set of effects in 2 to 10 s."""
 
     def __init__(self, model: BenchModel) -> None:
         self.model = model
@@ -64,14 +64,14 @@ class Sensitivities:
         self._code = library(model.structure, "sensitivities")
 
     def coefficients(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients k, shape (m,), and d k/d theta, shape (m, parameters)."""
+        """Return the coefficients k, shape (m,), and d k/d theta, shape (m, parameters)."""
         k = np.empty(self.model.coefficients)
         dk = np.empty((len(k), len(self.model.parameters)))
         self._code.bench_once_partials(to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(dk))
         return k, dk
 
     def rest_state(self, theta: FloatArray, y: FloatArray) -> FloatArray:
-        """States, shape (states,), of a bench that stands still in the textbook states y[:6]."""
+        """Return the states, shape (states,), of a bench at rest with the textbook states y[:6]."""
         y, k, z = y.copy(), np.empty(self.model.coefficients), np.empty(READINGS)
         self._code.bench_begin(
             to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(y, (len(self.model.states),)), to_c(z)
@@ -81,7 +81,7 @@ class Sensitivities:
     def window(
         self, k: FloatArray, y: FloatArray, currents: FloatArray, dy: FloatArray, dk: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Readings of a prediction, shape (n, 5), their derivatives, shape (n, 5, p), and the states after it.
+        """Return the readings of a prediction, shape (n, 5), their derivatives, shape (n, 5, p), and the final states.
 
         `k`, `y`, `currents`: coefficients, states where it begins (not changed), and currents [A], shape (n,). `dy`,
         `dk`: directions: of the held states where it begins, shape (held, a), and of the coefficients, shape (m, b). p
@@ -107,7 +107,7 @@ class Sensitivities:
         q: FloatArray,
         r: FloatArray,
     ) -> FloatArray:
-        """States, shape (n, states), each from the readings up to it; `state` changes in place.
+        """Return filtered states, shape (n, states); `state` is updated in place.
 
         `currents`, `readings`: currents [A], shape (n,), and the readings after each, shape (n, 5). `q`: variance that
         a sample adds to each held state for what the model misses, shape (held,). `r`: variance of the readings' noise,
@@ -123,10 +123,10 @@ class Sensitivities:
         return states
 
 
-def noise_of(runs: list[Run]) -> FloatArray:
-    """Standard deviation of the five readings' noise, shape (5,), from their differences between samples."""
-    squares = [np.mean(np.diff(run.readings, ORDER, axis=0) ** 2, axis=0) for run in runs]
-    spread = np.sqrt(np.mean(squares, axis=0) / comb(2 * ORDER, ORDER))
+def estimate_noise(runs: list[Run]) -> FloatArray:
+    """Return the noise's standard deviation of the five readings, shape (5,), from differences of samples."""
+    squares = [np.mean(np.diff(run.readings, SERIES_ORDER, axis=0) ** 2, axis=0) for run in runs]
+    spread = np.sqrt(np.mean(squares, axis=0) / comb(2 * SERIES_ORDER, SERIES_ORDER))
     moved = np.std(np.concatenate([run.readings for run in runs]), axis=0)
     return np.asarray(np.maximum(spread, 1e-6 * moved + 1e-12))
 
@@ -158,8 +158,8 @@ class StateEstimator:
         rest = self.exact.filter_states(self.k, state, run.u[:-1], run.readings[1:], self.q, self.noise**2)
         return np.concatenate([first[None], rest])
 
-    def starts(self, run: Run, samples: Indices) -> tuple[FloatArray, FloatArray]:
-        """Return first guesses of windows that begin at some samples of a run, in rising order.
+    def initial_states(self, run: Run, samples: Indices) -> tuple[FloatArray, FloatArray]:
+        """Return initial states of windows that begin at `samples` of a run, in ascending order.
 
         States, shape (n, states), and square roots of their covariances, shape (n, held, held).
         """
@@ -184,7 +184,7 @@ class StateEstimator:
 
 
 def process_noise(model: BenchModel) -> FloatArray:
-    """Process noise: standard deviation per sample of each state at a trust of 1, shape (states,)."""
+    """Return the process noise, shape (states,): standard deviation per sample at a trust of 1."""
     result = MODEL_ERROR_HIDDEN * np.array([one.scale for one in model.states])
     result[:TEXTBOOK] = 0.0
     result[:2] = MODEL_ERROR_PRESSURE * model.bench.supply_pressure

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import yaml
 
-from hydro_core.cli.console import Table, UserError, add_json_argument, command, number, writable
+from hydro_core.cli.console import Table, UserError, add_json_argument, bounded_number, command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import BENCH_FILES, is_bench_file
@@ -36,7 +36,7 @@ def main() -> None:
     if not is_bench_file(options.out):
         raise UserError(f"--out {options.out}: a bench file's name ends in {' or '.join(BENCH_FILES)}")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    data = recordings.split(recordings.load(options.bags))
+    data = recordings.split(recordings.load_states(options.bags))
     result = bench_learning.learn(
         bench, data, count=options.windows, seed=options.seed, report=lambda text: print(text, file=sys.stderr)
     )
@@ -46,21 +46,23 @@ def main() -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the argument parser."""
     result = argparse.ArgumentParser(
         prog="learn",
         description="Fit the parameters of a bench file's effects and closures to recordings, so that predictions of "
         "70 samples fit. The file that is written is a model for `sim`, the filter and the training commands.",
     )
     result.add_argument("bags", nargs="+", metavar="BAG", help="recordings; of three or more the last one validates")
-    result.add_argument("--out", required=True, type=writable, metavar="FILE", help="bench file to write, .yaml")
+    result.add_argument("--out", required=True, type=writable_file, metavar="FILE", help="bench file to write, .yaml")
     result.add_argument(
         "--bench", metavar="FILE",
         help="bench file to start from, such as corrected.yaml of `diagnose`; the shipped one by default. Where it "
         "names no effects the usual ones are learned: valve, supply, oil, spring, friction, leak, load cell",
     )  # fmt: skip
-    result.add_argument("--windows", type=number(1), default=120, help="predictions that it is learnt from (120)")
-    result.add_argument("--seed", type=number(0), default=0, help="of the choice of predictions (0)")
+    result.add_argument(
+        "--windows", type=bounded_number(1), default=120, help="predictions that it is learnt from (120)"
+    )
+    result.add_argument("--seed", type=bounded_number(0), default=0, help="of the choice of predictions (0)")
     add_json_argument(result)
     return result
 

@@ -17,12 +17,12 @@ import numpy as np
 
 from hydro_core.cli.console import Table as ConsoleTable
 from hydro_core.cli.console import UserError, add_json_argument, command
-from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
+from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, to_matrix
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.files.recordings import READING_COLUMNS, Run
 from hydro_sim.identification.bench_learning import SUBSTEPS, best_prediction_rmse
-from hydro_sim.identification.bench_states import SETTLED, Sensitivities, noise_of
+from hydro_sim.identification.bench_states import SETTLING_SAMPLES, Sensitivities, estimate_noise
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects.catalogue import label
@@ -34,7 +34,7 @@ class Predictor(Protocol):
     """A model under evaluation."""
 
     def estimate(self, run: Run) -> FloatArray:
-        """States at the samples of a run."""
+        """Return the states at the samples of a run."""
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """x, shape (n, H, 8)."""
@@ -50,13 +50,13 @@ class Errors:
 
     @property
     def rmse(self) -> FloatArray:
-        """Over all windows and samples of the horizon, shape (8,)."""
+        """RMSE over all windows and samples of the horizon, shape (8,)."""
         return np.asarray(np.sqrt(np.mean(self.by_time**2, axis=0)))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scored:
-    """One recorded run with its reference."""
+class ScoredRun:
+    """Recorded run with the reference that predictions are compared with."""
 
     run: Run
     truth: FloatArray | None
@@ -64,14 +64,20 @@ class Scored:
 
     @property
     def reference(self) -> FloatArray:
-        """The noise-free log, or the recording itself."""
+        """Noise-free log, or the recording itself, shape (n, 8)."""
         return self.run.x if self.truth is None else self.truth
 
 
 def prediction_errors(
-    predictor: Predictor, states: list[FloatArray], scored: list[Scored], *, recorded: bool, horizon: int, stride: int
+    predictor: Predictor,
+    states: list[FloatArray],
+    scored: list[ScoredRun],
+    *,
+    recorded: bool,
+    horizon: int,
+    stride: int,
 ) -> Errors:
-    """Errors of predictions from `states` at the starts of windows, each window of all runs counting once.
+    """Return the errors of predictions from `states` at the starts of windows, over all windows of all runs.
 
     Against the recordings themselves if `recorded`, else against the noise-free logs.
     """
@@ -79,7 +85,7 @@ def prediction_errors(
     for begins, item in zip(states, scored, strict=True):
         truth, starts = (
             item.run.x if recorded else item.reference,
-            np.arange(SETTLED, len(item.run) - horizon - 1, stride),
+            np.arange(SETTLING_SAMPLES, len(item.run) - horizon - 1, stride),
         )
         windows += len(starts)
         for part in np.array_split(starts, max(len(starts) * horizon // 500_000, 1)):
@@ -88,16 +94,16 @@ def prediction_errors(
     return Errors(by_time=np.sqrt(squares / windows), windows=windows)
 
 
-def noise_floor(scored: list[Scored]) -> FloatArray | None:
-    """Noise floor, shape (8,): RMS of recording minus noise-free log; None without a log."""
+def noise_floor(scored: list[ScoredRun]) -> FloatArray | None:
+    """Return the noise floor, shape (8,): RMS of recording minus noise-free log; None without a log."""
     differences = [item.run.x - item.truth for item in scored if item.truth is not None]
     return np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if len(differences) == len(scored) else None
 
 
 RATES = (1, 3, 7)
 """Columns of x that the box computes from the readings 0, 1 and 4, and the coefficient of each."""
-DIFFERENTIATED = (0, 1, 4)
-MEMORIES = ("force_memory", "force_memory", "velocity_memory")
+DIFFERENTIATED_READINGS = (0, 1, 4)
+MEMORY_FIELDS = ("force_memory", "force_memory", "velocity_memory")
 
 
 class ModelPrediction:
@@ -106,10 +112,10 @@ class ModelPrediction:
     def __init__(self, model: BenchModel, k: FloatArray) -> None:
         self.model, self.k = model, k
         record = Sensors().constants()[0]
-        self.memories = np.array([record[name] for name in MEMORIES])
+        self.memories = np.array([record[name] for name in MEMORY_FIELDS])
 
     def starts(self, states: FloatArray, run: Run) -> FloatArray:
-        """Starts of predictions: the model's states, the box's rates, its readings; shape (n, states + 8)."""
+        """Return initial values of predictions: model states, box rates, readings; shape (n, states + 8)."""
         return np.concatenate([states, run.x[:, RATES], run.x[:, READING_COLUMNS]], axis=1)
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
@@ -119,8 +125,8 @@ class ModelPrediction:
         for i in range(n):
             y = starts[i, :states].copy()
             x[i][:, READING_COLUMNS] = self.model.rollout(self.k, y, np.ascontiguousarray(currents[i]))
-        rates, last = starts[:, states : states + 3].copy(), starts[:, states + 3 :][:, DIFFERENTIATED]
-        columns = [READING_COLUMNS[reading] for reading in DIFFERENTIATED]
+        rates, last = starts[:, states : states + 3].copy(), starts[:, states + 3 :][:, DIFFERENTIATED_READINGS]
+        columns = [READING_COLUMNS[reading] for reading in DIFFERENTIATED_READINGS]
         for h in range(currents.shape[1]):
             now = x[:, h, columns]
             rates = self.memories * rates + (1.0 - self.memories) * (now - last) / SAMPLE_PERIOD
@@ -129,19 +135,19 @@ class ModelPrediction:
 
 
 class AnalyticModel(ModelPrediction):
-    """The equations with the bench file's numbers, without effects that have states: it starts at the measurements."""
+    """Analytic model without effects that have states; predictions start at the measurements."""
 
     def __init__(self, bench: Bench) -> None:
         model = BenchModel(bench.without_effects(), substeps=SUBSTEPS)
         super().__init__(model, model.begin(model.values)[0])
 
     def estimate(self, run: Run) -> FloatArray:
-        """The measurements themselves."""
+        """Return the measurements."""
         return self.starts(run.x[:, [PLANT_FIELDS.index(state.name) for state in self.model.states]], run)
 
 
 class BenchPrediction(ModelPrediction):
-    """A bench file on some recordings.
+    """Predictions of a bench file on recorded runs.
 
     Parameters
     ----------
@@ -152,13 +158,13 @@ class BenchPrediction(ModelPrediction):
     """
 
     def __init__(self, bench: Bench, runs: list[Run]) -> None:
-        model, noise = BenchModel(bench, substeps=SUBSTEPS), noise_of(runs)
+        model, noise = BenchModel(bench, substeps=SUBSTEPS), estimate_noise(runs)
         left, self.follower = best_prediction_rmse(Sensitivities(model), model.values, noise, runs)
         super().__init__(model, self.follower.k)
         self.quality = Quality.of((left / noise).tolist())
 
     def estimate(self, run: Run) -> FloatArray:
-        """The filter's states."""
+        """Return the states estimated by the filter."""
         return self.starts(self.follower.states(run), run)
 
 
@@ -175,7 +181,7 @@ COLUMNS = {
     "ratio": "recorded / noise",
 }
 SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
-LONGEST = 5000  # samples of the longest horizon
+MAX_WINDOW_SAMPLES = 5000  # samples of the longest horizon
 STRIDE = 37  # samples between the starts of predictions
 
 
@@ -193,21 +199,21 @@ def main() -> None:
         print(f"of the bench file's effects the analytic model's predictions leave out {names}", file=sys.stderr)
     runs = [item.run for item in scored]
     learned, analytic = BenchPrediction(model, runs), AnalyticModel(bench)
-    both: tuple[Started, Started] = (
+    both: tuple[PredictorWithStates, PredictorWithStates] = (
         (learned, [*map(learned.estimate, runs)]),
         (analytic, [*map(analytic.estimate, runs)]),
     )
-    table_of(*both, scored).show(options.json)
+    rmse_table(*both, scored).show(options.json)
     _long(*both, scored)
-    print(f"{options.model or learned_bench.shipped().name}: {learned.quality.sentence()}")
+    print(f"{options.model or learned_bench.shipped_bench().name}: {learned.quality.sentence()}")
 
 
-Started = tuple[Predictor, list[FloatArray]]
+PredictorWithStates = tuple[Predictor, list[FloatArray]]
 """A model, and its states at the samples of each run."""
 
 
-def table_of(learned: Started, analytic: Started, scored: list[Scored]) -> ConsoleTable:
-    """Table rmse_model, a row per state."""
+def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scored: list[ScoredRun]) -> ConsoleTable:
+    """Return the paper's Table rmse_model, a row per state."""
     how: dict[str, Any] = {"horizon": HORIZON, "stride": STRIDE}
     clean = prediction_errors(*learned, scored, recorded=False, **how)
     noisy = prediction_errors(*learned, scored, recorded=True, **how)
@@ -228,9 +234,11 @@ def table_of(learned: Started, analytic: Started, scored: list[Scored]) -> Conso
     return table
 
 
-def _long(learned: Started, analytic: Started, scored: list[Scored]) -> None:
+def _long(learned: PredictorWithStates, analytic: PredictorWithStates, scored: list[ScoredRun]) -> None:
     """Errors by the time predicted, and those of one free run."""
-    longest = min(LONGEST, min(len(item.run) for item in scored) - SETTLED - 2)  # that fits into every run
+    longest = min(
+        MAX_WINDOW_SAMPLES, min(len(item.run) for item in scored) - SETTLING_SAMPLES - 2
+    )  # that fits into every run
     how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
     mine = prediction_errors(*learned, scored, **how)
     theirs = prediction_errors(*analytic, scored, **how)
@@ -238,23 +246,23 @@ def _long(learned: Started, analytic: Started, scored: list[Scored]) -> None:
         print(f"after {horizon / 1e3:g} s: f_l off by {mine.by_time[horizon - 1, 2]:.3g} N "
               f"(analytic {theirs.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
     item, start = scored[0], learned[1][0]
-    free = learned[0].predict(start[SETTLED : SETTLED + 1], item.run.u[None, SETTLED:-1])[0]
-    deviation = free[:, 2] - item.reference[SETTLED + 1 :, 2]
+    free = learned[0].predict(start[SETTLING_SAMPLES : SETTLING_SAMPLES + 1], item.run.u[None, SETTLING_SAMPLES:-1])[0]
+    deviation = free[:, 2] - item.reference[SETTLING_SAMPLES + 1 :, 2]
     print(f"free run of {len(free) / 1e3:g} s: f_l off by {np.sqrt(np.mean(deviation**2)):.3g} N RMS, "
           f"{np.abs(deviation).max():.3g} N at most; "
           f"{'finite throughout' if np.isfinite(free).all() else 'NOT finite'}")  # fmt: skip
 
 
-def _scored(bags: list[str], logs: list[str] | None) -> list[Scored]:
+def _scored(bags: list[str], logs: list[str] | None) -> list[ScoredRun]:
     if logs and len(logs) != len(bags):
         raise UserError(f"{len(logs)} noise-free logs for {len(bags)} recordings: give one for each, in their order")
     scored = []
-    for index, (name, states) in enumerate(recordings.load(bags).items()):
+    for index, (name, states) in enumerate(recordings.load_states(bags).items()):
         truth = _aligned(logs[index], states) if logs else None
-        for run in recordings.runs(name, states):
+        for run in recordings.split_runs(name, states):
             part = None if truth is None else truth[run.first : run.first + len(run)]
-            if len(run) > SETTLED + 2 * recordings.SHORTEST:
-                scored.append(Scored(run=run, truth=part))
+            if len(run) > SETTLING_SAMPLES + 2 * recordings.MIN_SAMPLES:
+                scored.append(ScoredRun(run=run, truth=part))
     if not scored:
         raise UserError("no recording has five seconds without a gap to predict")
     return scored
@@ -265,7 +273,7 @@ def _aligned(path: str, states: StateArray) -> FloatArray:
     try:
         log = np.load(path)["noise_free"]
         order = {int(sequence): index for index, sequence in enumerate(log["sequence"])}
-        return matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
+        return to_matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
     except (OSError, KeyError, ValueError) as error:
         raise UserError(f"{path} is not the noise-free log of this recording: {error}") from error
 

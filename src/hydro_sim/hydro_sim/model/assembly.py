@@ -33,9 +33,9 @@ from casadi import SX, vertcat
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model import equations as eq
 from hydro_sim.model import rates
-from hydro_sim.model.effects.base import Effect, Surroundings
+from hydro_sim.model.effects.base import Effect, EffectContext
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.rates import stick_event
+from hydro_sim.model.rates import stick_slip_friction
 
 casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
 
@@ -48,7 +48,7 @@ load but for dry friction, and the level of that; force on an ideal load cell.""
 
 @dataclass(frozen=True)
 class Functions:
-    """A model as symbols; see the module."""
+    """Functions of a model as CasADi symbols; see the module's docstring."""
 
     theta: SX
     k: SX
@@ -109,7 +109,7 @@ class Assembly:
         self._expressions: list[SX] = []
         self.theta: dict[str, SX] = {name: SX.sym(name) for name in numbers}
         self.numbers = SimpleNamespace(**self.theta)
-        at = Surroundings(self.numbers, self.step, self.once, lambda velocity: rates.dry_level(effects, velocity))
+        at = EffectContext(self.numbers, self.step, self.hoist, lambda velocity: rates.dry_level(effects, velocity))
         for index, effect in enumerate(effects):
             effect.at = at
             for one in effect.parameters:
@@ -123,7 +123,7 @@ class Assembly:
         self.current, self.share = SX.sym("u"), SX.sym("share")
 
     def functions(self) -> Functions:
-        """All functions of the model."""
+        """Return all functions of the model."""
         begin, enter, read = self._begin(), self._enter(), self._read(self.y)
         slide, motion = self._motion()
         start, spool, edges = self._start()
@@ -137,8 +137,8 @@ class Assembly:
             self._holds(), self.numbers.load_cell_omega is None, motion,
         )  # fmt: skip
 
-    def once(self, expression: Symbol) -> Symbol:
-        """A symbol for an expression of parameters alone."""
+    def hoist(self, expression: Symbol) -> Symbol:
+        """Return a symbol for an expression of parameters alone, computed once per parameter set."""
         if not isinstance(expression, SX):
             return expression
         if self._symbols:
@@ -158,11 +158,11 @@ class Assembly:
             effect.correct(n)
             for name, (low, high) in limits.items():
                 if getattr(n, name) is not before[name] and getattr(n, name) is not None:
-                    setattr(n, name, self.once(eq.clip(getattr(n, name), low, high)))
+                    setattr(n, name, self.hoist(eq.clip(getattr(n, name), low, high)))
         ideal = ideal_cell or n.load_cell_bandwidth is None
-        n.load_cell_omega = None if ideal else self.once(2.0 * pi * n.load_cell_bandwidth)
-        drop, n.mobility = n.valve_nominal_pressure_drop, self.once(1.0 / n.moving_mass)
-        n.valve_gain = self.once(n.valve_nominal_flow / (n.valve_nominal_current * np.sqrt(0.5 * drop)))
+        n.load_cell_omega = None if ideal else self.hoist(2.0 * pi * n.load_cell_bandwidth)
+        drop, n.mobility = n.valve_nominal_pressure_drop, self.hoist(1.0 / n.moving_mass)
+        n.valve_gain = self.hoist(n.valve_nominal_flow / (n.valve_nominal_current * np.sqrt(0.5 * drop)))
 
     # --- the parts of a sample ---------------------------------------------------------------------------------------
 
@@ -197,7 +197,7 @@ class Assembly:
         if not self.past:
             return self.current
         together = sum(effect.time for effect in self.effects if effect.id == "transport_delay")
-        begin = self.share - self.once(together / SAMPLE_PERIOD)
+        begin = self.share - self.hoist(together / SAMPLE_PERIOD)
         width, first, mean = self.step / SAMPLE_PERIOD, self.y.numel() - self.past, 0.0
         for age in range(self.past):
             covered = np.fmin(begin + width, 1.0 - age) - np.fmax(begin, -age)
@@ -230,10 +230,10 @@ class Assembly:
         for effect in self.effects:
             effect.at.position, effect.at.velocity, effect.at.pressures = y[2], y[3], (y[0], y[1])
             effect.at.load_force, effect.at.acceleration = y[4], acceleration
-            if effect.acts_in("follow"):
+            if effect.acts_in("filter_signal"):
                 signals[effect.sensor] = effect.signal
         for effect in self.effects:
-            signals = {channel: effect.show(channel, signal) for channel, signal in signals.items()}
+            signals = {channel: effect.read_sensor(channel, signal) for channel, signal in signals.items()}
         return vertcat(*signals.values())
 
     def _acceleration(self, y: SX) -> Symbol:
@@ -241,15 +241,15 @@ class Assembly:
         if not any(effect.shaken for effect in self.effects):
             return 0.0
         dry = self._sliding if self._holds() else _nothing
-        return rates.textbook(self.numbers, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
+        return rates.textbook_rates(self.numbers, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
 
     def _cell_force(self, y: Sequence[Symbol]) -> Symbol:
         """f_l [N] on an ideal load cell: the load's force in this state, and no state of its own."""
         for effect in self.effects:
             effect.at.velocity = y[3]
-        force = rates.load(self.numbers, self.effects, y[2])
+        force = rates.load_force(self.numbers, self.effects, y[2])
         if any(effect.acts_in("inertia") for effect in self.effects):
-            force = force + rates.inertia(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
+            force = force + rates.dragged_mass(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
         return force
 
     def _motion(self) -> tuple[SX, SX]:
@@ -261,8 +261,8 @@ class Assembly:
             effect.at.spool = spool
         edges, slide = self._edges(spool), SX.sym("slide")
         free = self._rates(start, edges, _nothing)
-        mass = self.numbers.moving_mass + rates.inertia(self.effects, start[2])
-        holding, load = mass * free[3], rates.load(self.numbers, self.effects, start[2])
+        mass = self.numbers.moving_mass + rates.dragged_mass(self.effects, start[2])
+        holding, load = mass * free[3], rates.load_force(self.numbers, self.effects, start[2])
 
         def level(velocity: Symbol) -> Symbol:
             return rates.dry_level(self.effects, velocity) if self._holds() else 0.0
@@ -272,7 +272,7 @@ class Assembly:
         slopes = self._rates(start, edges, lambda velocity: against) if self._holds() else free
         signals = dict(zip(READINGS, self._truth(start), strict=True))
         for effect in self.effects:
-            if effect.acts_in("flow") and effect.acts_in("follow"):
+            if effect.acts_in("flow") and effect.acts_in("filter_signal"):
                 signals[effect.sensor] = self._flowing(effect, signals[effect.sensor], flowing)
         integrated = dict(zip(self.integrated, slopes[len(TEXTBOOK) :], strict=True))
         hidden = [integrated.get(i, flowing.get((id(effect), one.name))) for i, (effect, one) in enumerate(self.hidden)]
@@ -296,7 +296,7 @@ class Assembly:
         for place, i in enumerate(self.integrated):
             hidden[i] = y[len(TEXTBOOK) + place]
         self._bind(hidden)
-        slopes, drawn = rates.textbook(self.numbers, self.effects, y, edges, dry)
+        slopes, drawn = rates.textbook_rates(self.numbers, self.effects, y, edges, dry)
         return slopes + [self.hidden[i][0].rates(drawn)[self.hidden[i][1].name] for i in self.integrated]
 
     def _start(self) -> tuple[list[Symbol], Symbol, rates.Edges]:
@@ -337,9 +337,11 @@ class Assembly:
         first = self._rates(start, edges, _nothing)
         if not self._holds():
             return first, (_nothing, lambda velocity: velocity)
-        dragged = rates.inertia(self.effects, start[2])
+        dragged = rates.dragged_mass(self.effects, start[2])
         mass = self.numbers.moving_mass + dragged
-        force, end = stick_event(lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step)
+        force, end = stick_slip_friction(
+            lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step
+        )
         mobility = self.numbers.mobility if isinstance(dragged, float) else 1.0 / mass
         first[3] = first[3] - force(start[3]) * mobility
         return first, (force, end)
@@ -348,7 +350,7 @@ class Assembly:
         """y after a step whose integrated states go from start to end."""
         self._bind(self.hidden_now)
         for effect in self.effects:
-            effect.remember(end[2], end[3])
+            effect.advance_states(end[2], end[3])
         early, late = start, list(end)
         if self.numbers.load_cell_omega is None:
             hidden = list(self.hidden_now)
@@ -357,7 +359,7 @@ class Assembly:
             self._bind(hidden)
         signals = dict(zip(READINGS, zip(self._truth(early), self._truth(late), strict=True), strict=True))
         for effect in self.effects:
-            signals = {channel: effect.follow(channel, *pair) for channel, pair in signals.items()}
+            signals = {channel: effect.filter_signal(channel, *pair) for channel, pair in signals.items()}
         integrated = dict(zip(self.integrated, end[6:], strict=True))
         hidden = [
             integrated[i] if i in integrated else effect.next.get(one.name, self.hidden_now[i])

@@ -77,11 +77,11 @@ class Bench:
             )
         if any(effect["id"] == "closure" for effect in self.effects):
             raise ValueError("closures stand under 'closures', not under 'effects'")
-        catalogue.check(self.terms)
+        catalogue.check_effects(self.terms)
 
     @classmethod
     def quantities(cls) -> dict[str, Setting]:
-        """Declarations of its numbers by name, in order: unit, range, meaning."""
+        """Return the declarations of the bench's numbers by name: unit, range, meaning."""
         return {name: setting for name, setting in describe(cls).items() if isfinite(setting.low)}
 
     @property
@@ -92,7 +92,7 @@ class Bench:
     @property
     def size(self) -> Size:
         """Scales of its forces, pressures, lengths and currents."""
-        return Size.of(vars(self))
+        return Size.of_bench(vars(self))
 
     @property
     def terms(self) -> tuple[Mapping[str, Any], ...]:
@@ -100,8 +100,8 @@ class Bench:
         return (*self.effects, *({"id": "closure", **closure} for closure in self.closures))
 
     @property
-    def unfit(self) -> str:
-        """Return why nothing may rely on predictions of this bench, in a sentence; empty if no reason is known.
+    def rejection_reason(self) -> str:
+        """Error message if this bench's predictions are too poor to rely on; empty otherwise.
 
         The finding of `learn` holds as long as no number was changed since.
         """
@@ -154,7 +154,7 @@ class Bench:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of keys and values, its first 12 digits: the reference in models, metrics and policies."""
+        """First 12 digits of the SHA-256 of keys and values, by which models, metrics and policies refer to it."""
         return bench_file.digest(self.to_mapping())
 
     def constants(self) -> npt.NDArray[np.void]:
@@ -167,10 +167,10 @@ class Bench:
         return record
 
     def without_effects(self) -> Bench:
-        """Return the bench without effects, those that are wrong numbers of its file written into its numbers."""
+        """Return the bench without effects; those that correct its numbers are applied to them."""
         limits = {name: (one.low, one.high) for name, one in self.quantities().items()}
         believed = {name: getattr(self, name) for name in limits}
-        numbers: dict[str, Any] = catalogue.corrected(believed, limits, self.effects)
+        numbers: dict[str, Any] = catalogue.correct_numbers(believed, limits, self.effects)
         return replace(self, effects=(), closures=(), learned=None, **numbers)
 
 

@@ -50,14 +50,14 @@ READINGS = 5
 
 
 class BenchModel:
-    """See the module.
+    """Model of a bench with its effects; see the module's docstring.
 
     `bench`: numbers and effects. `substeps`: integration steps per sample, an even number.
     """
 
     def __init__(self, bench: Bench, *, substeps: int = SUBSTEPS) -> None:
         self.bench, self.substeps = bench, substeps
-        kinds = [catalogue.kind_of(effect) for effect in bench.terms]
+        kinds = [catalogue.parse_entry(effect) for effect in bench.terms]
         numbers = [float(getattr(bench, name) or 0.0) for name in bench.quantities()]
         own = tuple(
             Parameter(name=name, unit=one.unit, low=one.low, high=one.high, neutral=value, scale=0.1 * abs(value))
@@ -71,18 +71,18 @@ class BenchModel:
         """By their names in bench.yaml; those of an effect: its label, a dot, and the parameter."""
         self.values: FloatArray = np.array(numbers + [value for _, values in kinds for value in values])
         """The parameters' values in the bench file."""
-        self.structure = structure_of(bench, substeps)
+        self.structure = make_structure(bench, substeps)
         past = self.structure.past
         currents = (_state(f"current {i} samples ago", "A", 1e-2, integrated=False) for i in range(past))
         self.states = (*_TEXTBOOK, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
 
     def address_of(self, name: str) -> int:
-        """Address in this process of a compiled function, such as "bench_sample", for `machine_code`."""
+        """Return the address of a compiled function such as "bench_sample", for `machine_code`."""
         code = self._derivatives if name == "bench_jacobian" else self._code
         return ctypes.cast(getattr(code, name), ctypes.c_void_p).value or 0
 
     def begin(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Coefficients k, and states y and readings z of a still bench with a relaxed spring and p_a + p_b = p_s."""
+        """Return coefficients k, and states y and readings z at rest with relaxed spring and p_a + p_b = p_s."""
         delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME]
         if sum(delays) > max(self.structure.past - 2, 0) * SAMPLE_PERIOD:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
@@ -115,7 +115,7 @@ class BenchModel:
         return to_c(k, (self.coefficients,)), to_c(y, (len(self.states),))
 
     def symbols(self) -> Functions:
-        """The model's functions as CasADi's symbols."""
+        """Return the model's functions as CasADi symbols."""
         return _assembled(self.structure)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -146,10 +146,10 @@ class Structure:
     substeps: int
 
 
-def structure_of(bench: Bench, substeps: int = SUBSTEPS) -> Structure:
-    """Structure of a bench's model: the same for all benches with these effects, in this order."""
+def make_structure(bench: Bench, substeps: int = SUBSTEPS) -> Structure:
+    """Return the structure of a bench's model, equal for all benches with the same effects in order."""
     labels = tuple(catalogue.label(effect) for effect in bench.terms)
-    return Structure(labels, bench.load_cell_bandwidth is None, _past(catalogue.delay(bench.effects)), substeps)
+    return Structure(labels, bench.load_cell_bandwidth is None, _past(catalogue.total_delay(bench.effects)), substeps)
 
 
 def _state(name: str, unit: str, scale: float, *, integrated: bool = True) -> Hidden:
@@ -173,7 +173,7 @@ Part = Literal["", "derivatives", "sensitivities"]
 
 @lru_cache(maxsize=256)
 def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
-    """Compiled library of a structure; compiled on first use."""
+    """Return the compiled library of a structure, built on first use."""
     return machine_code.cached_library(
         _name(structure, part), lambda: _source(structure, part), said=lambda: _say(structure)
     )
@@ -219,13 +219,13 @@ def _sources_digest() -> str:
     here = Path(__file__).parent
     names = ["equations.py", "rates.py", "laws.py", "tables.py", "assembly.py", "source.py"]
     folders = [one for folder in ("effects", "grammar") for one in sorted((here / folder).glob("*.py"))]
-    files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders, *grown.sources()]
+    files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders, *grown.effect_files()]
     others = f"{SAMPLE_PERIOD} {_limits()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 
 
 def to_c(array: FloatArray, shape: tuple[int, ...] | None = None) -> ctypes.c_void_p:
-    """Pointer to an array's float64 numbers; ValueError if compiled code cannot read them."""
+    """Return a pointer to an array's float64 data; raises ValueError if it is not contiguous or of another shape."""
     if array.dtype != np.float64 or not array.flags.c_contiguous:
         raise ValueError(f"an array of {array.dtype} and strides {array.strides} is not one of adjacent float64")
     if shape is not None and array.shape != shape:

@@ -132,6 +132,6 @@ def stop_force(n: Symbol, position: Symbol, velocity: Symbol) -> Symbol:
     return choose(pressed * force > 0.0, force, 0.0)
 
 
-def amplifier(omega: Symbol, force: Symbol, shown: Symbol, rate: Symbol) -> Symbol:
+def amplifier_acceleration(omega: Symbol, force: Symbol, shown: Symbol, rate: Symbol) -> Symbol:
     """d2/dt2 [N/s2] of what the load cell's amplifier shows, a low-pass of `omega` [rad/s] on the force [N]."""
     return omega * (omega * (force - shown) - 2.0 * LOAD_CELL_DAMPING * rate)

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hydro_sim.model.laws import Element, Law, Number, rounded
+from hydro_sim.model.laws import Element, Law, Number, with_reversal_velocity
 from hydro_sim.model.tables import FACTORS, SIGNALS, Factor, Table
 
 _NOTICED = {"motion": ("N", 5.0), "load": ("N", 5.0), "pressure": ("m3/s", 3e-7), "pressure_a": ("m3/s", 3e-7),
@@ -150,7 +150,7 @@ def _law(equation: str, noun: str, what: str, variable: str, adjective: str, fac
     hint = f": typical of {_HINTS[name]}" if name in _HINTS else ""
     uses = set() if adjective == "constant" else set(SIGNALS.get(variable, variable).split())
     return Law(
-        equation=equation, form=name, unit=divided(unit, *own, *([factor.unit] if factor else [])),
+        equation=equation, form=name, unit=divide_units(unit, *own, *([factor.unit] if factor else [])),
         text=f"{factor.text} {text}".strip() if factor else text,
         formula=f"({factor.formula}) * ({formula})" if factor else formula,
         typical=size / ((factor.scale if factor else 1.0) * argument.scale**shape.degree),
@@ -170,15 +170,15 @@ def _curve(
     times = FACTORS["direction" if odd else factor] if odd or factor else None
     unit, size = _SENSORS[where][:2] if where else _NOTICED[equation]
     over = "speed" if odd else "force" if variable.endswith("force") else variable
-    whole, size = (divided(unit, times.unit), size / times.scale) if times else (unit, size)
+    whole, size = (divide_units(unit, times.unit), size / times.scale) if times else (unit, size)
     return Curve(Table(equation, over, whole, size, times, where), laws)
 
 
 _SYMBOL = r"sqrt\([^)]*\)|[A-Za-z]+"
 
 
-def divided(unit: str, *others: str) -> str:
-    """A unit such as "N s/m2" divided by others: each slash divides by the symbol behind it."""
+def divide_units(unit: str, *others: str) -> str:
+    """Return a unit such as "N s/m2" divided by other units; a slash divides by the next symbol only."""
     powers: dict[str, int] = {}
     for sign, one in ((1, unit), *((-1, other) for other in others)):
         for over, name, power in re.findall(rf"(^|[ /])({_SYMBOL})(\d*)", one):
@@ -255,7 +255,7 @@ def _slow(
     by = None if over == "time" else _ARGUMENTS[driver]
     return Law(
         equation=equation, form=f"{noun} {name}",
-        unit=divided(unit, *([factor.unit] if factor else []), *([by.unit] if by else [])),
+        unit=divide_units(unit, *([factor.unit] if factor else []), *([by.unit] if by else [])),
         text=f"{text}w, w' = ({symbol} - w) / time" if by else f"{text}(1 - exp(-t / time))", formula=formula,
         typical=size / ((factor.scale if factor else 1.0) * (by.scale if by else 1.0)),
         sentence=f"{what} that settles slowly {name} of a recording: typical of what warms.".replace(
@@ -268,7 +268,7 @@ def _slow(
 def _creeping(equation: str, name: str, what: str, variable: str, coefficient: float) -> Law:
     """What follows the part of a signal that is new."""
     argument = _ARGUMENTS[variable]
-    return Law(equation=equation, form=name, unit=divided(_NOTICED[equation][0], argument.unit),
+    return Law(equation=equation, form=name, unit=divide_units(_NOTICED[equation][0], argument.unit),
                text=f"({argument.text} - w), w' = ({argument.text} - w) / time", formula=f"{argument.formula} - w",
                typical=coefficient, sentence=what, element=Element("lag", variable), numbers=(_LAG,),
                uses=frozenset({variable}), degree=1.0)  # fmt: skip
@@ -347,34 +347,34 @@ _OTHER: tuple[Law, ...] = (
       for variable in ("current", "position", "velocity", "pressure_a", "pressure_b", "acceleration")
       if variable != channel and (channel, variable) != ("piston_position", "acceleration")),
 )  # fmt: skip
-BESIDE: tuple[Law, ...] = (*_MEMORY, *_OTHER)
-"""Laws that are no function of one signal at an instant."""
-LAWS: tuple[Law, ...] = (*(law for curve in CURVES for law in curve.laws), *BESIDE)
-ROUNDED = tuple(rounded(law) for law in LAWS if law.reverses)
+MEMORY_LAWS: tuple[Law, ...] = (*_MEMORY, *_OTHER)
+"""Laws with memory or of several signals."""
+LAWS: tuple[Law, ...] = (*(law for curve in CURVES for law in curve.laws), *MEMORY_LAWS)
+ROUNDED = tuple(with_reversal_velocity(law) for law in LAWS if law.depends_on_direction)
 """Laws that follow the sign of the velocity, with that over which they reverse as a number."""
 TABLES = tuple(curve.table for curve in CURVES)
 _EVERY: tuple[Law | Table, ...] = (*LAWS, *ROUNDED, *TABLES)
-ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
+FORMS: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
 """By equation and form."""
 
 
 def _of(closure: Mapping[str, Any]) -> Law | Table | None:
-    return ALL.get((str(closure["equation"]), str(closure["form"])))
+    return FORMS.get((str(closure["equation"]), str(closure["form"])))
 
 
-def remembers(closure: Mapping[str, Any]) -> bool:
+def has_hidden_states(closure: Mapping[str, Any]) -> bool:
     """Return whether an entry of a bench file's `closures` has hidden states."""
     law = _of(closure)
-    return law is not None and law.remembers
+    return law is not None and law.has_hidden_states
 
 
-def reverses(closure: Mapping[str, Any]) -> bool:
-    """Return whether an entry of a bench file's `closures` is a law that follows the sign of the velocity."""
+def depends_on_direction(closure: Mapping[str, Any]) -> bool:
+    """Return whether an entry of a bench file's `closures` is a law that depends on the sign of the velocity."""
     law = _of(closure)
-    return isinstance(law, Law) and law.reverses
+    return isinstance(law, Law) and law.depends_on_direction
 
 
-def uses(closure: Mapping[str, Any]) -> frozenset[str]:
-    """Signals that the law of an entry of a bench file's `closures` is made of."""
+def signals_of(closure: Mapping[str, Any]) -> frozenset[str]:
+    """Return the signals in the law of an entry of a bench file's `closures`."""
     law = _of(closure)
     return frozenset() if law is None else law.uses

@@ -68,40 +68,40 @@ class Signals:
     turn: Symbol = SIGN_VELOCITY
     """Velocity [m/s] over which the direction of motion reverses."""
 
-    def but(self, **changes: Symbol) -> Signals:
-        """The same signals with these changed: `dataclasses.replace`, which laws would spend their time in."""
+    def replace(self, **changes: Symbol) -> Signals:
+        """Return the signals with changes; a faster `dataclasses.replace`."""
         made = object.__new__(Signals)
         made.__dict__.update(self.__dict__, **changes)
         return made
 
     @property
     def direction(self) -> Symbol:
-        """sign(v), -1 to 1, rounded where it reverses."""
+        """Smoothed sign of the velocity, -1 to 1."""
         return np.tanh(self.velocity / self.turn)
 
     @property
     def pressure_difference(self) -> Symbol:
-        """p_a - p_b."""
+        """Pressure difference p_a - p_b [Pa]."""
         return self.pressure_a - self.pressure_b
 
     @property
     def speed(self) -> Symbol:
-        """|v|."""
+        """Speed |v| [m/s]."""
         return np.abs(self.velocity)
 
     @property
     def opening(self) -> Symbol:
-        """|u|."""
+        """Magnitude |u| of the valve opening [A]."""
         return np.abs(self.current)
 
 
-def sensed(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | None = None) -> Signals:
-    """Signals of a sensor's law: the one that it measures, and what stands beside it."""
+def sensor_signals(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | None = None) -> Signals:
+    """Return the signals of a sensor's law: its own measurement and, from `beside`, others."""
     own = {"hydraulic_force": "force", "load_force": "force", "piston_position": "position"}.get(channel, channel)
     return Signals(**{**(beside or {}), own: signal})
 
 
-WIDEST = 1e9
+BOUND_MAX = 1e9
 """SI unit, of where a table or a threshold may lie."""
 
 
@@ -118,8 +118,8 @@ class Number:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Bounds, SI unit; those of a threshold are the recordings'."""
-        return (-WIDEST, WIDEST) if self.over else (0.1 * self.probes[0], 10.0 * self.probes[-1])
+        """Lower and upper bound, SI unit; a threshold's are set by the recordings."""
+        return (-BOUND_MAX, BOUND_MAX) if self.over else (0.1 * self.probes[0], 10.0 * self.probes[-1])
 
 
 @dataclass(frozen=True)
@@ -184,23 +184,23 @@ class Law:
     """Total power of the signals in it; those of signs, bumps and states count nothing."""
 
     @property
-    def picks_up(self) -> bool:
-        """Whether it is a sensor's law that follows the valve's current."""
+    def depends_on_current(self) -> bool:
+        """Whether it is a sensor's error that depends on the valve current."""
         return self.equation == "sensor" and self.element is None and "current" in self.uses
 
     @property
-    def remembers(self) -> bool:
-        """Whether it has hidden states."""
-        return self.element is not None or self.picks_up
+    def has_hidden_states(self) -> bool:
+        """Whether the law has hidden states."""
+        return self.element is not None or self.depends_on_current
 
     @property
-    def steep(self) -> bool:
-        """Whether it is a step, which no smooth function is."""
+    def is_step(self) -> bool:
+        """Whether the formula is a step function."""
         return "where" in self.text
 
     @property
-    def reverses(self) -> bool:
-        """Whether it follows the sign of the velocity."""
+    def depends_on_direction(self) -> bool:
+        """Whether the law depends on the sign of the velocity."""
         return re.search(r"\b(sign_v|turn)\b", self.formula) is not None
 
     @property
@@ -210,37 +210,37 @@ class Law:
 
     @cached_property
     def shape(self) -> Any:
-        """The formula as a function of signals and the bench's numbers."""
+        """Formula as a function of `Signals` and the bench's numbers."""
         places = zip((one.name for one in self.numbers), ("at.number", "at.second"), strict=False)
         names = {**_SIGNALS, **{name: place for name, place in places if name != "turn"}}
         python = re.sub(r"[A-Za-z_]\w*", lambda found: names.get(found[0], found[0]), self.formula)
         return eval(f"lambda at, n: {python}", _FUNCTIONS)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
-        """Value of the term, in the unit of its equation."""
+        """Return the value of the term, in the unit of its equation."""
         further = dict(zip(self.names, numbers, strict=True))
         if "turn" in further:
-            at = at.but(turn=further.pop("turn"))
+            at = at.replace(turn=further.pop("turn"))
         _, number, second = (*further.values(), 0.0, 0.0)[:3]
-        return numbers[0] * self.shape(at.but(number=number, second=second), n)
+        return numbers[0] * self.shape(at.replace(number=number, second=second), n)
 
 
-TURN = Number("turn", "m/s", (SIGN_VELOCITY,))
+REVERSAL_VELOCITY = Number("turn", "m/s", (SIGN_VELOCITY,))
 """Velocity over which a law reverses."""
 REVERSING = "reversing over turn"
 """Text of a law that has it as a number."""
 
 
-def rounded(law: Law) -> Law:
-    """The same law with the velocity over which it reverses as its last number."""
+def with_reversal_velocity(law: Law) -> Law:
+    """Return the law with the reversal velocity [m/s] as an additional number."""
     text = f"{law.text}, {REVERSING}"
-    return replace(law, form=f"{law.form}, {REVERSING}", text=text, numbers=(*law.numbers, TURN))
+    return replace(law, form=f"{law.form}, {REVERSING}", text=text, numbers=(*law.numbers, REVERSAL_VELOCITY))
 
 
 def edge_losses(
     n: Any, openings: tuple[Symbol, Symbol], pressures: tuple[Symbol, Symbol], share: Callable[[Signals], Symbol]
 ) -> tuple[Symbol, Symbol]:
-    """Flows [m3/s] that chambers A and B lack where a share [-] of each edge's flow does not pass.
+    """Return the flows [m3/s] lost to chambers A and B if a share [-] of each edge's flow is blocked.
 
     Parameters
     ----------
@@ -260,14 +260,14 @@ def edge_losses(
     over_out, over_back = drops_out[0] + drops_out[1], drops_back[0] + drops_back[1]
 
     def lost(opened: Symbol, drop: Symbol, both: Symbol, feeds: float) -> Symbol:
-        return share(side.but(drop=drop, both=both, opened=opened, feeds=feeds)) * orifice(opened, drop)
+        return share(side.replace(drop=drop, both=both, opened=opened, feeds=feeds)) * orifice(opened, drop)
 
     lost_a = lost(out, drops_out[0], over_out, 1.0) - lost(back, drops_back[0], over_back, 0.0)
     return lost_a, lost(back, drops_back[1], over_back, 1.0) - lost(out, drops_out[1], over_out, 0.0)
 
 
-def shifted(n: Any, spool: Symbol, shift: Symbol, pressures: tuple[Symbol, Symbol]) -> tuple[Symbol, Symbol]:
-    """Flows [m3/s] that chambers A and B lack where the edges see a spool [A] that is shifted [A]."""
+def spool_shift_losses(n: Any, spool: Symbol, shift: Symbol, pressures: tuple[Symbol, Symbol]) -> tuple[Symbol, Symbol]:
+    """Return the flows [m3/s] lost to chambers A and B if the spool [A] is shifted by `shift` [A]."""
     p_a, p_b = pressures
     drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, p_a, p_b)
     to_a, to_b = 0.0, 0.0

@@ -34,7 +34,7 @@ FLAGS = (
 
 
 def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], None] = lambda: None) -> ctypes.CDLL:
-    """The library of a name; `source` writes its C where there is none yet, after `said`.
+    """Return the cached library of a specification; compiles the C of `source()` if missing, after calling `said`.
 
     `name`: specification of the source as text: all that it depends on. Raises ValueError: there is no C compiler, it
     fails, or there is no place to keep the library.
@@ -63,7 +63,7 @@ def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], N
 
 
 def library_path(name: str) -> Path:
-    """Path of the library of a name, once it is compiled for this machine."""
+    """Return the path of a specification's library for this machine."""
     return cache_folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
 
 
@@ -76,7 +76,7 @@ def _loaded(file: Path) -> ctypes.CDLL | None:
 
 
 def cache_folder() -> Path:
-    """Cache folder of the libraries."""
+    """Return the cache folder of the libraries."""
     named = os.environ.get("NUMBA_CACHE_DIR")
     place = Path(named) if named else Path(__file__).resolve().parent / "__pycache__"
     if os.access(place if place.exists() else place.parent, os.W_OK):
@@ -109,8 +109,8 @@ def _machine() -> str:
     return " ".join([platform.machine(), os.environ.get("CC", ""), *FLAGS, *features])
 
 
-def call(signature: Any, letters: str) -> Any:
-    """A call by address, the first argument; of the others, whether each is an array (p), a number (d), an int (l)."""
+def declare_call(signature: Any, letters: str) -> Any:
+    """Declare a call by address for numba; `letters`: kind of each argument, array (p), float (d) or int (l)."""
     kinds = {"p": ir.IntType(8).as_pointer(), "d": ir.DoubleType(), "l": ir.IntType(64)}
 
     def memory(context: Any, builder: Any, kind: Any, value: Any) -> Any:
@@ -132,16 +132,16 @@ def call(signature: Any, letters: str) -> Any:
 @intrinsic
 def sample(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any) -> Any:
     """Call `bench_sample` at an address: y, in place, and readings z after a sample at a current [A]. For numba."""
-    return call(types.void(types.int64, k, y, types.float64, z), "ppdp")
+    return declare_call(types.void(types.int64, k, y, types.float64, z), "ppdp")
 
 
 @intrinsic
 def jacobian(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any, dy: Any, dz: Any) -> Any:
     """Call `bench_jacobian`: as `sample`, with d y/d(y, u) and d z/d(y, u) by rows into dy and dz. For numba."""
-    return call(types.void(types.int64, k, y, types.float64, z, dy, dz), "ppdppp")
+    return declare_call(types.void(types.int64, k, y, types.float64, z, dy, dz), "ppdppp")
 
 
 @intrinsic
 def rates(typingctx: Any, address: Any, k: Any, count: Any, y: Any, currents: Any, slopes: Any) -> Any:
     """Call `bench_rates`: y' at each of `count` states and currents, by rows into `slopes`. For numba."""
-    return call(types.void(types.int64, k, types.int64, y, currents, slopes), "plppp")
+    return declare_call(types.void(types.int64, k, types.int64, y, currents, slopes), "plppp")

@@ -31,7 +31,7 @@ class Plant(Protocol):
 
 
 STATES_MAX, COEFFICIENTS_MAX = 128, 320
-"""Capacity of a record: more than `effects.catalogue.CAPACITY` effects need."""
+"""Capacity of a record: more than `effects.catalogue.EFFECTS_MAX` effects need."""
 
 MODEL_DTYPE = np.dtype([("address", np.int64), ("k", np.float64, (COEFFICIENTS_MAX,))])
 """A model for compiled code: address of its `bench_sample` in this process, and its coefficients."""
@@ -89,9 +89,9 @@ class AnalyticPlant:
 
 @njit
 def begin(sensor_constants, state, noise, readings):
-    """First sample: `sensor_constants`, `state` of shape (1,), `noise` and true `readings` of shape (5,)."""
-    sensors.sense(sensor_constants[0], noise, readings)
-    sensors.restart(state[0].last, readings, state[0].x)
+    """Begin with a first sample; `sensor_constants`, `state`: shape (1,), `noise`, true `readings`: shape (5,)."""
+    sensors.add_sensor_errors(sensor_constants[0], noise, readings)
+    sensors.reset_conditioning(state[0].last, readings, state[0].x)
 
 
 @njit
@@ -99,5 +99,5 @@ def advance(constants, sensor_constants, state, noise, valve_current):
     """One sample of 1 ms in place; `constants` as `MODEL_DTYPE`, shapes as in `begin`. Every simulation runs this."""
     raw = np.empty(5)
     machine_code.sample(constants[0].address, constants[0].k, state[0].y, valve_current, raw)
-    sensors.sense(sensor_constants[0], noise, raw)
-    sensors.condition(sensor_constants[0], state[0].last, raw, state[0].x)
+    sensors.add_sensor_errors(sensor_constants[0], noise, raw)
+    sensors.condition_readings(sensor_constants[0], state[0].last, raw, state[0].x)

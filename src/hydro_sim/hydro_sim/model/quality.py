@@ -20,14 +20,14 @@ HORIZON = 70
 READINGS = tuple(PLANT_FIELDS[column] for column in (0, 2, 4, 5, 6))
 """Sensor readings, in the order of a model's."""
 
-UNFIT = 3.0
+RATIO_MAX = 3.0
 """Largest error of a model that is relied on, over the noise: geometric mean of the readings."""
 
-UNFIT_WORST = 10.0
+WORST_RATIO_MAX = 10.0
 """Largest error of the worst reading, over its noise. More than for the mean, as noise does not tell what an
 error does: ten times are 6 N of a load cell, and 3 um of an encoder."""
 
-GOOD = 1.3
+GOOD_RATIO = 1.3
 """Error of a reading, over its noise, that is accepted without a note."""
 
 
@@ -44,7 +44,7 @@ class Quality:
 
     @classmethod
     def of(cls, ratios: Sequence[float]) -> Quality:
-        """From the ratios of the readings, in the order of `READINGS`; one that is no number is the worst."""
+        """Create from the readings' error ratios, in the order of `READINGS`; NaN counts as infinite."""
         worst, name = max(zip(ratios, READINGS, strict=True), key=lambda one: one[0] if one[0] >= 0.0 else float("inf"))
         mean = exp(sum(log(ratio) for ratio in ratios) / len(ratios))
         return cls(over_noise=float(mean), worst=float(worst), worst_reading=name)
@@ -62,17 +62,17 @@ class Quality:
         return cls(over_noise=over_noise, worst=worst, worst_reading=content["worst_reading"])
 
     def to_mapping(self) -> dict[str, Any]:
-        """For a bench file."""
+        """Return the quality as a mapping for a bench file."""
         left = {"over_noise": round(self.over_noise, 4), "worst": round(self.worst, 4)}
         return {"samples": HORIZON, **left, "worst_reading": self.worst_reading}
 
     @property
     def unfit(self) -> str:
-        """Return why nothing may rely on it, in a sentence; empty where it may."""
-        if not self.over_noise <= UNFIT:
-            left = f"{self.over_noise:.3g} times the noise, more than {UNFIT:g}"
-        elif not self.worst <= UNFIT_WORST:
-            left = f"{self.worst:.3g} times the noise of {self.worst_reading}, more than {UNFIT_WORST:g}"
+        """Error message if the predictions are too poor to rely on; empty otherwise."""
+        if not self.over_noise <= RATIO_MAX:
+            left = f"{self.over_noise:.3g} times the noise, more than {RATIO_MAX:g}"
+        elif not self.worst <= WORST_RATIO_MAX:
+            left = f"{self.worst:.3g} times the noise of {self.worst_reading}, more than {WORST_RATIO_MAX:g}"
         else:
             return ""
         return (
@@ -81,11 +81,11 @@ class Quality:
         )
 
     def sentence(self) -> str:
-        """Return the remaining error and its meaning, in a sentence."""
+        """Return a sentence on the prediction error and whether it is acceptable."""
         left = f"{self.over_noise:.2f} times the noise, {self.worst:.2f} times of {self.worst_reading}"
         told = f"{HORIZON}-sample predictions leave {left}"
         if self.unfit:
             return f"{told}; NOT fit for the filter: {self.unfit}"
-        if self.worst > GOOD:
-            return f"{told}; more than {GOOD:g} times hints at an effect that the file does not name"
+        if self.worst > GOOD_RATIO:
+            return f"{told}; more than {GOOD_RATIO:g} times hints at an effect that the file does not name"
         return told

@@ -22,29 +22,31 @@ Edges = tuple[Symbol, Symbol]
 
 
 def dry_level(effects: Sequence[Effect], velocity: Symbol) -> Symbol:
-    """Dry friction [N] while sliding at a velocity [m/s]."""
+    """Return the dry friction [N] while sliding at a velocity [m/s]."""
     level: Symbol = 0.0
     for effect in effects:
         level = effect.dry_level(level, velocity)
     return level
 
 
-def load(n: Any, effects: Sequence[Effect], position: Symbol) -> Symbol:
-    """f_l [N] at a piston position [m]."""
+def load_force(n: Any, effects: Sequence[Effect], position: Symbol) -> Symbol:
+    """Return the load force f_l [N] at a piston position [m]."""
     force = eq.spring_force(n, position)
     for effect in effects:
         force = effect.load(force, position)
     return force
 
 
-def inertia(effects: Sequence[Effect], position: Symbol) -> Symbol:
-    """Mass [kg] that the load drags along, at a piston position [m]; the number 0 where no effect has any."""
+def dragged_mass(effects: Sequence[Effect], position: Symbol) -> Symbol:
+    """Return the mass [kg] moved with the load at a piston position [m]; 0.0 without such an effect."""
     dragging = [effect for effect in effects if effect.acts_in("inertia")]
     return sum(effect.inertia(position) for effect in dragging) if dragging else 0.0
 
 
-def flows(n: Any, effects: Sequence[Effect], p_a: Symbol, p_b: Symbol, edges: Edges) -> tuple[Symbol, Symbol, Symbol]:
-    """Through the valve into chamber A, into chamber B, and out of the supply [m3/s], at pressures [Pa]."""
+def valve_flows(
+    n: Any, effects: Sequence[Effect], p_a: Symbol, p_b: Symbol, edges: Edges
+) -> tuple[Symbol, Symbol, Symbol]:
+    """Return the valve's flows [m3/s] into chamber A, into chamber B, and out of the supply, at pressures [Pa]."""
     out, back = edges
     supply = n.supply_pressure
     for effect in effects:
@@ -60,10 +62,12 @@ def flows(n: Any, effects: Sequence[Effect], p_a: Symbol, p_b: Symbol, edges: Ed
     return into_a, into_b, choose(outwards, into_a, into_b)
 
 
-def pressures(n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges) -> tuple[Symbol, Symbol, Symbol]:
-    """p_a', p_b' [Pa/s], and the flow out of the supply [m3/s]."""
+def pressure_rates(
+    n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges
+) -> tuple[Symbol, Symbol, Symbol]:
+    """Return p_a', p_b' [Pa/s], and the flow out of the supply [m3/s]."""
     p_a, p_b, position, velocity = y[:4]
-    into_a, into_b, drawn = flows(n, effects, p_a, p_b, edges)
+    into_a, into_b, drawn = valve_flows(n, effects, p_a, p_b, edges)
     modulus_a = modulus_b = n.bulk_modulus
     for effect in effects:
         from_a, from_b = effect.leaks(p_a, p_b)
@@ -73,24 +77,26 @@ def pressures(n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edg
     return *eq.pressure_rates(n, stiff, (into_a, into_b), velocity), drawn
 
 
-def textbook(
+def textbook_rates(
     n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges, dry: Callable[[Symbol], Symbol]
 ) -> tuple[list[Symbol], Symbol]:
-    """y', of length 6, and the flow out of the supply [m3/s]. `dry`: force [N] of dry friction at a velocity [m/s]."""
+    """Return y', of length 6, and the flow out of the supply [m3/s]; `dry`: dry friction [N] by velocity [m/s]."""
     p_a, p_b, position, velocity, shown, shown_rate = y[:6]
     for effect in effects:
         effect.at.position, effect.at.velocity, effect.at.pressures = position, velocity, (p_a, p_b)
         effect.at.load_force = shown
-    rate_a, rate_b, drawn = pressures(n, effects, y, edges)
-    force = load(n, effects, position)
+    rate_a, rate_b, drawn = pressure_rates(n, effects, y, edges)
+    force = load_force(n, effects, position)
     against = n.viscous_friction * velocity + eq.stop_force(n, position, velocity) + dry(velocity)
     for effect in effects:
         against = against + effect.opposing_force(position, velocity)
-    dragged = inertia(effects, position)
+    dragged = dragged_mass(effects, position)
     driving = eq.hydraulic_force(n, p_a, p_b) - against - force
     acceleration = driving * n.mobility if isinstance(dragged, float) else driving / (n.moving_mass + dragged)
     force = force + dragged * acceleration
-    cell = eq.amplifier(n.load_cell_omega, force, shown, shown_rate) if n.load_cell_omega is not None else 0.0
+    cell = (
+        eq.amplifier_acceleration(n.load_cell_omega, force, shown, shown_rate) if n.load_cell_omega is not None else 0.0
+    )
     return [rate_a, rate_b, velocity, acceleration, shown_rate, cell], drawn
 
 
@@ -102,10 +108,10 @@ Friction = Callable[[Symbol], Symbol]
 """A force [N] against the motion at a velocity [m/s], or what becomes of the velocity where a step ends."""
 
 
-def stick_event(
+def stick_slip_friction(
     level: Friction, mass: Symbol, velocity: Symbol, free: Symbol, step: float
 ) -> tuple[Friction, Friction]:
-    """Dry friction of a `level` over a step [s]: its force, and its end of the step.
+    """Return the dry friction of `level` over a step [s] with stick-slip: functions for the step and for its end.
 
     The step begins at a velocity [m/s] and, without friction, an acceleration `free` [m/s2].
     """

@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_core.size import Size, resized
+from hydro_core.size import Size, rescale
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
 
@@ -61,7 +61,7 @@ class Sensors:
     @classmethod
     def of_size(cls, size: Size) -> Sensors:
         """Return the usual sensors of a bench of this size."""
-        return resized(cls(), NOMINAL, size)
+        return rescale(cls(), NOMINAL, size)
 
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
         """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""
@@ -86,7 +86,7 @@ class Noise:
         self._used = 0
 
     def row(self) -> FloatArray:
-        """The next row, shape (5,)."""
+        """Return the next sample's standard normal numbers, shape (5,)."""
         if self._used == len(self._block):
             self._block = self._generator.standard_normal((self.BLOCK, len(RAW_FIELDS)))
             self._used = 0
@@ -94,7 +94,7 @@ class Noise:
         return self._block[self._used - 1]
 
     def rows(self, count: int) -> FloatArray:
-        """The next rows, shape (count, 5)."""
+        """Return the standard normal numbers of the next `count` samples, shape (count, 5)."""
         kept = self._block[self._used :]
         fresh = self._generator.standard_normal((max(count - len(kept), 0), len(RAW_FIELDS)))
         self._block, self._used = (self._block, self._used + count) if len(kept) >= count else (fresh[:0], 0)
@@ -102,8 +102,8 @@ class Noise:
 
 
 @njit
-def sense(sensors, noise, raw):
-    """Make true values `raw`, shape (5,), into readings, in place; `noise`: standard normal numbers, shape (5,)."""
+def add_sensor_errors(sensors, noise, raw):
+    """Add noise and quantisation to true values `raw`, shape (5,), in place; `noise`: standard normal, shape (5,)."""
     raw[0] += sensors.force_noise * noise[0]
     raw[1] += sensors.force_noise * noise[1]
     raw[2] += sensors.pressure_noise * noise[2]
@@ -113,8 +113,8 @@ def sense(sensors, noise, raw):
 
 
 @njit
-def restart(last, raw, measurement):
-    """Begin conditioning at readings `raw`: rates are zero; a reading that is none counts as 0."""
+def reset_conditioning(last, raw, measurement):
+    """Start conditioning at readings `raw`, with zero rates; invalid readings count as 0."""
     last.force_h = raw[0] if abs(raw[0]) < READING_MAX else 0.0
     last.force_l = raw[1] if abs(raw[1]) < READING_MAX else 0.0
     last.position = raw[4] if abs(raw[4]) < READING_MAX else 0.0
@@ -123,8 +123,8 @@ def restart(last, raw, measurement):
 
 
 @njit
-def condition(sensors, last, raw, measurement):
-    """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose rates are its memory.
+def condition_readings(sensors, last, raw, measurement):
+    """Condition one sample: readings `raw`, shape (5,), into `measurement`, shape (8,), with filtered rates.
 
     A reading that no sensor gives, NaN too, leaves its rate as it was; the next difference is to the last good one.
     """

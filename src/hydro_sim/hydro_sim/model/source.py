@@ -50,7 +50,7 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
 
 
 def exported_source(model: Functions, substeps: int) -> str:
-    """Return what `hydro_sim.export` hands to other programs, without loops; all names begin with `hydro_`."""
+    """Return the C source for `hydro_sim.export`, without loops; all names begin with `hydro_`."""
     k, y = ("k", model.k), ("y", model.y)
     at: Inputs = [k, y, ("u", model.current)]
     functions: list[tuple[str, Inputs, Outputs]] = [

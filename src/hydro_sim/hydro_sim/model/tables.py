@@ -35,7 +35,7 @@ class Factor:
     """A usual value."""
     degree: float
     uses: str
-    """Signals that it is made of."""
+    """Signals that it depends on."""
     shape: Callable[[Signals], Symbol]
 
 
@@ -66,7 +66,7 @@ class Table:
 
     @property
     def form(self) -> str:
-        """Name of the form, as for laws."""
+        """Name of the table's form, as of a law's."""
         over = self.where or self.variable
         if self.where and self.variable not in (self.where, "force"):
             over = f"{self.variable} of {self.where}"
@@ -82,32 +82,32 @@ class Table:
 
     @property
     def uses(self) -> frozenset[str]:
-        """Signals that it is made of."""
+        """Signals that the table depends on."""
         own = SIGNALS.get(self.variable, self.variable if self.variable != "force" else self.where)
         return frozenset(f"{own} {self.factor.uses if self.factor else ''}".split())
 
     @property
-    def picks_up(self) -> bool:
-        """Whether it is a sensor's table over the valve's current."""
+    def depends_on_current(self) -> bool:
+        """Whether it is a sensor's error that depends on the valve current."""
         return self.equation == "sensor" and self.variable == "current"
 
     @property
-    def remembers(self) -> bool:
+    def has_hidden_states(self) -> bool:
         """Whether it has hidden states."""
-        return self.picks_up
+        return self.depends_on_current
 
-    def over(self, at: Signals) -> Symbol:
-        """Its variable."""
+    def variable_value(self, at: Signals) -> Symbol:
+        """Return the value of the table's variable."""
         return getattr(at, self.variable)
 
-    def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
-        """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""
-        return 1.0 + clip((self.over(at) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
+    def spline_position(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
+        """Return the variable's position in knot intervals, from 1 to `KNOTS` - 2."""
+        return 1.0 + clip((self.variable_value(at) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
-        """Value of the term, in the unit of its equation."""
+        """Return the value of the term, in the unit of its equation."""
         low, high, *values = numbers
-        along = self.along(at, low, high)
+        along = self.spline_position(at, low, high)
         total: Symbol = 0.0
         for k, value in enumerate(values):
             total = total + value * _cubic(np.abs(along - k))

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from hydro_core.cli.console import UserError, command
 
-FORMER = {"export_c": "ros2 run hydro_sim export --box FILE.h", "collect": "ros2 run hydro_policy collect"}
+RENAMED_COMMANDS = {"export_c": "ros2 run hydro_sim export --box FILE.h", "collect": "ros2 run hydro_policy collect"}
 
 
 @command()
 def main() -> None:
     """Entry point."""
-    told = {name: f"{name} is now `{now}`" for name, now in FORMER.items()}
+    told = {name: f"{name} is now `{now}`" for name, now in RENAMED_COMMANDS.items()}
     argparse.ArgumentParser(description=f"Refused: {'; '.join(told.values())}.").parse_known_args()
     raise UserError(told[Path(sys.argv[0]).stem])

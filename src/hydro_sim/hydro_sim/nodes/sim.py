@@ -18,7 +18,7 @@ from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.safety.pace import Pace, PaceSettings, refuse_speed
+from hydro_bridge.safety.pace import Pace, PaceSettings, reject_speed_option
 from hydro_core.cli.console import command
 from hydro_core.files import site
 from hydro_core.settings import describe
@@ -35,7 +35,7 @@ SIMULATED_BOX = "hydro sim"
 """Name of the simulated box."""
 
 
-class SimSide(Simulation):
+class SimulatedPlant(Simulation):
     """A simulation with its status for /diagnostics."""
 
     effects = ""
@@ -45,15 +45,15 @@ class SimSide(Simulation):
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
         values = {
             "samples": self.samples,
-            "simulated seconds per second": self.speed_reached(),
+            "simulated seconds per second": self.mean_speed(),
             "late samples": self.pacer.late,
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
-            "each sample waits for": self.pace.waits if self.paced else f"nobody: {self.settings.pace}",
+            "each sample waits for": self.pace.peers if self.paced else f"nobody: {self.settings.pace}",
             "effects": self.effects or "none",
             "refused by the box": self._box.refused[0],
         }
-        pace = f"{self.speed_reached():.2f} times real time"
+        pace = f"{self.mean_speed():.2f} times real time"
         return Status(message=f"{mode(self.flags)}, {pace}", values=values)
 
 
@@ -73,7 +73,7 @@ class SimNode(PlantNode):
         self.get_logger().info(f"simulates {settings.model or settings.bench or 'the shipped learned bench'}, {what}")
         log = self.get_logger().info
         pace = Pace(declare_parameters(self, PaceSettings(), "pace."), log)
-        self.simulation = SimSide(box, plant, guard, settings, self._publish, log, pace)
+        self.simulation = SimulatedPlant(box, plant, guard, settings, self._publish, log, pace)
         self.simulation.effects = effects
         self.connect(self.simulation)
         info = box_info(believed, config, SIMULATED_BOX)
@@ -107,8 +107,8 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     return learned_bench.make_plant(path, noise=settings.noise)
 
 
-def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
-    """Settings and whether to ask for real-time scheduling; the help texts are the settings' own."""
+def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
+    """Parse the command line into the settings and whether to request real-time scheduling."""
     parser = argparse.ArgumentParser(
         prog="sim",
         description="The simulated bench in place of emulator and bridge: same topics, types, rates and rules.",
@@ -120,9 +120,9 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=texts[name].text)
     site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
-    refuse_speed(own)
+    reject_speed_option(own)
     asked = parser.parse_args(own)
-    site.take_site(asked, bench=site.BENCH, model=site.MODEL)
+    site.apply_site_option(asked, bench=site.BENCH, model=site.MODEL)
     options: dict[str, Any] = {
         name: str(value) if isinstance(value, Path) else value for name, value in vars(asked).items()
     }
@@ -131,9 +131,9 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
     return replace(defaults, **options), realtime
 
 
-def plant(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
-    """Return what makes the node that this command line asks for, given a filter in its process."""
-    settings, realtime = arguments(own)
+def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
+    """Return a factory of the node for this command line; it takes the filter in this process, or None."""
+    settings, realtime = parse_args(own)
     return lambda corrector: SimNode(settings, corrector, realtime=realtime)
 
 
@@ -141,5 +141,5 @@ def plant(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    make = plant(own)
+    make = plant_factory(own)
     run_plant(lambda: make(None), ros)

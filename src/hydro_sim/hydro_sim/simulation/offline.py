@@ -112,7 +112,7 @@ def simulate(
     records = (plant.constants, plant.sensors, plant.state, box.settings, box.state, command)
     playing = box.state["reference"]
     signals = (played, command["reference"], playing["coming"], playing["fade_start"])
-    _loop(firmware.calls(), *records, *signals, gains, correction, noise, output)
+    _loop(firmware.function_addresses(), *records, *signals, gains, correction, noise, output)
     return output
 
 
@@ -135,7 +135,7 @@ def _loop(
         plants.advance(constants, sensors, plant_state, noise[k], output[k].valve_current)
 
 
-PLAYED = 10.0
+PLAYBACK_FREQUENCY = 10.0
 """Hz of the sines that play a recorded reference: their amplitude at 1e5 N/s is within a load cell's range."""
 
 
@@ -149,8 +149,8 @@ def _played(reference: FloatArray, samples: int) -> npt.NDArray[np.void]:
         raise ValueError(f"a recorded reference of shape {reference.shape} for {samples} samples")
     value, rate = reference.T
     signals = np.zeros(samples, firmware.DOUBLE.signal)
-    signals["waveform"], signals["frequency"] = Waveform.SINE, PLAYED
-    signals["amplitude"], signals["offset"] = np.abs(rate) / (2.0 * np.pi * PLAYED), value
+    signals["waveform"], signals["frequency"] = Waveform.SINE, PLAYBACK_FREQUENCY
+    signals["amplitude"], signals["offset"] = np.abs(rate) / (2.0 * np.pi * PLAYBACK_FREQUENCY), value
     signals["phase"] = np.where(rate < 0.0, np.pi, 0.0)
     signals["start"] = SAMPLE_PERIOD * np.arange(samples)
     return signals

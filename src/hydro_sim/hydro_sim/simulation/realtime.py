@@ -27,7 +27,7 @@ from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace, PaceSettings, parse_pace
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.clock import HostClock, clock_step_message
-from hydro_core.process.realtime import Pacer, exact_timers
+from hydro_core.process.realtime import Pacer, disable_timer_slack
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state
@@ -105,7 +105,7 @@ class Simulation:
 
     @property
     def law_state(self) -> LawState | None:
-        """Force law as it acted in the present sample, for `on_state` alone; None: the paper's."""
+        """State of the force law in the present sample, for `on_state`; None: the paper's law."""
         state = self._box.state[0]
         return law_state(state) if state["acting"]["law"] else None
 
@@ -113,16 +113,16 @@ class Simulation:
         """Time [s] by which commands and leases age: the host's monotonic clock, or the simulation's own."""
         return time.monotonic() if self.real_time else self.samples * SAMPLE_PERIOD
 
-    def speed_reached(self) -> float:
-        """Simulated seconds per second since the start."""
+    def mean_speed(self) -> float:
+        """Return the simulated seconds per second of wall clock since the start."""
         return self.samples * SAMPLE_PERIOD / max(time.monotonic() - self._began, SAMPLE_PERIOD)
 
     def run(self) -> None:
         """Simulate until `stop`; the body of the plant's thread."""
-        exact_timers()
+        disable_timer_slack()
         measurement = self.warm_up()
         if self.paced:
-            self.pace.meet()
+            self.pace.wait_for_peers()
         self._began = time.monotonic()
         self.pacer.restart()
         while not self._stopping.is_set():
@@ -141,7 +141,7 @@ class Simulation:
             publish = partial(self._on_state, stamp, fields)
             if self.paced:
                 self._answered.clear()
-                self.pace.publishes(fields[1], publish)
+                self.pace.begin_sample(fields[1], publish)
             publish()
             measurement = self._plant.step(fields[10])
             if self.paced:
@@ -157,7 +157,7 @@ class Simulation:
         self.pace.close()
 
     def send(self, corrects: int | None = None) -> None:
-        """Let a command that corrects nothing act at once; each sample takes the guard's present command anyway."""
+        """Apply a command that corrects nothing at once; others apply with the next sample."""
         if corrects is None:
             self.pace.release()
 
@@ -172,7 +172,7 @@ class Simulation:
             return bool(self.flags & Flag.ARMED) == arm
 
         if self.paced:
-            confirmed = self.pace.confirm(done)
+            confirmed = self.pace.run_until(done)
         else:
             with self._confirmed:
                 confirmed = self._confirmed.wait_for(done, timeout)
@@ -183,7 +183,7 @@ class Simulation:
         return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
 
     def warm_up(self) -> FloatArray:
-        """Compile everything before the deadlines begin; return the first measurement. Repeated calls cost nothing."""
+        """Compile all kernels before deadlines begin; return the first measurement. Repeated calls cost nothing."""
         begin = time.monotonic()
         self._box.receive(Command(), 0.0)
         self._box.tick(self._plant.reset(self.settings.seed), 0.0)
@@ -198,7 +198,7 @@ class Simulation:
         """Stamp [ns] of the present sample: ROS time in real time, else the simulation's own."""
         if not self.real_time:
             return self.samples * round(1e9 * SAMPLE_PERIOD)
-        step = self.host_clock.look()
+        step = self.host_clock.detect_step()
         if step:
             self._log(clock_step_message(step))
         return self.host_clock.ros_time(self.pacer.deadline_ns)  # without the jitter of waking up

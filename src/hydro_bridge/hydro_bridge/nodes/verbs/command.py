@@ -47,24 +47,24 @@ def interface(name: str, kind: str) -> type[Any]:
     return found
 
 
-def plain(value: Any) -> Any:
+def to_plain(value: Any) -> Any:
     """Convert a message, or a value in one, to YAML types."""
     if hasattr(value, "get_fields_and_field_types"):
-        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+        return {name: to_plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
         return int.from_bytes(value, "little") if len(value) == 1 else list(value)
     if isinstance(value, Iterable) and not isinstance(value, _LONG):
-        return [plain(entry) for entry in value]
+        return [to_plain(entry) for entry in value]
     return value.item() if hasattr(value, "item") else value
 
 
-def as_yaml(value: Any) -> str:
+def to_yaml(value: Any) -> str:
     """Return a message or plain value as YAML, one field per line."""
-    text = yaml.safe_dump(plain(value), sort_keys=False, allow_unicode=True, width=float("inf"))
+    text = yaml.safe_dump(to_plain(value), sort_keys=False, allow_unicode=True, width=float("inf"))
     return text.removesuffix("...\n")
 
 
-def parsed(text: str) -> dict[str, Any]:
+def parse_yaml(text: str) -> dict[str, Any]:
     """Parse a mapping written as YAML, `{}` for none; raises UserError."""
     try:
         values = yaml.safe_load(text) if text.strip() else {}
@@ -75,8 +75,8 @@ def parsed(text: str) -> dict[str, Any]:
     return values
 
 
-def fill(message: Any, values: Mapping[str, Any]) -> None:
-    """Set a message's fields; raises UserError for an unknown field or a value of the wrong type.
+def set_fields(message: Any, values: Mapping[str, Any]) -> None:
+    """Set a message's fields from a mapping; raises UserError for an unknown field or a value of the wrong type.
 
     The message must be created with `check_fields=True`: otherwise ROS accepts any value, and fails on sending.
     """
@@ -106,21 +106,21 @@ def _made(type_name: str, values: Mapping[str, Any]) -> Any:
     if not isinstance(values, Mapping):
         raise TypeError
     message = interface(type_name, "msg")(check_fields=True)
-    fill(message, values)
+    set_fields(message, values)
     return message
 
 
 _SPIN_TIME = 1.0
 """s, minimum wait of a list, which continues until nothing new has appeared for `_CALM`."""
-PATIENCE = 10.0
+DISCOVERY_TIMEOUT = 10.0
 """s, wait for a named item: on a busy machine announcements get lost and are repeated every few seconds."""
 _CALM = 0.5
 _LOOK = 0.05
 
 
 @contextmanager
-def visiting() -> Iterator[Node]:
-    """Yield a node that offers nothing and is hidden from lists by the leading `_` of its name."""
+def temporary_node() -> Iterator[Node]:
+    """Context with a hidden node for queries of the graph; it has no parameter services."""
     with running_ros():
         node = Node(f"_ros2cli_{os.getpid()}", start_parameter_services=False, enable_rosout=False)
         try:
@@ -129,18 +129,18 @@ def visiting() -> Iterator[Node]:
             node.destroy_node()
 
 
-def settle(node: Node) -> None:
-    """Wait until the graph no longer changes: at least `_SPIN_TIME`, at most `PATIENCE`."""
+def wait_for_discovery(node: Node) -> None:
+    """Wait until the graph no longer changes: at least `_SPIN_TIME`, at most `DISCOVERY_TIMEOUT`."""
     begin = time.monotonic()
     seen, changed = -1, begin
-    while (now := time.monotonic()) < begin + _SPIN_TIME or (now < changed + _CALM and now < begin + PATIENCE):
+    while (now := time.monotonic()) < begin + _SPIN_TIME or (now < changed + _CALM and now < begin + DISCOVERY_TIMEOUT):
         count = sum(1 for _ in node.get_node_names_and_namespaces()) + len(node.get_topic_names_and_types())
         if count != seen:
             seen, changed = count, now
         time.sleep(_LOOK)
 
 
-def wait_for(condition: Callable[[], object], sentence: str, patience: float = PATIENCE) -> None:
+def wait_for(condition: Callable[[], object], sentence: str, patience: float = DISCOVERY_TIMEOUT) -> None:
     """Wait until `condition` holds; raises UserError with `sentence` after `patience` s."""
     end = time.monotonic() + patience
     while not condition():
@@ -149,12 +149,12 @@ def wait_for(condition: Callable[[], object], sentence: str, patience: float = P
         time.sleep(_LOOK)
 
 
-def absolute(name: str) -> str:
+def absolute_name(name: str) -> str:
     """Return a name with its leading slash."""
     return name if name.startswith("/") else f"/{name}"
 
 
-def types_of(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
+def wait_for_types(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
     """Return the types of a topic or service once it is in the graph; raises UserError with `sentence`."""
     wait_for(lambda: name in dict(offered()), sentence)
     return list(dict(offered())[name])
@@ -227,8 +227,8 @@ def main() -> int | None:
 
 
 def _list(options: argparse.Namespace) -> None:
-    with visiting() as node:
-        settle(node)
+    with temporary_node() as node:
+        wait_for_discovery(node)
         found: list[tuple[str, list[str]]] = node.get_topic_names_and_types()
         if options.group == "service":
             found = node.get_service_names_and_types()
@@ -244,7 +244,7 @@ def _topic_echo(options: argparse.Namespace) -> None:
     done = Future()
 
     def show(message: Any) -> None:
-        print(f"{as_yaml(message)}---", flush=True)
+        print(f"{to_yaml(message)}---", flush=True)
         if options.once:
             done.set_result(None)
 
@@ -285,9 +285,9 @@ def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Calla
 
         return acted
 
-    with visiting() as node:
-        topic = absolute(topic)
-        kinds = types_of(node.get_topic_names_and_types, topic, f"nobody publishes or hears {topic}")
+    with temporary_node() as node:
+        topic = absolute_name(topic)
+        kinds = wait_for_types(node.get_topic_names_and_types, topic, f"nobody publishes or hears {topic}")
         qos, raw = _offered_qos(node, topic), report is not None
         node.create_subscription(interface(kinds[0], "msg"), topic, guarded(hear), qos, raw=raw)
         if report is not None:
@@ -327,21 +327,21 @@ def _offered_qos(node: Node, topic: str) -> QoSProfile:
 
 
 def _service_call(options: argparse.Namespace) -> None:
-    service, kind = absolute(options.service), interface(options.type, "srv")
+    service, kind = absolute_name(options.service), interface(options.type, "srv")
     request = kind.Request(check_fields=True)
-    fill(request, parsed(options.values))
-    with visiting() as node:
-        offered = types_of(node.get_service_names_and_types, service, f"nobody offers the service {service}")
+    set_fields(request, parse_yaml(options.values))
+    with temporary_node() as node:
+        offered = wait_for_types(node.get_service_names_and_types, service, f"nobody offers the service {service}")
         if f"{kind.__module__.partition('.')[0]}/srv/{kind.__name__}" not in offered:
             raise UserError(f"{service} is of type {', '.join(offered)}, not {options.type}")
         client = node.create_client(kind, service)
-        if not client.wait_for_service(timeout_sec=PATIENCE):
-            raise UserError(f"{service} was not ready within {PATIENCE:g} s")
+        if not client.wait_for_service(timeout_sec=DISCOVERY_TIMEOUT):
+            raise UserError(f"{service} was not ready within {DISCOVERY_TIMEOUT:g} s")
         print(f"requester: making request: {request}\n")
         answer = client.call_async(request)
-        rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
+        rclpy.spin_until_future_complete(node, answer, timeout_sec=DISCOVERY_TIMEOUT)
         if not answer.done():
-            raise UserError(f"{service} gave no answer within {PATIENCE:g} s")
+            raise UserError(f"{service} gave no answer within {DISCOVERY_TIMEOUT:g} s")
         print(f"response:\n{answer.result()}\n")
 
 

@@ -22,7 +22,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 
 from hydro_bridge.ros.companion import Companion
 from hydro_core.cli.console import UserError
-from hydro_core.process.endings import undisturbed
+from hydro_core.process.endings import signals_ignored
 
 _YES, _NO = ("true", "1"), ("false", "0")
 
@@ -42,10 +42,10 @@ class Substitution:
     """Returns the text; raises UserError."""
 
 
-Words: TypeAlias = "str | int | float | Path | Substitution"
+SomeSubstitutions: TypeAlias = "str | int | float | Path | Substitution"
 
 
-def performed(words: Words | ExecutableInPackage, context: LaunchContext) -> str:
+def perform_substitution(words: SomeSubstitutions | ExecutableInPackage, context: LaunchContext) -> str:
     """Return the evaluated text; raises UserError."""
     if isinstance(words, Substitution):
         return words.perform(context)
@@ -65,17 +65,17 @@ def LaunchConfiguration(variable_name: str) -> Substitution:
     return Substitution(value)
 
 
-def PathJoinSubstitution(substitutions: Sequence[Words]) -> Substitution:
+def PathJoinSubstitution(substitutions: Sequence[SomeSubstitutions]) -> Substitution:
     """Parts of a path."""
-    return Substitution(lambda context: os.path.join(*(performed(part, context) for part in substitutions)))
+    return Substitution(lambda context: os.path.join(*(perform_substitution(part, context) for part in substitutions)))
 
 
 def FindPackageShare(package: str) -> Substitution:
     """Share folder of a package."""
-    return Substitution(lambda context: share_of(package))
+    return Substitution(lambda context: package_share(package))
 
 
-def share_of(package: str) -> str:
+def package_share(package: str) -> str:
     """Return a package's share folder; raises UserError."""
     try:
         return str(get_package_share_directory(package))
@@ -83,11 +83,11 @@ def share_of(package: str) -> str:
         raise UserError(f"package '{package}' not found: is the workspace sourced?") from None
 
 
-def IfCondition(predicate_expression: Words) -> Callable[[LaunchContext], bool]:
+def IfCondition(predicate_expression: SomeSubstitutions) -> Callable[[LaunchContext], bool]:
     """Condition on a process; UserError if it is neither true nor false."""
 
     def holds(context: LaunchContext) -> bool:
-        word = performed(predicate_expression, context).strip().lower()
+        word = perform_substitution(predicate_expression, context).strip().lower()
         if word not in _YES + _NO:
             raise UserError(f"{word!r} is neither true nor false")
         return word in _YES
@@ -97,7 +97,7 @@ def IfCondition(predicate_expression: Words) -> Callable[[LaunchContext], bool]:
 
 @dataclass
 class LaunchDescriptionEntity:
-    """Entry of a launch file that is no process; entries are expanded in the order of the file."""
+    """Entry of a launch file other than a process; expanded in the order of the file."""
 
     visit: Callable[[LaunchContext], Entries]
     """Returns the entries that it expands to; raises UserError."""
@@ -112,7 +112,11 @@ def LaunchDescription(entities: Entries = ()) -> LaunchDescriptionEntity:
 
 
 def DeclareLaunchArgument(
-    name: str, *, default_value: Words | None = None, description: str = "", choices: Sequence[str] | None = None
+    name: str,
+    *,
+    default_value: SomeSubstitutions | None = None,
+    description: str = "",
+    choices: Sequence[str] | None = None,
 ) -> LaunchDescriptionEntity:
     """Declaration of an argument `name:=value`; UserError for a missing or invalid value."""
 
@@ -121,7 +125,7 @@ def DeclareLaunchArgument(
         if name not in values:
             if default_value is None:
                 raise UserError(f"{name}:= is needed: {description}")
-            values[name] = performed(default_value, context)
+            values[name] = perform_substitution(default_value, context)
         if choices is not None and values[name] not in choices:
             raise UserError(f"{name}:={values[name]}: {', '.join(choices)} can be chosen")
         return ()
@@ -129,20 +133,20 @@ def DeclareLaunchArgument(
     return LaunchDescriptionEntity(declare)
 
 
-def PythonLaunchDescriptionSource(launch_file_path: Words) -> Words:
+def PythonLaunchDescriptionSource(launch_file_path: SomeSubstitutions) -> SomeSubstitutions:
     """Reference to another launch file."""
     return launch_file_path
 
 
 def IncludeLaunchDescription(
-    launch_description_source: Words, *, launch_arguments: Iterable[tuple[str, Words]] = ()
+    launch_description_source: SomeSubstitutions, *, launch_arguments: Iterable[tuple[str, SomeSubstitutions]] = ()
 ) -> LaunchDescriptionEntity:
     """Inclusion of another launch file; its arguments stay set, as upstream's do."""
 
     def include(context: LaunchContext) -> Entries:
         for name, words in launch_arguments:
-            context.launch_configurations[name] = performed(words, context)
-        return [load(Path(performed(launch_description_source, context)))]
+            context.launch_configurations[name] = perform_substitution(words, context)
+        return [load(Path(perform_substitution(launch_description_source, context)))]
 
     return LaunchDescriptionEntity(include)
 
@@ -178,26 +182,30 @@ class ExecutableInPackage:
 class ExecuteProcess:
     """Executable of a package that is not a node."""
 
-    cmd: Sequence[Words | ExecutableInPackage]
+    cmd: Sequence[SomeSubstitutions | ExecutableInPackage]
     output: str = "log"
     emulate_tty: bool = False
-    sigterm_timeout: Words = "5"
+    sigterm_timeout: SomeSubstitutions = "5"
     on_exit: Shutdown | None = None
     condition: Callable[[LaunchContext], bool] | None = None
 
-    def patience(self, context: LaunchContext) -> float:
-        """Time allowed for it to end [s]."""
-        return float(performed(self.sigterm_timeout, context))
+    def shutdown_timeout(self, context: LaunchContext) -> float:
+        """Return the time [s] that the process has to end before SIGKILL."""
+        return float(perform_substitution(self.sigterm_timeout, context))
 
     def command(self, context: LaunchContext) -> tuple[str, str, list[str]]:
         """Return package, executable and arguments; raises UserError."""
         program, *words = self.cmd
         if not isinstance(program, ExecutableInPackage):
-            raise UserError(f"{performed(program, context)}: a process that is not an executable of a package")
-        return program.package, program.executable, [performed(word, context) for word in words]
+            raise UserError(
+                f"{perform_substitution(program, context)}: a process that is not an executable of a package"
+            )
+        return program.package, program.executable, [perform_substitution(word, context) for word in words]
 
 
-def Node(*, package: str, executable: str, arguments: Sequence[Words] = (), **options: Any) -> ExecuteProcess:
+def Node(
+    *, package: str, executable: str, arguments: Sequence[SomeSubstitutions] = (), **options: Any
+) -> ExecuteProcess:
     """ROS node."""
     return ExecuteProcess(cmd=[ExecutableInPackage(executable, package), *arguments], **options)
 
@@ -216,8 +224,8 @@ _MODULES = {
 }  # fmt: skip
 
 
-def provide() -> None:
-    """Make the classes of `description` importable as `launch` and `launch_ros` in this process."""
+def install_modules() -> None:
+    """Register this module's classes as `launch` and `launch_ros` for imports in this process."""
     for name, names in _MODULES.items():
         module = ModuleType(name)
         module.__path__ = []
@@ -273,7 +281,7 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
     """
     context = LaunchContext(values)
     wanted = list(processes(entity, context))
-    planned = [(process, process.patience(context), process.command(context)) for process in wanted]
+    planned = [(process, process.shutdown_timeout(context), process.command(context)) for process in wanted]
     if not planned:
         raise UserError("nothing is to be started")
     started: list[tuple[Companion, ExecuteProcess, float]] = []
@@ -285,7 +293,7 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
             print(f"[INFO] [{companion.name}]: process started with pid [{companion.process.pid}]", flush=True)
         return _follow([(companion, process) for companion, process, _ in started])
     finally:
-        with undisturbed():
+        with signals_ignored():
             for companion, _, seconds in reversed(started):
                 companion.stop(seconds)
 
@@ -309,8 +317,8 @@ def _follow(running: list[tuple[Companion, ExecuteProcess]]) -> int:
 
 
 def launch(package: str, rest: list[str]) -> int:
-    """Carry out `ros2 launch PACKAGE REST...`; returns and raises as `run`."""
-    provide()
+    """Run `ros2 launch PACKAGE REST...`; returns the exit status and raises as `run`."""
+    install_modules()
     file, words = _file(package, rest)
     return run(load(file), _values(words))
 
@@ -319,7 +327,7 @@ def _file(package: str, rest: list[str]) -> tuple[Path, list[str]]:
     """Return the launch file and the words after it; raises UserError."""
     if Path(package).is_file():
         return Path(package), rest
-    files = {path.name: path for path in sorted(Path(share_of(package), "launch").glob("*.launch.py"))}
+    files = {path.name: path for path in sorted(Path(package_share(package), "launch").glob("*.launch.py"))}
     if not rest or rest[0] not in files:
         raise UserError(f"ros2 launch {package}: which launch file? It has: {', '.join(files) or 'none'}")
     return files[rest[0]], rest[1:]

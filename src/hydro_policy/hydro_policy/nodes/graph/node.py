@@ -19,10 +19,10 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
-from hydro_bridge.ros.answers import Answers
+from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.commander import ALONE_WITHIN, Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
-from hydro_bridge.ros.diagnostics import Journal, publisher_conflicts
+from hydro_bridge.ros.diagnostics import RosoutLogger, publisher_conflicts
 from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, seconds, subscribe, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
 from hydro_bridge.ros.topics import (
@@ -38,13 +38,13 @@ from hydro_bridge.ros.topics import (
 )
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.lease import BY_HAND
-from hydro_bridge.safety.pace import COMMANDS
+from hydro_bridge.safety.pace import COMMANDER_WINDOW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.cli.console import typed_lines
+from hydro_core.cli.console import terminal_lines
 from hydro_core.process import endings
 from hydro_core.process.realtime import Latency, drop_realtime
-from hydro_core.signals import DECIDED, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, ReferenceSignal
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, STATUS_MASK, Flag, ReferenceSignal
 from hydro_core.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import PolicyStep
@@ -108,8 +108,8 @@ class GraphNode(Node):
 
     def __init__(self, name: str, *, realtime: bool = True, alone_within: float = ALONE_WITHIN) -> None:
         super().__init__(name)
-        self.announcer, journal = Announcer(), Journal(self)
-        self.announcer.journal = journal.tell
+        self.announcer, journal = Announcer(), RosoutLogger(self)
+        self.announcer.journal = journal.log
         self._realtime, self._scheduling = realtime, ""
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
@@ -141,10 +141,10 @@ class GraphNode(Node):
         self._gains_out = 0.0
         self._step = PolicyStep()  # one object, used again a hundred times a second
         self._steps: Publisher | None = None
-        self._commander = Commander(self, self._on_lease, endings.ask, self.warn, alone_within)
+        self._commander = Commander(self, self._on_lease, endings.request_termination, self.warn, alone_within)
         self.command_law, self.reference = self._commander.law, self._commander.reference
         self._two_plants, self._crowd = False, ""  # whose samples came since the last tick; warned of
-        self._override_service = OverrideService(self, journal.call)
+        self._override_service = OverrideService(self, journal.log_call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = subscribe(self, STATE, STATES, self._on_state)
         self._mailbox = Mailbox(name)
@@ -156,7 +156,7 @@ class GraphNode(Node):
         self._arrived = math.inf  # when it came, s
         self._owed: int | None = None  # sample whose answer is due
         self._readiness = Readiness([], self.warn)  # of what is met by the wall clock
-        self._answers = Answers(self, COMMANDS, self._states)
+        self._answers = PaceResponder(self, COMMANDER_WINDOW, self._states)
         self._commander.settled = self._answer
         self._commander.stamp = self._stamp
         subscribe_to_box(self, self._on_box)
@@ -287,7 +287,7 @@ class GraphNode(Node):
 
     def listen_for_enter(self, typed: queue.SimpleQueue[str] | None = None) -> None:
         """Let Enter on the terminal arm the plant from now on; `typed`: lines of a terminal that is read already."""
-        self._keys = typed_lines() if typed is None else typed
+        self._keys = terminal_lines() if typed is None else typed
         while not self._keys.empty():
             self._keys.get()
 
@@ -410,7 +410,7 @@ class GraphNode(Node):
         ends = self._session is None or self._session.finished
         if self._owed is None or not self.paced or ends or self._commander.requests or not self._readiness.complete:
             return
-        self._answers.answer(self._owed, self._commander.flush())
+        self._answers.acknowledge(self._owed, self._commander.flush())
         self._owed = None
 
     def _stamp(self) -> Time:
@@ -436,7 +436,7 @@ class GraphNode(Node):
         for message in messages:
             self.corrected = True
             if self._session is not None:
-                self._session.on_correction(message.certificate_after, message.status & DECIDED)
+                self._session.on_correction(message.certificate_after, message.status & STATUS_MASK)
 
     def _on_tick(self) -> None:
         try:

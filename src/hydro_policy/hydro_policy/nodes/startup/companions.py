@@ -16,21 +16,21 @@ bench file, and digests of all weights involved.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydro_bridge.ros.companion import Companion, start_page
+from hydro_bridge.ros.companion import Companion, start_dashboard
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_core.files import bench_file
 from hydro_policy.nodes.graph.announcements import companion_output
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange
-from hydro_sim.files.learned_bench import shipped
+from hydro_sim.files.learned_bench import shipped_bench
 
 if TYPE_CHECKING:
     from hydro_filter.controller.factory import FilterChoice
@@ -44,7 +44,7 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Pat
     """
     words = [f"policy_sha256_{path.stem}={_digest(path)}" for path in policies if path.is_file()]
     if plant == "sim":
-        file = model or (None if bench else shipped())
+        file = model or (None if bench else shipped_bench())
         words.append("model=analytic" if file is None else f"model_sha256={_digest(file)}")
     return words
 
@@ -66,9 +66,9 @@ def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[F
 
     Raises PairingError: its metric and model are not this bench's: nothing is started, and no guard is widened for it.
     """
-    from hydro_filter.controller.factory import arguments
+    from hydro_filter.controller.factory import parse_args
 
-    choice, settings, _ = arguments([*(["--bench", str(bench)] if bench else []), *words])
+    choice, settings, _ = parse_args([*(["--bench", str(bench)] if bench else []), *words])
     return choice, settings
 
 
@@ -145,18 +145,31 @@ class PlantOptions:
         return self.plant == "bench" or self.pace == "real"
 
 
+def start_companions(
+    stack: ExitStack, options: PlantOptions, gains: GainRange, folder: Path, keep: Callable[[str], None]
+) -> list[Companion]:
+    """Start plant, filter and recorder, which `stack` stops in reverse order, so that the recorder sees everything.
+
+    `keep` takes each line of their output. Raises CompanionError: the packages are not built or sourced.
+    """
+    output = companion_output(keep)
+    return [
+        stack.enter_context(Companion(package, executable, arguments, output=output))
+        for package, executable, arguments in commands(options, gains, folder)
+    ]
+
+
 def start_plant(
     stack: ExitStack, node: GraphNode, options: PlantOptions, gains: GainRange, folder: Path, *, page: bool
 ) -> str:
     """Start page, plant and companions, which `node` watches; returns what the filter leaves uncovered (safety.md).
 
-    `stack` stops them in reverse order, so that the recorder sees everything. `gains`: range that the guard has to
-    pass. `folder`: of port and pipes of an emulator, and of its load force.
+    `gains`: range that the guard has to pass. `folder`: of port and pipes of an emulator, and of its load force.
 
     Raises PairingError before anything runs: the filter does not fit; CompanionError: the packages are not built or
     sourced.
     """
-    start_page(stack, node, wanted=page, keep=node.announcer.keep)
+    start_dashboard(stack, node, wanted=page, keep=node.announcer.keep)
     if options.plant == "external":
         return ""
     uncovered = ""
@@ -165,11 +178,7 @@ def start_plant(
         if settings.bypass and guard_range(gains).delta_kp_max > GuardSettings().delta_kp_max:
             uncovered = "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
             node.say(uncovered, warning=True)
-    output = companion_output(node.announcer.keep)
-    started = [
-        stack.enter_context(Companion(package, executable, arguments, output=output))
-        for package, executable, arguments in commands(options, gains, folder)
-    ]
+    started = start_companions(stack, options, gains, folder, node.announcer.keep)
     node.watch_companions(started, options.recording)
     node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
     return uncovered
@@ -223,5 +232,5 @@ def recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
         choice, _ = requested_filter(options.filter, options.bench)
         digests += [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
-    attachments = filter(None, (options.bench or bench_file.shipped(), *options.attachments))
+    attachments = filter(None, (options.bench or bench_file.shipped_bench_file(), *options.attachments))
     return ["--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

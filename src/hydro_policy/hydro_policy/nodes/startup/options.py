@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from rclpy.node import Node
 
-from hydro_bridge.ros.companion import add_page_option
+from hydro_bridge.ros.companion import add_dashboard_option
 from hydro_bridge.ros.node import declare_parameters
 from hydro_bridge.safety.pace import parse_pace
 from hydro_core.cli.console import UserError
@@ -114,7 +114,7 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         metavar="NODE",
         help="when all is done hand an external plant to this node, which waits for it; a run that is stopped does not",
     )
-    add_page_option(group)
+    add_dashboard_option(group)
 
 
 def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
@@ -140,7 +140,9 @@ def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any]
 def take_site(options: argparse.Namespace) -> None:
     """Set the options that --site takes the place of (raises UserError)."""
     files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL} --metric {site.METRIC}"}
-    site.take_site(options, bench=site.BENCH, **files, **({"model": site.MODEL} if options.plant == "sim" else {}))
+    site.apply_site_option(
+        options, bench=site.BENCH, **files, **({"model": site.MODEL} if options.plant == "sim" else {})
+    )
     if options.site and not options.base_gains and options.plant in _NEEDS["base_gains"]:
         options.base_gains = site.base_gains(options.site)
 

@@ -34,11 +34,11 @@ PRESETS = {
     "noisy": LinkFaults(corrupt=0.005, lose=0.002, drop=0.005, duplicate=0.002, reorder=0.002),
     "awful": LinkFaults(corrupt=0.05, lose=0.02, truncate=0.02, drop=0.05, duplicate=0.02, reorder=0.02, noise=0.02),
 }
-CHANCES = tuple(entry.name for entry in fields(LinkFaults))
+FAULT_NAMES = tuple(entry.name for entry in fields(LinkFaults))
 
 
 def load_faults(name: str) -> LinkFaults:
-    """`LinkFaults` of a preset's name or a YAML file; raises SettingsError if it is neither."""
+    """Return the faults of a preset or a YAML file; raises SettingsError if `name` is neither."""
     if name in PRESETS:
         return PRESETS[name]
     if not Path(name).exists():
@@ -56,7 +56,7 @@ class FaultyLine:
 
     def __init__(self, faults: LinkFaults, generator: np.random.Generator) -> None:
         self.faults = faults
-        self.counts = dict.fromkeys((*CHANCES, "overflow"), 0)
+        self.counts = dict.fromkeys((*FAULT_NAMES, "overflow"), 0)
         self._random = generator
         self._held = b""
         self._waiting: deque[bytes] = deque()
@@ -77,13 +77,13 @@ class FaultyLine:
         self._stalled_until = max(self._stalled_until, until)
 
     def clear(self) -> None:
-        """Discard what waits: the line was unplugged."""
+        """Discard the frames in transit, as the line was unplugged."""
         self._waiting.clear()
         self._held = b""
         self._stalled_until = 0.0
 
-    def carry(self, chunk: bytes, now: float) -> bytes:
-        """Return what leaves the line at time `now` [s] when `chunk`, possibly empty, enters it."""
+    def transmit(self, chunk: bytes, now: float) -> bytes:
+        """Put `chunk`, possibly empty, on the line, and return the bytes that arrive by `now` [s]."""
         out = self._disturb(chunk) if chunk and self._any() else chunk
         if now < self._stalled_until:
             if sum(map(len, self._waiting)) + len(out) <= self.LIMIT:
@@ -98,7 +98,7 @@ class FaultyLine:
         return out
 
     def _any(self) -> bool:
-        return bool(self._held) or any(getattr(self.faults, name) for name in CHANCES)
+        return bool(self._held) or any(getattr(self.faults, name) for name in FAULT_NAMES)
 
     def _happens(self, name: str) -> bool:
         chance = getattr(self.faults, name)

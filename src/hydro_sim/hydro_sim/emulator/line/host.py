@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the emulated line knows of its host: whether it is there, and whether it answers each sample."""
+"""State of the emulated line's host: whether it is connected, and whether it answers each sample."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _FOLLOWS = _HEADER.size + 3  # place in a HELLO
 _CRC = Struct("<I")
 
 
-class Host:
-    """Hears the frames that a host sends, without taking them."""
+class HostState:
+    """State of the host, observed from the frames that it sends."""
 
     def __init__(self) -> None:
         self._pending = b""
@@ -33,11 +33,11 @@ class Host:
         """Whether it said in its HELLO that it answers each STATE by a COMMAND with that sample's time."""
 
     def reset(self) -> None:
-        """Forget the host: the port was unplugged, or closed."""
+        """Reset to no host, as the port was unplugged or closed."""
         self._pending, self.greetings, self.fresh, self.time_us, self.follows = b"", 0, False, None, False
 
-    def hear(self, data: bytes) -> None:
-        """Follow bytes that arrived."""
+    def observe(self, data: bytes) -> None:
+        """Update the state by received bytes."""
         *pieces, self._pending = (self._pending + data).split(b"\0")
         self._pending = self._pending[-MAX_ENCODED:]
         for piece in filter(None, pieces):

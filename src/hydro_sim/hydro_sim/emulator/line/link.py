@@ -9,8 +9,8 @@ import numpy as np
 
 from hydro_bridge.serial.protocol import encode_clock
 from hydro_sim.box.box import Box
-from hydro_sim.emulator.line.faults import CHANCES, FaultyLine, LinkFaults
-from hydro_sim.emulator.line.host import Host
+from hydro_sim.emulator.line.faults import FAULT_NAMES, FaultyLine, LinkFaults
+from hydro_sim.emulator.line.host import HostState
 from hydro_sim.emulator.line.terminal import Terminal
 
 
@@ -43,7 +43,7 @@ class BoxLink:
         self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
         self._unwritten = b""
         self._replug_at = 0.0
-        self.host, self._inbox, self._sent = Host(), b"", b""
+        self.host, self._inbox, self._sent = HostState(), b"", b""
         self.waits: bool | None = None
         """What a host is told of this clock: whether each sample waits for its COMMAND; None: it is real time."""
 
@@ -58,15 +58,15 @@ class BoxLink:
         return self.terminal.opened and not self.up.stalled
 
     def receive(self, now: float, patience: float = 0.0) -> None:
-        """Take in what arrives within `patience` s of wall clock, for the next `poll`; plug in when it is time."""
+        """Read the bytes that arrive within `patience` s of wall clock, for the next `poll`; plug in when due."""
         if not self.terminal.plugged:
             if now < self._replug_at:
                 return
             self.terminal.plug()
         if patience:
             self.terminal.wait(patience)
-        if data := self.down.carry(self.terminal.read(), now):
-            self.host.hear(data)
+        if data := self.down.transmit(self.terminal.read(), now):
+            self.host.observe(data)
             self._inbox += data
 
     def set_faults(self, faults: LinkFaults) -> None:
@@ -88,9 +88,9 @@ class BoxLink:
         self._replug_at = now + seconds
 
     def poll(self, now: float) -> None:
-        """Pass what has arrived by `now` [s] to the box, which takes its newest command in at the next sample."""
+        """Pass the bytes that have arrived by `now` [s] to the box."""
         if data := self._arrived(now):
-            self.box.take(data)
+            self.box.feed(data)
 
     def _arrived(self, now: float) -> bytes:
         """Return bytes that have arrived by `now` [s]; plug in again when it is time."""
@@ -99,7 +99,7 @@ class BoxLink:
         return data
 
     def send(self, now: float) -> None:
-        """Send what the box has to say after its sample, without ever waiting."""
+        """Send the box's frames of its last sample, without blocking."""
         if not self.terminal.opened:
             self.report.unheard += 1
             self._unwritten = b""
@@ -109,11 +109,11 @@ class BoxLink:
         if self.host.fresh and self.waits is not None:
             frames = encode_clock(round(1e6 * now), waits=self.waits) + frames
         self._sent = frames
-        self._write(self.up.carry(frames, now))
+        self._write(self.up.transmit(frames, now))
 
-    def send_again(self, now: float) -> None:
-        """Send the frames of the last sample again: its host greeted once more before it said anything else."""
-        self._write(self.up.carry(self._sent, now))
+    def resend(self, now: float) -> None:
+        """Send the frames of the last sample again, after a repeated HELLO of the host."""
+        self._write(self.up.transmit(self._sent, now))
 
     def _write(self, data: bytes) -> None:
         """A frame begun is finished before the next; a frame that finds the line full is dropped whole."""
@@ -130,7 +130,7 @@ class BoxLink:
     def summary(self) -> str:
         """Return one line of text on the traffic and the injected faults."""
         taken, stale, greetings = (int(self.box.state[name][0]) for name in ("taken", "stale", "greetings"))
-        made = {name: self.up.counts[name] + self.down.counts[name] for name in CHANCES}
+        made = {name: self.up.counts[name] + self.down.counts[name] for name in FAULT_NAMES}
         text = (
             f"{self.report.sent} frames sent, {self.report.unheard} unheard, {self.report.blocked} blocked, "
             f"{taken} commands taken, {stale} refused as old or repeated, {greetings} connections"

@@ -40,12 +40,12 @@ class Terminal:
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is there."""
+        """Whether the port exists."""
         return self._master is not None
 
     @property
     def opened(self) -> bool:
-        """Whether somebody has the port open."""
+        """Whether a host has the port open."""
         return self._master is not None and not any(event & select.POLLHUP for _, event in self._poll.poll(0))
 
     def plug(self) -> None:
@@ -62,7 +62,7 @@ class Terminal:
         self._show()
 
     def wait(self, seconds: float) -> None:
-        """Return once something has arrived, `seconds` later at most."""
+        """Wait until bytes have arrived, for at most `seconds`."""
         if self._master is not None and self.opened:
             select.select([self._master], [], [], seconds)
         else:
@@ -79,7 +79,7 @@ class Terminal:
             raise SettingsError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
 
     def unplug(self) -> None:
-        """Remove the port: whoever has it open sees a hang-up, and the link is removed."""
+        """Remove the port and its link; a host that has it open gets a hang-up."""
         if self._master is None:
             return
         self._poll.unregister(self._master)
@@ -90,7 +90,7 @@ class Terminal:
                 self.path.unlink()
 
     def read(self) -> bytes:
-        """Return what has arrived; empty if nothing has, or nobody has the port open."""
+        """Return the received bytes; empty if there are none, or no host has the port open."""
         if self._master is None:
             return b""
         try:
@@ -103,7 +103,7 @@ class Terminal:
             raise
 
     def write(self, data: bytes) -> int:
-        """Write what fits without waiting; return the number of bytes written."""
+        """Write without blocking; return the number of bytes written."""
         if self._master is None:
             return 0
         try:

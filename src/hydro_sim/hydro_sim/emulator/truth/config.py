@@ -15,8 +15,8 @@ from hydro_sim.emulator.truth.effects import (
     FrictionPresliding,
     FrictionStribeck,
     LeakageInternal,
-    Outside,
     SensorLag,
+    UnnamedEffects,
     ValveLag,
 )
 
@@ -69,11 +69,11 @@ class TruthConfig:
     bench: TruthBench = field(default_factory=TruthBench)
     sensors: TruthSensors = field(default_factory=TruthSensors)
     effects: Effects = field(default_factory=Effects)
-    outside: Outside = field(default_factory=Outside)
+    outside: UnnamedEffects = field(default_factory=UnnamedEffects)
 
 
 def profile(name: str) -> TruthConfig:
-    """One of the two starting points: `nominal` (nothing missing) or `default` (the contract's truth plant)."""
+    """Return a predefined truth: `nominal` (no effects) or `default` (the contract's truth plant)."""
     if name == "nominal":
         return TruthConfig()
     if name != "default":
@@ -91,7 +91,7 @@ def profile(name: str) -> TruthConfig:
 
 
 def truth_from_mapping(data: Mapping[str, Any], where: str = "truth", bench: TruthBench | None = None) -> TruthConfig:
-    """`TruthConfig` from plain YAML data.
+    """Build a `TruthConfig` from plain YAML data.
 
     `data`: keys `profile` (nominal | default, the default), `bench`, `sensors`, `effects`, `outside`. The last four
     change single entries of the profile: an effect given replaces the profile's, `null` turns it off. `where`: name of
@@ -105,15 +105,15 @@ def truth_from_mapping(data: Mapping[str, Any], where: str = "truth", bench: Tru
     base = profile(data.get("profile", "default"))
     base = replace(base, bench=bench or base.bench)
     changes = {name: _overlaid(getattr(base, name), data[name], f"{where}.{name}") for name in sections if name in data}
-    return check(replace(base, **changes))
+    return check_truth(replace(base, **changes))
 
 
 def load_truth(path: str | Path, bench: TruthBench | None = None) -> TruthConfig:
-    """`TruthConfig` from a YAML file; see `truth_from_mapping`."""
+    """Load a `TruthConfig` from a YAML file; see `truth_from_mapping`."""
     return truth_from_mapping(read_yaml(path), Path(path).name, bench)
 
 
-def check(config: TruthConfig) -> TruthConfig:
+def check_truth(config: TruthConfig) -> TruthConfig:
     """Return `config`, if its parts are consistent.
 
     Raises SettingsError if values that are each in range contradict one another.

@@ -36,7 +36,7 @@ VAPOR_PRESSURE = -0.95 * ATMOSPHERE  # Pa, gauge: below it a cavity opens instea
 
 @njit
 def specific_volume(p, pressure):
-    """Volume per content v(p), and its slope dv/dp [1/Pa]."""
+    """Return the volume per content v(p) [-], and its slope dv/dp [1/Pa]."""
     oil = (1.0 - p.air_fraction) * math.exp(-pressure / p.bulk_modulus)
     if p.air_fraction == 0.0:
         return oil, -oil / p.bulk_modulus
@@ -46,7 +46,7 @@ def specific_volume(p, pressure):
 
 @njit
 def pressure_of(p, content, volume, guess):
-    """Pressure [Pa] of `content` [m3] in `volume` [m3]; `guess` [Pa] is where Newton's iteration begins."""
+    """Return the pressure [Pa] of `content` [m3] in `volume` [m3], by Newton's method from `guess` [Pa]."""
     if p.air_fraction == 0.0 and p.wall_compliance == 0.0:
         return max(p.bulk_modulus * math.log(content / volume), VAPOR_PRESSURE)
     pressure = guess
@@ -72,14 +72,14 @@ LAMINAR_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that
 
 @njit
 def delayed_command(p, commands, sample, elapsed):
-    """Command [A] that reaches the valve `elapsed` seconds into `sample`; `commands` is a ring of the last ones."""
+    """Return the delayed command [A] at the valve, `elapsed` s into `sample`; `commands`: ring of past ones."""
     late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
     return commands[(sample + int(late)) % DELAY_SAMPLES]
 
 
 @njit
 def spool_derivative(p, command, spool, spool_rate):
-    """Rate of the spool [A/s] and of its rate [A/s2]; both zero for an ideal spool, which follows by itself."""
+    """Return the spool's rate [A/s] and acceleration [A/s2]; both zero for an ideal spool."""
     target = command + p.valve_offset
     if p.spool_order == 2.0:
         pull = p.spool_frequency * (target - spool) - 2.0 * p.spool_damping * spool_rate
@@ -107,7 +107,7 @@ def _soft(x, width):
 
 @njit
 def null_leak(p, spool):
-    """Coefficient [m3/s/sqrt(Pa)] that every edge leaks besides its opening."""
+    """Return the leakage coefficient [m3/s/sqrt(Pa)] of every edge at a spool position [A]."""
     if p.null_leak == 0.0:
         return 0.0
     distance = abs(spool) / p.null_width
@@ -124,7 +124,7 @@ def orifice_flow(coefficient, drop):
 
 @njit
 def gain_over_time(p, time):
-    """Relative gain of all edges at `time` [s]: drift and warming up."""
+    """Return the relative gain [-] of all edges at `time` [s], from drift and warming up."""
     warming = 0.0 if p.warm_change == 0.0 else p.warm_change * (1.0 - math.exp(-time / p.warm_time))
     return max((1.0 + p.gain_drift * time) * (1.0 + warming), 0.0)
 
@@ -165,7 +165,7 @@ def friction_level(p, velocity, position, pressure_drop):
 
 @njit
 def advance_bristle(p, bristle, velocity, level):
-    """Deflection z [m] one substep later: exact at constant velocity, so that no velocity makes it stiff."""
+    """Return the bristles' deflection z [m] after a substep, exact at constant velocity."""
     if level <= 0.0:
         return 0.0
     decay = p.bristle_stiffness * abs(velocity) / level
@@ -206,8 +206,8 @@ def spring_deflection(p, position, spring_end):
 
 
 @njit
-def dragged(p, position, spring_end):
-    """Spring end [m] after the piston moved to `position` [m]: it stays while the piston crosses the play."""
+def drag_spring_end(p, position, spring_end):
+    """Return the spring's end [m] after the piston moved to `position` [m], with play."""
     return min(max(spring_end, position - 0.5 * p.backlash), position + 0.5 * p.backlash)
 
 
@@ -339,7 +339,7 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
     position, velocity = y[POSITION], y[VELOCITY]
     force = p.area_a * pressure_a - p.area_b * pressure_b - p.viscous * velocity
     force += end_force(p, position, velocity) + disturbance(p, time, state.walk)
-    force -= load_force(p, position, dragged(p, position, state.spring_end), y[HYSTERESIS])
+    force -= load_force(p, position, drag_spring_end(p, position, state.spring_end), y[HYSTERESIS])
     # at standstill friction opposes where the other forces would move the mass, with the level of that direction
     sticks = p.friction_form != LUGRE and abs(velocity) < STANDSTILL
     heading = math.copysign(STANDSTILL, force) if sticks else velocity
@@ -368,7 +368,7 @@ def _heun_step(p, state, time, command, work):
     y[SPOOL_RATE] = min(max(y[SPOOL_RATE], -p.spool_rate_limit), p.spool_rate_limit)
     if p.spool_order == 0.0:
         y[SPOOL] = command + p.valve_offset
-    state.spring_end = dragged(p, y[POSITION], state.spring_end)
+    state.spring_end = drag_spring_end(p, y[POSITION], state.spring_end)
 
 
 @njit

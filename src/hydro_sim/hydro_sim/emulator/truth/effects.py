@@ -2,8 +2,8 @@
 """Effects of the truth plant beyond the nominal bench: names, magnitudes, units, ranges.
 
 The class `Effects` holds the causes that have a name in the diagnosis' table, under the same ids and parameter names; a
-`form` picks another functional form of the same cause. `Outside` holds causes without a name there, for cases in which
-the right answer is "unknown".
+`form` picks another functional form of the same cause. `UnnamedEffects` holds causes without a name there, for cases in
+which the right answer is "unknown".
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class ValveOffset:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ratio:
+class TrueRatio:
     """True value over the bench file's value."""
 
     ratio: Annotated[float, quantity("-", 0.1, 10.0)]
@@ -248,28 +248,28 @@ class Effects:
     valve_lag: ValveLag | None = None
     transport_delay: TransportDelay | None = None
     valve_offset: ValveOffset | None = None
-    valve_gain: Ratio | None = None
-    valve_gain_asymmetry: Ratio | None = None
+    valve_gain: TrueRatio | None = None
+    valve_gain_asymmetry: TrueRatio | None = None
     valve_null_leakage: ValveNullLeakage | None = None
     valve_gain_drift: ValveGainDrift | None = None
     supply_droop: SupplyDroop | None = None
-    bulk_modulus: Ratio | None = None
+    bulk_modulus: TrueRatio | None = None
     entrained_air: EntrainedAir | None = None
     load_cell_gain: tuple[LoadCellGain, ...] = ()
     load_cell_bias: tuple[LoadCellBias, ...] = ()
     pressure_sensor_bias: tuple[PressureSensorBias, ...] = ()
     sensor_lag: tuple[SensorLag, ...] = ()
-    spring_stiffness: Ratio | None = None
+    spring_stiffness: TrueRatio | None = None
     spring_hardening: SpringHardening | None = None
     spring_rest: SpringRest | None = None
     backlash: Backlash | None = None
     moving_mass: MovingMass | None = None
     end_cushion: tuple[EndCushion, ...] = ()
     force_offset: ForceOffset | None = None
-    supply_pressure: Ratio | None = None
+    supply_pressure: TrueRatio | None = None
     tank_pressure: TankPressure | None = None
-    piston_area: Ratio | None = None
-    area_ratio: Ratio | None = None
+    piston_area: TrueRatio | None = None
+    area_ratio: TrueRatio | None = None
     dead_volume: tuple[DeadVolume, ...] = ()
 
 
@@ -353,7 +353,7 @@ class SupplyRipple:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outside:
+class UnnamedEffects:
     """Causes without a name in the table; an absent one is off."""
 
     friction_rib: FrictionRib | None = None

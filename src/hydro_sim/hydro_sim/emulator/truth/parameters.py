@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, TruthSensors
-from hydro_sim.emulator.truth.effects import SENSORS, Effects, Outside, Ratio
+from hydro_sim.emulator.truth.effects import SENSORS, Effects, TrueRatio, UnnamedEffects
 
 SUBSTEPS = 40  # of 25 us: not the step of the simulated plant, and short enough for the end stops
 SUBSTEP = SAMPLE_PERIOD / SUBSTEPS
@@ -60,7 +60,7 @@ def compile_parameters(config: TruthConfig) -> npt.NDArray[np.void]:
     return record
 
 
-def _ratio(effect: Ratio | None) -> float:
+def _ratio(effect: TrueRatio | None) -> float:
     return 1.0 if effect is None else effect.ratio
 
 
@@ -177,7 +177,7 @@ def _lag(p: np.void, sensor: str, order: int, bandwidth: float, damping: float) 
     p["lag_damping"][index] = damping
 
 
-def _outside(p: np.void, outside: Outside) -> None:
+def _outside(p: np.void, outside: UnnamedEffects) -> None:
     p["rib_pitch"] = p["hysteresis_deflection"] = p["hysteresis_exponent"] = p["warm_time"] = p["walk_time"] = 1.0
     if outside.friction_rib is not None:
         p["rib_force"], p["rib_pitch"] = outside.friction_rib.force, outside.friction_rib.pitch

@@ -3,7 +3,7 @@
 
 Sensors: crosstalk, amplifier lag, gain and bias, noise, quantisation, differentiation. Two chains run side by side over
 the same lags: one with noise and quantisation (the measurement), one without (the noise-free log, for scoring only).
-Differentiation is the box's own code, `hydro_sim.model.sensors.condition`.
+Differentiation is the box's own code, `hydro_sim.model.sensors.condition_readings`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hydro_sim.emulator.truth import dynamics
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.emulator.truth.parameters import SUBSTEP, SUBSTEPS, compile_parameters
 from hydro_sim.jit import copy_vector, njit
-from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors, condition, restart
+from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors, condition_readings, reset_conditioning
 
 NOISE_COLUMNS = 5  # f_h, f_l, p_a, p_b, random force
 
@@ -61,13 +61,13 @@ def first_reading(p, box, state, chain, noise):
     chain.lag_rate[:] = 0.0
     raw = np.empty(5)
     _read(p, chain, noise, False, raw)
-    restart(chain.clean_last, raw, chain.clean)
+    reset_conditioning(chain.clean_last, raw, chain.clean)
     _read(p, chain, noise, True, raw)
-    restart(chain.noisy_last, raw, chain.measurement)
+    reset_conditioning(chain.noisy_last, raw, chain.measurement)
 
 
 @njit
-def follow(p, state, chain):
+def advance_amplifiers(p, state, chain):
     """Advance the amplifiers by one substep, by the trapezoidal rule."""
     _collect(p, state, chain.now)
     for i in range(5):
@@ -102,18 +102,18 @@ def _read(p, chain, noise, noisy, raw):
 
 
 @njit
-def read(p, box, chain, noise):
+def read_sensors(p, box, chain, noise):
     """Read one sample of the box into `measurement` and `clean` of `chain`."""
     raw = np.empty(5)
     _read(p, chain, noise, False, raw)
-    condition(box, chain.clean_last, raw, chain.clean)
+    condition_readings(box, chain.clean_last, raw, chain.clean)
     _read(p, chain, noise, True, raw)
-    condition(box, chain.noisy_last, raw, chain.measurement)
+    condition_readings(box, chain.noisy_last, raw, chain.measurement)
 
 
 @njit
-def advance(p, box, state, chain, work, noise, current):
-    """Advance by one sample of 1 ms in place: physics, amplifiers, reading. Every path through the emulator runs it.
+def advance_sample(p, box, state, chain, work, noise, current):
+    """Advance by one sample of 1 ms in place: physics, amplifiers, readings.
 
     Parameters
     ----------
@@ -129,19 +129,19 @@ def advance(p, box, state, chain, work, noise, current):
     dynamics.hold_command(p[0], state[0], current, noise[4])
     for index in range(SUBSTEPS):
         dynamics.advance_substep(p[0], state[0], index, work)
-        follow(p[0], state[0], chain[0])
-    read(p[0], box[0], chain[0], noise)
+        advance_amplifiers(p[0], state[0], chain[0])
+    read_sensors(p[0], box[0], chain[0], noise)
 
 
 @njit
-def start(p, box, state, chain, noise):
-    """Set the bench at rest, with its first reading; shapes as in `advance`."""
+def start_at_rest(p, box, state, chain, noise):
+    """Set the bench at rest, with its first reading; shapes as in `advance_sample`."""
     dynamics.rest_state(p[0], state[0])
     first_reading(p[0], box[0], state[0], chain[0], noise)
 
 
 @njit
-def physical(state, row):
+def copy_physical(state, row):
     """Copy the physical quantities into `row`, shape (len(`TRUTH_FIELDS`),)."""
     s = state[0]
     row[0], row[1], row[2], row[3] = s.hydraulic_force, s.hydraulic_force_rate, s.load_force, s.load_force_rate
@@ -174,12 +174,12 @@ class TruthPlant:
     def reset(self, seed: int) -> FloatArray:
         """Reset to rest, with noise from `seed`; return the measurement x, shape (8,)."""
         self.noise = Noise(seed)
-        start(self.parameters, self.differentiation, self.state, self.chain, self.noise.row())
+        start_at_rest(self.parameters, self.differentiation, self.state, self.chain, self.noise.row())
         return self.measurement()
 
     def step(self, valve_current: float) -> FloatArray:
         """Hold `valve_current` [A] for 1 ms; return the measurement x after it, shape (8,)."""
-        advance(
+        advance_sample(
             self.parameters, self.differentiation, self.state, self.chain, self.work, self.noise.row(), valve_current
         )
         return self.measurement()

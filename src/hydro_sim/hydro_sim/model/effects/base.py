@@ -39,8 +39,8 @@ class Parameter:
     scale: float
     """A typical size: the standard deviation of the prior."""
 
-    def of(self, effect: str, parameters: Mapping[str, Any]) -> float:
-        """Its value among an entry's parameters. Raises ValueError if it is missing or not a number in range."""
+    def read(self, effect: str, parameters: Mapping[str, Any]) -> float:
+        """Return its value in an entry's parameters. Raises ValueError if it is missing or not a number in range."""
         if self.name not in parameters:
             raise ValueError(f"effect {effect} lacks its parameter {self.name} [{self.unit}]")
         try:
@@ -76,8 +76,8 @@ def hidden(unit: str, *, scale: float, integrated: bool = False) -> Any:
 
 
 @dataclass
-class Surroundings:
-    """The parts of its model that an effect may use."""
+class EffectContext:
+    """Quantities of the model that an effect's terms may use."""
 
     numbers: Any
     """The bench's numbers, by their names in bench.yaml, and `valve_gain` (K_v)."""
@@ -134,7 +134,7 @@ class Effect:
 
     def __init__(self, **chosen: str) -> None:
         self.at: Any = None
-        """`Surroundings`, once the effect is part of a model."""
+        """`EffectContext`, once the effect is part of a model."""
         self.next: dict[str, Symbol] = {}
         """Hidden states after the present step."""
         self.chosen = chosen
@@ -152,63 +152,63 @@ class Effect:
     # --- terms, on the way from the bench file to the reading -------------------------------------------------------
 
     def correct(self, n: Any) -> None:
-        """Correct wrong numbers of the bench file, in place."""
+        """Correct numbers of the bench file in place."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        """Hidden states of a still bench; what is not named is 0. `signals`: the readings' true values, and `spool`."""
+        """Return the hidden states at rest by name, 0 if absent; `signals`: true readings, and `spool` [A]."""
         return {}
 
     def command(self, spool: Symbol) -> Symbol:
-        """Mean position of the spool [A] over a step."""
+        """Return the mean position of the spool [A] over a step."""
         return spool
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
-        """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back."""
+        """Return the conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and that retract it."""
         return out, back
 
     def supply(self, pressure: Symbol) -> Symbol:
-        """Supply pressure [Pa] at the valve."""
+        """Return the supply pressure [Pa] at the valve."""
         return pressure
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        """Flow [m3/s] that leaves chamber A and B by other ways than the valve."""
+        """Return the leakage flows [m3/s] out of chambers A and B."""
         return 0.0, 0.0
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
-        """Bulk modulus [Pa] of a chamber at its pressure [Pa]."""
+        """Return the bulk modulus [Pa] of a chamber at its pressure [Pa]."""
         return modulus
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
-        """Dry friction [N] while sliding at a velocity [m/s]."""
+        """Return the dry friction [N] while sliding at a velocity [m/s]."""
         return level
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
-        """Force [N] against the motion beyond viscous and dry friction."""
+        """Return the force [N] against the motion besides viscous and dry friction."""
         return 0.0
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
-        """Force [N] of the load on the piston."""
+        """Return the load's force [N] on the piston."""
         return force
 
     def inertia(self, position: Symbol) -> Symbol:
-        """Mass [kg] that the load drags along: its force is shown by the load's cell."""
+        """Return the mass [kg] moved with the load, whose force the load cell measures."""
         return 0.0
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        """Rates of the integrated hidden states, per second. `drawn` [m3/s]: what leaves the supply."""
+        """Return the rates of the integrated hidden states, 1/s; `drawn`: flow [m3/s] from the supply."""
         return {}
 
     def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
-        """For solvers without our steps: what it makes of a command, or of its sensor's signal; rates of its states."""
+        """Return output and state rates in continuous time for a command or sensor signal, for other solvers."""
         raise NotImplementedError
 
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
-        """Write into `self.next` the hidden states after a step that ends there [m, m/s]."""
+    def advance_states(self, position: Symbol, velocity: Symbol) -> None:
+        """Write the hidden states after a step into `self.next`; arguments: final position [m] and velocity [m/s]."""
 
-    def follow(self, channel: str, early: Symbol, late: Symbol) -> tuple[Symbol, Symbol]:
-        """A sensor's signal at the beginning and the end of a step, behind the effect's amplifier."""
+    def filter_signal(self, channel: str, early: Symbol, late: Symbol) -> tuple[Symbol, Symbol]:
+        """Return a sensor's signal at begin and end of a step, after the effect's amplifier."""
         return early, late
 
-    def show(self, channel: str, signal: Symbol) -> Symbol:
-        """Reading of a sensor for the signal."""
+    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
+        """Return a sensor's reading for its signal, with gain and bias errors."""
         return signal

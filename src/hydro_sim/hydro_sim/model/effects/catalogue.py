@@ -19,10 +19,10 @@ from hydro_sim.model.effects import closure, grown, motion, numbers, oil, sensin
 from hydro_sim.model.effects.base import Effect, Parameter
 from hydro_sim.model.effects.closure import Closure
 
-CAPACITY = 24
+EFFECTS_MAX = 24
 """Largest number of effects of a bench."""
 
-CLOSURES = 6
+CLOSURES_MAX = 6
 """Largest number of closures of a bench."""
 
 DELAY_MAX = 62e-3
@@ -31,7 +31,7 @@ DELAY_MAX = 62e-3
 
 @dataclass(frozen=True)
 class Kind:
-    """A class of effects with its options chosen."""
+    """Class of effects with its options."""
 
     effect: type[Effect]
     chosen: tuple[tuple[str, str], ...]
@@ -42,12 +42,12 @@ class Kind:
         return self.effect.parameters
 
     def make(self) -> Effect:
-        """A new one, for a model that is being assembled."""
+        """Create an instance for the assembly of a model."""
         return self.effect(**dict(self.chosen))
 
 
 def label(effect: Mapping[str, Any]) -> str:
-    """Id and options of an entry."""
+    """Return id and options of an entry as text."""
     options = sorted((str(key), str(value)) for key, value in effect.items() if key not in ("id", "parameters"))
     return " ".join([str(effect["id"]), *(f"{key}={value}" for key, value in options)])
 
@@ -64,7 +64,7 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
 
 
 _TABLE: tuple[type[Effect], ...] = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
-_NAMED: tuple[type[Effect], ...] = (*_TABLE, *(closure.simulated(one) for one in grown.EFFECTS))
+_NAMED: tuple[type[Effect], ...] = (*_TABLE, *(closure.effect_class(one) for one in grown.EFFECTS))
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
 """Effects by id and options, as `label` writes them."""
 
@@ -72,12 +72,12 @@ KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
 """Effects and closures."""
 
 
-MANY = 5
-"""Names that a sentence lists at most; there are hundreds of closures."""
+LISTED_NAMES_MAX = 5
+"""Largest number of names listed in a message."""
 
 
-def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
-    """Kind and parameters of an entry.
+def parse_entry(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
+    """Return kind and parameter values of a bench file's entry.
 
     Raises ValueError: in one sentence, if the effect is unknown or a parameter is missing, too many, or not a number in
     range.
@@ -85,8 +85,8 @@ def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
     name, parameters = label(effect), effect.get("parameters") or {}
     if name not in KINDS:
         known = [other for other in KINDS if other.split()[0] == str(effect["id"])]
-        if len(known) > MANY:
-            known = get_close_matches(name, known, MANY)
+        if len(known) > LISTED_NAMES_MAX:
+            known = get_close_matches(name, known, LISTED_NAMES_MAX)
         raise ValueError(f"effect {name!r} is not known" + (f"; there is {', '.join(known)}" if known else ""))
     if not isinstance(parameters, Mapping):
         raise ValueError(f"effect {name}: 'parameters' is a mapping of names to numbers")
@@ -94,24 +94,24 @@ def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
     unknown = [key for key in parameters if key not in {parameter.name for parameter in kind.parameters}]
     if unknown:
         raise ValueError(f"effect {name} has no parameter {unknown[0]!r}")
-    return kind, tuple(parameter.of(name, parameters) for parameter in kind.parameters)
+    return kind, tuple(parameter.read(name, parameters) for parameter in kind.parameters)
 
 
-def delay(effects: Sequence[Mapping[str, Any]]) -> float:
-    """Dead times together [s]."""
-    return sum(kind_of(effect)[1][0] for effect in effects if effect["id"] == valve.TransportDelay.id)
+def total_delay(effects: Sequence[Mapping[str, Any]]) -> float:
+    """Return the sum of all dead times [s]."""
+    return sum(parse_entry(effect)[1][0] for effect in effects if effect["id"] == valve.TransportDelay.id)
 
 
 Numbers = dict[str, float | None]
 
 
-def corrected(
+def correct_numbers(
     numbers: Numbers, limits: Mapping[str, tuple[float, float]], effects: Sequence[Mapping[str, Any]]
 ) -> Numbers:
-    """A bench's numbers with those effects applied that say a number is wrong, one after the other, within `limits`."""
+    """Return a bench's numbers with all correcting effects applied in order, clipped to `limits`."""
     n = SimpleNamespace(**numbers)
     for effect in effects:
-        kind, values = kind_of(effect)
+        kind, values = parse_entry(effect)
         made = kind.make()
         for parameter, value in zip(kind.parameters, values, strict=True):
             setattr(made, parameter.name, value)
@@ -124,31 +124,31 @@ def corrected(
     return dict(vars(n))
 
 
-def check(effects: Sequence[Mapping[str, Any]]) -> None:
-    """Refuse what cannot be simulated.
+def check_effects(effects: Sequence[Mapping[str, Any]]) -> None:
+    """Raise ValueError for effects that cannot be simulated.
 
     Raises ValueError: in one sentence: an effect that is unknown, lacks a parameter, or is given more often than it can
     be.
     """
-    kinds = [(label(effect), kind_of(effect)[0]) for effect in effects]
+    kinds = [(label(effect), parse_entry(effect)[0]) for effect in effects]
     closures = sum(kind.effect.id == Closure.id for _, kind in kinds)
-    if closures > CLOSURES:
-        raise ValueError(f"{closures} closures are more than the {CLOSURES} that are simulated at once")
+    if closures > CLOSURES_MAX:
+        raise ValueError(f"{closures} closures are more than the {CLOSURES_MAX} that are simulated at once")
     for effect in effects:
         _check_range(effect)
     names = [name for name, _ in kinds]
     for name, kind in kinds:
         if kind.effect.single and names.count(name) > 1:
             raise ValueError(f"effect {name} is given twice")
-    if len(kinds) > CAPACITY:
-        raise ValueError(f"{len(kinds)} effects are more than the {CAPACITY} that are simulated at once")
-    if delay(effects) > DELAY_MAX:
+    if len(kinds) > EFFECTS_MAX:
+        raise ValueError(f"{len(kinds)} effects are more than the {EFFECTS_MAX} that are simulated at once")
+    if total_delay(effects) > DELAY_MAX:
         raise ValueError(f"dead times add up to more than {DELAY_MAX / SAMPLE_PERIOD:g} ms")
 
 
 def _check_range(effect: Mapping[str, Any]) -> None:
     """Refuse a table that does not end above where it begins."""
-    kind, values = kind_of(effect)
+    kind, values = parse_entry(effect)
     given = dict(zip((parameter.name for parameter in kind.parameters), values, strict=True))
     if kind.effect.id == Closure.id and "low" in given and not given["low"] < given["high"]:
         raise ValueError(f"effect {label(effect)}: low must be below high")

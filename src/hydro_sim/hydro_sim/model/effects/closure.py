@@ -16,14 +16,23 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model import grammar, tables
 from hydro_sim.model.effects.base import Effect, hidden, parameter
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import WIDEST, Element, Law, Number, Signals, edge_losses, sensed, shifted
+from hydro_sim.model.laws import (
+    BOUND_MAX,
+    Element,
+    Law,
+    Number,
+    Signals,
+    edge_losses,
+    sensor_signals,
+    spool_shift_losses,
+)
 from hydro_sim.model.tables import Table
 
 # --- where they act --------------------------------------------------------------------------------------------------
 
 
 class Closure(Effect):
-    """One law or table; subclasses are made from `grammar.ALL`, one base for each equation."""
+    """Closure: a law or table; subclasses are created from `grammar.FORMS`, with one base per equation."""
 
     id = "closure"
     law: ClassVar[Law | Table]
@@ -66,19 +75,19 @@ class EdgeClosure(Closure):
         n, spool = self.at.numbers, self.at.spool
         openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
         past = self._past()
-        return edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.but(memory=past)))
+        return edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.replace(memory=past)))
 
 
-class AcrossClosure(Closure):
-    """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
+class SpoolShiftClosure(Closure):
+    """Shift of the spool at the edges, as a function of pressures, velocity, position or current."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
         at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, spool)
-        return shifted(n, spool, self._value(at), (pressure_a, pressure_b))
+        return spool_shift_losses(n, spool, self._value(at), (pressure_a, pressure_b))
 
 
-class DraggedClosure(Closure):
+class LoadMassClosure(Closure):
     """A mass that the load drags along."""
 
     def inertia(self, position: Symbol) -> Symbol:
@@ -93,19 +102,19 @@ class LoadClosure(Closure):
 
 
 class SensorClosure(Closure):
-    """What a sensor shows more than its signal; `held`: the current under which it is read, if it follows that."""
+    """Error of a sensor; `held`: valve current at the reading, where the error depends on it."""
 
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
+    def advance_states(self, position: Symbol, velocity: Symbol) -> None:
         self.next["held"] = self.at.current
 
-    def show(self, channel: str, signal: Symbol) -> Symbol:
+    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
         if channel != self.law.where:
             return signal
         pressure_a, pressure_b = self.at.pressures
         beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
                   "pressure_b": pressure_b, "current": getattr(self, "held", 0.0),
                   "acceleration": self.at.acceleration}  # fmt: skip
-        return signal + self._value(replace(sensed(channel, signal, beside), memory=self._past()))
+        return signal + self._value(replace(sensor_signals(channel, signal, beside), memory=self._past()))
 
 
 class ValveClosure(Closure):
@@ -120,8 +129,8 @@ class ValveClosure(Closure):
 # --- what they remember ----------------------------------------------------------------------------------------------
 
 
-class Measured(Closure):
-    """A law with a memory of one signal of the bench."""
+class MemoryClosure(Closure):
+    """Law with a state that depends on one signal of the bench."""
 
     def _began(self, signals: Mapping[str, Symbol]) -> Symbol:
         """Its signal on a still bench."""
@@ -140,8 +149,8 @@ class Measured(Closure):
         return 1.0 if self.element.signal == "time" else getattr(now, self.element.signal)
 
 
-class Lagging(Measured):
-    """A law that lags behind a signal, or follows a size or time alone from nothing."""
+class LagClosure(MemoryClosure):
+    """Law with a first-order lag of a signal, its magnitude or time."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         return {"past": self._began(signals)} if self.element.kind == "lag" else {}
@@ -150,8 +159,8 @@ class Lagging(Measured):
         return {"past": (self._now() - self.past) / self.time}
 
 
-class LaggingSpool(Closure):
-    """The same of the spool's position, which is held over a step."""
+class SpoolLagClosure(Closure):
+    """First-order lag of the spool's position, constant over a step."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         return {"past": signals["spool"]} if self.element.kind == "lag" else {}
@@ -171,8 +180,8 @@ class LaggingSpool(Closure):
         return 1.0 if self.element.signal == "time" else getattr(Signals(current=spool), self.element.signal)
 
 
-class Bending(Measured):
-    """A law that follows a path: the piston's, the current's, or that of a sensor's signal."""
+class HysteresisClosure(MemoryClosure):
+    """Law with hysteresis in the piston's position, the current or a sensor's signal."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         return {"where": self._began(signals)}
@@ -182,7 +191,7 @@ class Bending(Measured):
             self.next["bent"], self.next["where"] = self._remembered(spool), spool
         return super().command(spool)
 
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
+    def advance_states(self, position: Symbol, velocity: Symbol) -> None:
         if self.element.signal != "current":
             now = position if self.element.signal == "position" else self._now()
             self.next["bent"], self.next["where"] = self._remembered(now), now
@@ -203,19 +212,19 @@ _REACH = 1e4
 _SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "-": 1.0}
 
 
-def made(law: Law | Table) -> type[Closure]:
-    """The class of closures of a law or table."""
+def closure_class(law: Law | Table) -> type[Closure]:
+    """Return the effect class of a law or table."""
     reach = _REACH * law.typical
     members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
     element = law.element
     if isinstance(law, Table):
         over = tables.VARIABLES[law.variable]
-        members |= {name: parameter(over, -WIDEST, WIDEST, scale=1.0) for name in ("low", "high")}
+        members |= {name: parameter(over, -BOUND_MAX, BOUND_MAX, scale=1.0) for name in ("low", "high")}
     else:
         members |= {one.name: _number(one) for one in law.numbers}
     if element is not None:
         members |= {**_states(element, law), "element": element}
-    elif law.picks_up:
+    elif law.depends_on_current:
         members |= {"held": hidden("A", scale=1e-3)}
     members |= {"law": law, "shaken": "acceleration" in law.uses, "__doc__": Closure.__doc__}
     members |= {"options": {"equation": (law.equation,), "form": (law.form,)}}
@@ -237,20 +246,20 @@ def _states(element: Element, law: Law | Table) -> dict[str, Any]:
     return {"past": hidden(unit, scale=scale, integrated=not spool)}
 
 
-_PLACES = {"edges": EdgeClosure, "across": AcrossClosure}
+_PLACES = {"edges": EdgeClosure, "across": SpoolShiftClosure}
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
     acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
     acts = _PLACES.get(law.where) or acting.get(law.equation, FlowClosure)
     if element is None:
-        return (DraggedClosure if "acceleration" in law.uses and law.equation == "load" else acts,)
+        return (LoadMassClosure if "acceleration" in law.uses and law.equation == "load" else acts,)
     if element.kind == "path":
-        return Bending, acts
-    return LaggingSpool if acts is ValveClosure else Lagging, acts
+        return HysteresisClosure, acts
+    return SpoolLagClosure if acts is ValveClosure else LagClosure, acts
 
 
-EFFECTS = tuple(made(law) for law in grammar.ALL.values())
+EFFECTS = tuple(closure_class(law) for law in grammar.FORMS.values())
 
 
 # --- laws that have an id --------------------------------------------------------------------------------------------
@@ -271,16 +280,16 @@ class NamedLaw:
             raise ValueError(f"effect {self.id}: bounds are of {', '.join(self.law.names)}, in this order")
 
     @property
-    def seen(self) -> dict[str, float]:
-        """Typical values of its parameters."""
+    def typical_parameters(self) -> dict[str, float]:
+        """Typical values of the parameters, by name."""
         sign = 1.0 if self.bounds["coefficient"][1] > 0.0 else -1.0
         middles = {number.name: number.probes[len(number.probes) // 2] for number in self.law.numbers}
         return {"coefficient": sign * self.law.typical, **middles}
 
 
-def simulated(named: NamedLaw) -> type[Effect]:
-    """The effect in the bench model: it does what the closure of its law does."""
-    acting = made(named.law)
+def effect_class(named: NamedLaw) -> type[Effect]:
+    """Return the effect class of a named law, derived from its closure class."""
+    acting = closure_class(named.law)
     about = {"id": named.id, "options": {}, "__doc__": named.law.sentence}
     effect: Any = type(named.id, (acting,), about)
     effect.parameters = tuple(

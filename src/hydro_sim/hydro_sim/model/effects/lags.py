@@ -26,8 +26,10 @@ SQUARINGS, TERMS = 6, 14
 Pair = tuple[Symbol, Symbol]
 
 
-def held(at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol) -> tuple[Pair, Symbol]:
-    """State after a step under a constant signal, and the mean of s over the step."""
+def step_constant_input(
+    at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol
+) -> tuple[Pair, Symbol]:
+    """Return the state after a step with constant input, and the mean of s over the step."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
     # s, s'/w, the signal, the integral of s: time in units of 1/w
@@ -39,8 +41,8 @@ def held(at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbo
     return (moved, turned), mean
 
 
-def straight(at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Symbol, late: Symbol) -> Pair:
-    """State after a step in which the signal goes straight from `early` to `late`."""
+def step_linear_input(at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Symbol, late: Symbol) -> Pair:
+    """Return the state after a step with input linear from `early` to `late`."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
     # s, s'/w, the signal, its slope: time in units of 1/w
@@ -56,8 +58,8 @@ def straight(at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Sy
     return moved, turned
 
 
-def rates(bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol) -> dict[str, Symbol]:
-    """s'' of the equation, as that of a state `rate`; for solvers without our steps."""
+def lag_rates(bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol) -> dict[str, Symbol]:
+    """Return s'' as the rate of the state `rate`, for solvers in continuous time."""
     omega = 2.0 * np.pi * bandwidth
     return {"rate": omega * (omega * (signal - state[0]) - 2.0 * damping * state[1])}
 

@@ -81,7 +81,7 @@ class FrictionPresliding(Effect):
         goal = np.sign(moved) * level
         return goal + (self.bent - goal) * np.exp(-self.stiffness * np.abs(moved) / np.fmax(level, LEVEL_MIN))
 
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
+    def advance_states(self, position: Symbol, velocity: Symbol) -> None:
         self.next["bent"] = self.opposing_force(position, velocity)
 
 
@@ -144,7 +144,7 @@ class BacklashPlay(Backlash):
     def load(self, force: Symbol, position: Symbol) -> Symbol:
         return force - self.at.numbers.spring_stiffness * (position - self._end(position))
 
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
+    def advance_states(self, position: Symbol, velocity: Symbol) -> None:
         self.next["dragged"] = self._end(position)
 
     def _end(self, position: Symbol) -> Symbol:

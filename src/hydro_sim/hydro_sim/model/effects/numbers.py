@@ -11,10 +11,10 @@ from hydro_sim.model.effects.base import Effect, parameter
 from hydro_sim.model.equations import Symbol
 
 
-def corrects(
+def correction_effect(
     identifier: str, number: str, name: str, quantity: Any, corrected: Callable[[Symbol, Symbol], Symbol]
 ) -> type[Effect]:
-    """The effect that a number of the bench file is `corrected`, by the file's value and the effect's own parameter."""
+    """Return the effect class that replaces a number of the bench file by `corrected(file value, parameter)`."""
 
     def correct(self: Any, n: Any) -> None:
         setattr(n, number, corrected(getattr(n, number), getattr(self, name)))
@@ -22,9 +22,9 @@ def corrects(
     return type(identifier, (Effect,), {"id": identifier, name: quantity, "correct": correct})
 
 
-def wrong(number: str, scale: float) -> type[Effect]:
-    """The effect that a number of the bench file is wrong, under the number's name: its true value over the file's."""
-    return corrects(number, number, "ratio", parameter("-", 0.01, 100.0, scale=scale, neutral=1.0), mul)
+def ratio_effect(number: str, scale: float) -> type[Effect]:
+    """Return the effect class of a wrong number, whose parameter is the ratio of true value to the file's."""
+    return correction_effect(number, number, "ratio", parameter("-", 0.01, 100.0, scale=scale, neutral=1.0), mul)
 
 
 def _replaced(filed: Symbol, true: Symbol) -> Symbol:
@@ -44,13 +44,17 @@ class DeadVolume(Effect):
 
 
 EFFECTS = (
-    corrects("friction_viscous", "viscous_friction", "coefficient", parameter("N s/m", -1e9, 1e9, scale=30.0), add),
-    corrects("moving_mass", "moving_mass", "mass", parameter("kg", -1e7, 1e7, scale=0.3), add),
-    wrong("spring_stiffness", 0.1),
-    corrects("spring_rest", "spring_rest_position", "position", parameter("m", -5.0, 5.0, scale=1e-3), _replaced),
-    wrong("supply_pressure", 0.05),
-    corrects("tank_pressure", "tank_pressure", "pressure", parameter("Pa", 0.0, 1e7, scale=1e5), _replaced),
-    wrong("piston_area", 0.02),
-    wrong("area_ratio", 0.02),
+    correction_effect(
+        "friction_viscous", "viscous_friction", "coefficient", parameter("N s/m", -1e9, 1e9, scale=30.0), add
+    ),
+    correction_effect("moving_mass", "moving_mass", "mass", parameter("kg", -1e7, 1e7, scale=0.3), add),
+    ratio_effect("spring_stiffness", 0.1),
+    correction_effect(
+        "spring_rest", "spring_rest_position", "position", parameter("m", -5.0, 5.0, scale=1e-3), _replaced
+    ),
+    ratio_effect("supply_pressure", 0.05),
+    correction_effect("tank_pressure", "tank_pressure", "pressure", parameter("Pa", 0.0, 1e7, scale=1e5), _replaced),
+    ratio_effect("piston_area", 0.02),
+    ratio_effect("area_ratio", 0.02),
     DeadVolume,
 )

@@ -8,7 +8,7 @@ import numpy as np
 from hydro_sim.model.effects.base import Effect, hidden, parameter
 from hydro_sim.model.equations import Symbol, orifice
 
-MEETING_POINT = 5e6
+ORIFICE_REFERENCE_DROP = 5e6
 """Pressure drop [Pa] at which a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
 
 ATMOSPHERE = 101325.0
@@ -48,7 +48,7 @@ class LeakageInternalOrifice(LeakageInternal):
     options = {"form": ("orifice",)}
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        across = orifice(self.coefficient * np.sqrt(MEETING_POINT), pressure_a - pressure_b)
+        across = orifice(self.coefficient * np.sqrt(ORIFICE_REFERENCE_DROP), pressure_a - pressure_b)
         return across, -across
 
 

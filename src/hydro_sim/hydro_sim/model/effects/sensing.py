@@ -32,18 +32,18 @@ class SensorLag(Effect):
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         return {"signal": signals[self.sensor]}
 
-    def follow(self, channel: str, early: Symbol, late: Symbol) -> tuple[Symbol, Symbol]:
+    def filter_signal(self, channel: str, early: Symbol, late: Symbol) -> tuple[Symbol, Symbol]:
         if channel != self.sensor:
             return early, late
         state = self.signal, self.rate
-        self.next["signal"], self.next["rate"] = lags.straight(
+        self.next["signal"], self.next["rate"] = lags.step_linear_input(
             self.at, self.bandwidth, self.damping, state, early, late
         )
         return self.signal, self.next["signal"]
 
     def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
         state = self.signal, self.rate
-        return self.signal, {"signal": self.rate, **lags.rates(self.bandwidth, self.damping, state, signal)}
+        return self.signal, {"signal": self.rate, **lags.lag_rates(self.bandwidth, self.damping, state, signal)}
 
 
 class LoadCellGain(Effect):
@@ -53,7 +53,7 @@ class LoadCellGain(Effect):
     options = {"cell": ("hydraulic_force", "load_force")}
     ratio = parameter("-", 0.01, 100.0, scale=0.05, neutral=1.0)
 
-    def show(self, channel: str, signal: Symbol) -> Symbol:
+    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
         return signal * self.ratio if channel == self.cell else signal
 
 
@@ -64,7 +64,7 @@ class LoadCellBias(Effect):
     options = {"cell": ("hydraulic_force", "load_force")}
     force = parameter("N", -1e8, 1e8, scale=5.0)
 
-    def show(self, channel: str, signal: Symbol) -> Symbol:
+    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
         return signal + self.force if channel == self.cell else signal
 
 
@@ -75,7 +75,7 @@ class PressureSensorBias(Effect):
     options = {"chamber": ("a", "b")}
     pressure = parameter("Pa", -1e7, 1e7, scale=5e4)
 
-    def show(self, channel: str, signal: Symbol) -> Symbol:
+    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
         return signal + self.pressure if channel == f"pressure_{self.chamber}" else signal
 
 

@@ -49,13 +49,13 @@ class ValveLag(Effect):
         return {"spool": signals["spool"]}
 
     def command(self, spool: Symbol) -> Symbol:
-        moved, mean = lags.held(self.at, self.bandwidth, self.damping, (self.spool, self.rate), spool)
+        moved, mean = lags.step_constant_input(self.at, self.bandwidth, self.damping, (self.spool, self.rate), spool)
         self.next["spool"], self.next["rate"] = moved
         return mean
 
     def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
         state = self.spool, self.rate
-        return self.spool, {"spool": self.rate, **lags.rates(self.bandwidth, self.damping, state, signal)}
+        return self.spool, {"spool": self.rate, **lags.lag_rates(self.bandwidth, self.damping, state, signal)}
 
 
 class ValveLagFirstOrder(Effect):

@@ -26,38 +26,38 @@ from hydro_sim.model.effects.closure import NamedLaw
 from hydro_sim.model.laws import Law, Number
 
 VARIABLE = "HYDRO_EFFECTS"
-HERE = Path(__file__).resolve().parent
-_CHECKOUT = HERE.parents[3]
+PACKAGE_FOLDER = Path(__file__).resolve().parent
+_CHECKOUT = PACKAGE_FOLDER.parents[3]
 """Of a checkout: src/hydro_sim, which holds package.xml."""
 
 
-def users_folder() -> Path:
-    """The user's folder of grown effects; it need not exist."""
+def user_folder() -> Path:
+    """Return the user's folder of grown effects, which may not exist."""
     data = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
     return Path(os.environ.get(VARIABLE) or data / "hydro" / "effects")
 
 
-def folder() -> Path:
-    """Where a new effect goes: this package in a checkout, unless HYDRO_EFFECTS says otherwise; else the user's."""
-    in_checkout = (_CHECKOUT / "package.xml").is_file() and os.access(HERE, os.W_OK)
-    return HERE if in_checkout and not os.environ.get(VARIABLE) else users_folder()
+def target_folder() -> Path:
+    """Return the folder for a new effect: this package in a checkout without HYDRO_EFFECTS, else the user's."""
+    in_checkout = (_CHECKOUT / "package.xml").is_file() and os.access(PACKAGE_FOLDER, os.W_OK)
+    return PACKAGE_FOLDER if in_checkout and not os.environ.get(VARIABLE) else user_folder()
 
 
-def is_read(place: Path) -> bool:
-    """Return whether bench files may name the effects in a folder."""
-    return place.resolve() in (HERE, users_folder().resolve())
+def is_searched(place: Path) -> bool:
+    """Return whether effects in a folder are known to bench files."""
+    return place.resolve() in (PACKAGE_FOLDER, user_folder().resolve())
 
 
-def sources() -> list[Path]:
-    """Files of the effects."""
-    return sorted({path for place in (HERE, users_folder()) for path in place.glob("*.yaml")})
+def effect_files() -> list[Path]:
+    """Return the files of all grown effects."""
+    return sorted({path for place in (PACKAGE_FOLDER, user_folder()) for path in place.glob("*.yaml")})
 
 
 def _effect(path: Path) -> NamedLaw:
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
         row, seen = content["law"], content["parameters"]
-        law = grammar.ALL[row["equation"], row["form"]]
+        law = grammar.FORMS[row["equation"], row["form"]]
         if not isinstance(law, Law):
             raise ValueError("a table of numbers is not an effect")
         numbers = tuple(Number(one.name, one.unit, (float(seen[one.name]["seen"]),)) for one in law.numbers)
@@ -72,6 +72,6 @@ def _effect(path: Path) -> NamedLaw:
         raise UserError(f"{path}: this grown effect cannot be read ({why}): fix the file or remove it") from error
 
 
-EFFECTS: tuple[NamedLaw, ...] = tuple(map(_effect, sources()))
+EFFECTS: tuple[NamedLaw, ...] = tuple(map(_effect, effect_files()))
 """Grown effects, by id."""
 IDS = frozenset(one.id for one in EFFECTS)
