@@ -75,7 +75,7 @@ def parser() -> argparse.ArgumentParser:
         "--seconds",
         type=float,
         metavar="S",
-        help="budget of work, in s of CPU as counted, not timed; then the best answer so far is given (default: 30, "
+        help="budget of work, in s of CPU as counted, not timed; then the best answer so far is given (default: 24, "
         "in proportion beyond 60 s at 1 kHz)",
     )
     options.add_argument(

@@ -71,7 +71,7 @@ def diagnose(
     settings
         Of the search.
     seconds
-        Budget of work [s of CPU, counted: `estimation.problem`]: then the best answer so far is given. Default: 30, in
+        Budget of work [s of CPU, counted: `estimation.problem`]: then the best answer so far is given. Default: 24, in
         proportion beyond 60,000 samples.
     progress
         Is told the stages.

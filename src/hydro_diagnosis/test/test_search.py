@@ -127,7 +127,7 @@ def test_budget_grows_with_what_is_recorded_unless_it_is_chosen() -> None:
     budgets = [Budget(), Budget(), Budget(5.0)]
     for budget, samples in zip(budgets, (20_000, 600_000, 600_000), strict=True):
         budget.allow(samples)
-    assert [budget.seconds for budget in budgets] == [30.0, 300.0, 5.0]
+    assert [budget.seconds for budget in budgets] == [24.0, 240.0, 5.0]
 
 
 def sized(effect: Effect, **values: float) -> Claim:

@@ -98,7 +98,7 @@ STRETCH = 2e-4
 """CPU [s] of a segment, however short, in a block."""
 COLUMN = 5e-8
 """CPU [s] of a sample's response to one column of a screen."""
-LEAST = 30.0
+LEAST = 24.0
 """Default budget [s] of search and laws, for up to 60 s at 1 kHz; beyond, in proportion to the samples. What follows
 takes a quarter of it at most.
 """
