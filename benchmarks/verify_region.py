@@ -30,7 +30,7 @@ class I:  # an interval
     __rmul__, size = __mul__, property(lambda self: max(abs(self.low), abs(self.high)))
     __neg__, __sub__, __rsub__ = lambda self: I(-self.high, -self.low), lambda s, o: s + (-o), lambda s, o: o + (-s)
     __truediv__ = lambda self, other: self * (1.0 / of(other))
-    root = lambda self: I(max(down(math.sqrt(self.low)), 0.0), up(math.sqrt(self.high)))
+    sqrt = lambda self: I(max(down(math.sqrt(self.low)), 0.0), up(math.sqrt(self.high)))
 of, hull = lambda v: v if isinstance(v, I) else I(v), lambda *v: I(min(i.low for i in v), max(i.high for i in v))
 class M:  # a set of matrices: s holds C, then G of each symbol; r: R
     def __init__(self, rows, columns, s=None, r=None):

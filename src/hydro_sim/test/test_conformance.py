@@ -313,7 +313,7 @@ def broken(copy: Path, memory: Any, monkeypatch: pytest.MonkeyPatch) -> Callable
         finally:
             path.write_text(whole)
         monkeypatch.setattr(firmware, "library_path", lambda precision: library)
-        for kept in ("library", "calls"):
+        for kept in ("library", "function_addresses"):
             monkeypatch.setattr(firmware, kept, cache(getattr(firmware, kept).__wrapped__))
         return box_of(memory)
 
