@@ -179,7 +179,7 @@ def test_all_that_is_missing_is_asked_for_at_once() -> None:
     assert "spring_stiffness (N/m, load equation), spring_rest_position (m, load equation)" in sentence
     assert sentence.endswith("--estimate spring_stiffness spring_rest_position")
     assert "piston_area" not in sentence and "bulk_modulus" not in sentence
-    with pytest.raises(InputError, match="--estimate moving_mass$"):  # the cell is at the rod: no spring is needed
+    with pytest.raises(InputError, match=r"--estimate moving_mass$"):  # the cell is at the rod: no spring is needed
         refuse_missing(("hydraulic_force", "piston_position", "load_force", *PRESSURES), bench)
 
 
