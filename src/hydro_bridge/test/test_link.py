@@ -313,3 +313,16 @@ def test_a_box_that_does_not_read_never_blocks_a_write_and_frames_stay_whole(cab
             received += os.read(cable.box, 65536)
             time.sleep(0.001)
     assert received == b"".join(written)[: len(received)]
+
+
+def test_what_the_box_sends_after_the_last_command_is_passed_on_no_more(bench):
+    it = bench().connected()
+    ending = threading.Thread(target=it.link.stop)
+    with it.link.lock:  # held: the end has begun, and cannot send its last command
+        ending.start()
+        wait(lambda: it.link._ending)
+        passed_on, frames = len(it.states), it.link.counts.frames
+        wait(lambda: it.link.counts.frames > frames + 20)
+        assert len(it.states) <= passed_on + 1, "but for the one that was under way"
+    ending.join(5.0)
+    assert not it.box.commands[-1].command.arm

@@ -217,7 +217,7 @@ class Link:
         self._on_state, self._correct, self._log, self._warn = on_state, correct, log, warn or log
         self._on_box = on_box or (lambda info: None)
         self._decoder, self._tracker = Decoder(self.counts), SequenceTracker(self.counts)
-        self._stopping = threading.Event()
+        self._stopping, self._ending = threading.Event(), False
         self._sequence = 0
         self._corrected = True
         self._connected_before = False
@@ -273,7 +273,8 @@ class Link:
             backoff = min(2 * backoff, self.port.settings.backoff_max)
 
     def stop(self) -> None:
-        """Disarm, and end `run`."""
+        """Disarm, and end `run`; the sample with which an emulator answers the last command is passed on no more."""
+        self._ending = True
         with self.lock:
             self.guard.set_arm(False)
         self._send()
@@ -405,7 +406,7 @@ class Link:
 
     def _take_state(self, frame: State, now: float) -> None:
         restarts = self.counts.restarts
-        if not self._tracker.accept(frame.sequence):
+        if self._ending or not self._tracker.accept(frame.sequence):
             return
         if self.counts.restarts > restarts:
             self._restarted()

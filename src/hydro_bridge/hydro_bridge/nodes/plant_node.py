@@ -390,8 +390,8 @@ class PlantNode(Node):
 
     def close(self) -> None:
         """Disarm, and end the plant's thread."""
+        self.side.stop()  # first: what `pace` releases is another sample, or none, as the threads run
         self.side.pace.close()
-        self.side.stop()
         if self._thread.is_alive():
             self._thread.join(2.0)
 
