@@ -35,14 +35,14 @@ from hydro_msgs.msg import Authority, Gains
 from hydro_msgs.msg import LawCommand as LawMessage
 from hydro_msgs.srv import Claim
 
-_AGAIN = 0.5  # s between two requests; a lease lapses after 3 s of silence
+_RENEWAL_PERIOD = 0.5  # s between two requests; a lease lapses after 3 s of silence
 _ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
 _DISARMED_WITHIN = 2.0  # s, for the last request to the plant
-ALONE_WITHIN = 600.0
+LEASE_WAIT_MAX = 600.0
 """s that a node waits for the present holder of the plant."""
-TOLD_WITHIN = 30.0
+LEASE_ANSWER_MAX = 30.0
 """s that it waits for a plant that says nothing about its lease."""
-UNTOLD = "the plant does not say who may command it (/hydro/claim)"
+NO_LEASE_ANSWER = "the plant does not say who may command it (/hydro/claim)"
 UNCONFIRMED = (
     "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms after 10 s; to "
     "be sure, `ros2 run hydro_bridge arm --off`"
@@ -75,7 +75,7 @@ class Commander:
         changed: Callable[[str], None] = lambda why: None,
         end: Callable[[], None] | None = None,
         warn: Callable[[str], None] = lambda sentence: None,
-        within: float = ALONE_WITHIN,
+        within: float = LEASE_WAIT_MAX,
     ) -> None:
         self._node, self._changed, self._end, self._warn = node, changed, end, warn
         self._within = within
@@ -114,26 +114,26 @@ class Commander:
     def seek(self, now: float) -> None:
         """Take or renew the lease; call several times a second, `now` by the monotonic clock [s]."""
         waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_WITHIN
-        if waiting or now < self._asked + _AGAIN or not self._claims.service_is_ready():
+        if waiting or now < self._asked + _RENEWAL_PERIOD or not self._claims.service_is_ready():
             return
         self._asked, self._known = now, self.epoch
         self._answer = self._ask(Claim.Request.TAKE, then=self._on_taken)
 
-    def look(self, now: float) -> None:
+    def check_wait(self, now: float) -> None:
         """Warn once of each reason for which this node does not command a plant that is there; call as `seek`.
 
-        Raises NotReadyError: the plant has said nothing for `TOLD_WITHIN`, or another node has held it for `within`.
+        Raises NotReadyError: the plant is silent for `LEASE_ANSWER_MAX`, or another node holds it for `within`.
         """
         if self.held:
             self._waits_since, self._told = inf, ""
             return
         self._waits_since = min(self._waits_since, now)
-        within = self._within if self._refusal else TOLD_WITHIN
+        within = self._within if self._refusal else LEASE_ANSWER_MAX
         if self._refusal and self._refusal != self._told:
             self._warn(f"{self._refusal}; {self._node.get_name()} waits, {within:g} s at most")
         self._told = self._refusal
         if now - self._waits_since > within:
-            raise NotReadyError(f"{self._refusal or UNTOLD}, still after {within:g} s")
+            raise NotReadyError(f"{self._refusal or NO_LEASE_ANSWER}, still after {within:g} s")
 
     def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> None:
         """Publish gains [1/s], [1/s^2] if this node may."""

@@ -292,9 +292,7 @@ def train(options: argparse.Namespace) -> int:
         node.tell_steps()
         stack.callback(lambda: learner.stop(plan.state()))
         stack.callback(node.disarm)
-        stack.callback(
-            quiet.enter_context, signals_ignored()
-        )  # first of all: a second Ctrl-C, or a closed terminal, waits
+        stack.callback(quiet.enter_context, signals_ignored())  # first of all: a second Ctrl-C waits
         finished, results = drive(options, node, session, start)
         if finished:  # a stopped run hands nothing over
             node.successor = options.hand_over or ""

@@ -20,7 +20,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.ros.answers import PaceResponder
-from hydro_bridge.ros.commander import ALONE_WITHIN, Commander
+from hydro_bridge.ros.commander import LEASE_WAIT_MAX, Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import RosoutLogger, publisher_conflicts
 from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, seconds, subscribe, subscribe_to_box
@@ -106,7 +106,7 @@ class GraphNode(Node):
     learner) stay ordinary. `alone_within`: s that it waits for the present holder of the plant.
     """
 
-    def __init__(self, name: str, *, realtime: bool = True, alone_within: float = ALONE_WITHIN) -> None:
+    def __init__(self, name: str, *, realtime: bool = True, alone_within: float = LEASE_WAIT_MAX) -> None:
         super().__init__(name)
         self.announcer, journal = Announcer(), RosoutLogger(self)
         self.announcer.journal = journal.log
@@ -489,7 +489,7 @@ class GraphNode(Node):
             self.warn(f"{crowd}; until then no sample is believed")
         self._two_plants, self._crowd = False, crowd
         if self._sampled < math.inf:
-            self._commander.look(now)
+            self._commander.check_wait(now)
         if self._commander.held or self._sampled == math.inf:
             session.on_tick(now)
         if not self.paced:
@@ -526,8 +526,8 @@ class GraphNode(Node):
             return
         self._unarmed_since = min(self._unarmed_since, now)
         self.warn(f"the plant was not armed: {response.message}")
-        if now - self._unarmed_since > ALONE_WITHIN:
-            self.fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
+        if now - self._unarmed_since > LEASE_WAIT_MAX:
+            self.fail(NotReadyError(f"the plant was not armed for {LEASE_WAIT_MAX:g} s: {response.message}"))
 
     def _on_disarm_answer(self, answer: Future) -> None:
         response = answer.result()
