@@ -80,9 +80,13 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "valve gain x 0.75": {"valve_gain": {"ratio": 0.75}},
     "valve gain x 1.25": {"valve_gain": {"ratio": 1.25}},
 }
+SCORED = 6000
+"""Samples of the reference whose RMS the shares are of."""
 SKIPPED = 100
 """Policy steps at the begin of a run on which nothing is trained."""
 CONTROLLERS = ("compensated", "learned")
+CONTROLLED = ("compensated", "with the residual")
+"""Columns of the tables for `CONTROLLERS`."""
 Scores = dict[str, list[float]]
 """Of a controller on each of `REFERENCES`: rmse [N], rate (RMS of u', A/s), tripped (0 or 1)."""
 
@@ -228,6 +232,12 @@ def scores(found: Run) -> tuple[FloatArray, FloatArray]:
     return rms(found.error, found.counted), rms(rates, found.counted[:, 1:])
 
 
+def reference_rms(samples: int) -> FloatArray:
+    """RMS [N] of each of `REFERENCES` over so many samples."""
+    times = np.arange(samples) * SAMPLE_PERIOD
+    return np.array([np.sqrt(np.mean(reference_force(signal, times)[0] ** 2)) for signal in REFERENCES.values()])
+
+
 def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float) -> Scores:
     """RMSE [N], RMS of u' [A/s] and whether it tripped, of a controller of `CONTROLLERS` on each of `REFERENCES`.
 
@@ -237,9 +247,7 @@ def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | 
     residual = Residual(len(configs), Network.load(weights_file)) if controller == "learned" else None
     found = run(configs, signals, residual, seed, settle=settle)
     rmse, rate = scores(found)
-    times = np.arange(found.error.shape[1]) * SAMPLE_PERIOD
-    still = [np.sqrt(np.mean(reference_force(signal, times)[0] ** 2)) for signal in REFERENCES.values()]
-    rmse = np.where(found.tripped > 0.0, still, rmse)
+    rmse = np.where(found.tripped > 0.0, reference_rms(found.error.shape[1]), rmse)
     return {"rmse": rmse.tolist(), "rate": rate.tolist(), "tripped": found.tripped.astype(float).tolist()}
 
 
@@ -263,7 +271,9 @@ def table(rows: Sequence[Sequence[Scores]], title: str) -> Table:
     rmse, rate, tripped = (np.array([[one[key] for one in own] for own in rows]) for key in ("rmse", "rate", "tripped"))
     law, learned = rmse[:, 0], rmse[:, 1]
     ratio, worse = learned / law, learned > 1.1 * law + 0.3
-    columns = {"reference": "", "compensated": "RMSE, N", "with the residual": "RMSE, N", "ratio": "of the two",
+    share = 100.0 * rmse / reference_rms(SCORED)
+    unit = "RMSE, N, % of the reference's RMS"
+    columns = {"reference": "", **dict.fromkeys(CONTROLLED, unit), "ratio": "of the two",
                "low": "95 % interval of the ratio", "high": "", "largest": "ratio", "worse": "above 1.1 times + 0.3 N",
                "trips": "with the residual (without)", "u' ratio": "RMS of u' over the law's"}  # fmt: skip
     made = Table(columns, title=title)
@@ -276,9 +286,10 @@ def table(rows: Sequence[Sequence[Scores]], title: str) -> Table:
     for name, chosen in (*((name, [k]) for k, name in enumerate(REFERENCES)), ("all", list(range(len(REFERENCES))))):
         own = ratio[:, chosen]
         low, high = spread(own)
+        means = ([interquartile_mean(one[:, k, chosen].ravel()) for one in (rmse, share)] for k in (0, 1))
         made.add(
-            reference=name, compensated=interquartile_mean(law[:, chosen].ravel()),
-            **{"with the residual": interquartile_mean(learned[:, chosen].ravel())},
+            reference=name,
+            **dict(zip(CONTROLLED, (f"{error:.2f}, {part:.2f} %" for error, part in means), strict=True)),
             ratio=interquartile_mean(own.ravel()), low=low, high=high, largest=float(own.max()),
             worse=f"{int(worse[:, chosen].sum())} of {own.size}",
             trips=f"{tripped[:, 1, chosen].sum():g} ({tripped[:, 0, chosen].sum():g})",
