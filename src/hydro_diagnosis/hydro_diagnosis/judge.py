@@ -3,35 +3,30 @@
 
 A name stands where its interval excludes its absence, where physics allows it, and where it does not make what was held
 out worse. Where names leave more than noise, those that act there may only mimic what is missing: then they stand
-if together they account for nearly all of it, and each for more than a tenth. What remains is a share that is said.
+if together they account for nearly all of it. What remains is a share that is said.
 
 `accounted` of an equation is 1 - (rms left) / (rms missing) on what was held out, the noise taken off both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import Fit, fit, without_one
 from hydro_diagnosis.estimation.intervals import Interval, is_significant, without_insignificant
-from hydro_diagnosis.estimation.problem import CHANNELS, NOTICEABLE, Problem
+from hydro_diagnosis.estimation.problem import NOTICEABLE, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
+from hydro_diagnosis.selection.search import SearchSettings
 
 EXPLAINED = 0.95
 """Share that must be accounted for where a verdict says that everything is: five in a hundred matter to a person."""
 NEARLY_ALL = 0.98
 """Share of the squared mismatch that names explain where something remains beside them: six sevenths of it."""
-MINOR = 0.1
-"""Share of that below which a name is dropped where something remains."""
-CHANCE = 20.0
-"""Deviance by which a name may make what was held out worse: that which its claim needs on what was fitted."""
-
 Accounted = dict[str, dict[str, float]]
 """By equation: shares that the `named` claims, and `all` terms, account for."""
 _EQUATION = {"hydraulic": "sensor"}
@@ -61,62 +56,34 @@ def judged(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tupl
     `holdout`: what was held out; `found`: the search's fit; `nothing`: that without claims.
     """
     while True:
+        count = len(found.claims)
         if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < NEARLY_ALL:
-            found = _but(problem, found, _suspects(problem, found))  # fewer claims explain no more
-        kept, bounds = without_insignificant(problem, found)
-        kept = _standing(problem, holdout, kept, nothing)
-        if len(kept.claims) == len(found.claims):
-            return kept, bounds
-        found = kept
+            suspects = _suspects(problem, found)
+            trusted = tuple(claim for claim in found.claims if claim.effect.label not in suspects)
+            found = fit(problem, trusted) if suspects else found
+        found, bounds = without_insignificant(problem, found)
+        named = [one for one in found.claims if one.effect.named and (one.effect.estimated or is_significant(one))]
+        ids = {one.effect.id for one in named}
+        named = [one for one in named if set(one.effect.needs) <= ids]
+        if len(named) < len(found.claims):
+            remains = problem.noticeable(found.residual) or any(not one.effect.named for one in found.claims)
+            found = fit(problem, named, iterations=0 if remains else 8)
+        elif worst := _most_harmful(problem, holdout, found):
+            found = fit(problem, found.but(worst))
+        if len(found.claims) == count:
+            return found, bounds
 
 
-def _standing(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> Fit:
-    """The fit without what has no name, is not physical, is harmful, or mimics what remains."""
-    named = tuple(one for one in found.claims if one.effect.named and (one.effect.estimated or is_significant(one)))
-    ids = {one.effect.id for one in named}
-    named = tuple(one for one in named if set(one.effect.needs) <= ids)
-    if coincidence(found.judged):
-        return nothing
-    if len(named) < len(found.claims):
-        remains = problem.noticeable(found.residual) or any(not one.effect.named for one in found.claims)
-        return _trusted(problem, fit(problem, named, iterations=0 if remains else 8), nothing)
-    if problem.noticeable(found.residual):
-        found = _trusted(problem, found, nothing)
-    return _harmless(problem, holdout, found)
-
-
-def _harmless(problem: Problem, holdout: Problem, found: Fit) -> Fit:
-    """The fit without the name that makes what was held out worse by most, beyond chance."""
+def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> Claim | None:
+    """The name that makes what was held out worse by most, where that is more than its claim needed to gain."""
     unseen = holdout.weighed(found.claims)
     before = unseen.deviance(unseen.residual(found.claims))
-    others = [without_one(problem, found, claim) for claim in found.removable]
-    harm = [before - unseen.deviance(unseen.residual(fewer.claims)) for fewer in others]
-    return fit(problem, others[int(np.argmax(harm))].claims) if max(harm, default=0.0) > CHANCE else found
-
-
-def coincidence(claims: Sequence[Claim]) -> bool:
-    """Return whether both dead volumes are off alike: two errors do not agree, so it is another cause (soft hoses)."""
-    ratios = [claim.values["ratio"] for claim in claims if claim.effect.id == "dead_volume"]
-    return len(ratios) == 2 and abs(ratios[0] - ratios[1]) < 0.05 * abs(ratios[0] - 1.0)
-
-
-def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
-    """The fit without those claims that act where something remains and do not explain nearly all of it.
-
-    Claims that show in other channels, in which nothing remains, are not in question.
-    """
-    suspects = _suspects(problem, found)
-    fewer = _without_minor(problem, found, nothing, suspects)
-    left = any(claim.effect.label in suspects for claim in fewer.claims)
-    if left and explained_share(problem, fewer, nothing) >= NEARLY_ALL:
-        return fewer
-    return _but(problem, fewer, suspects)
-
-
-def _but(problem: Problem, found: Fit, labels: set[str]) -> Fit:
-    """The fit without claims of these labels."""
-    kept = tuple(claim for claim in found.claims if claim.effect.label not in labels)
-    return fit(problem, kept) if len(kept) < len(found.claims) else found
+    harm = {
+        before - unseen.deviance(unseen.residual(without_one(problem, found, claim).claims)): claim
+        for claim in found.removable
+    }
+    worst = max(harm, default=0.0)
+    return harm[worst] if worst > SearchSettings().threshold else None
 
 
 def _suspects(problem: Problem, found: Fit) -> set[str]:
@@ -139,29 +106,6 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
     shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and after[name] > limit[name]]
     return float(min(shares, default=1.0))
-
-
-def _judged(problem: Problem, found: Fit) -> npt.NDArray[np.bool_]:
-    """Residuals of the channels in which something remains."""
-    noisy = [CHANNELS.index(name) for name in problem.remaining(found.residual)]
-    return np.isin(problem.layout.channel, noisy)
-
-
-def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str]) -> Fit:
-    """Drop, one after the other, suspects without which hardly more remains."""
-    rows = _judged(problem, found)
-    gap = float(np.sum(np.square(nothing.residual[rows])) - np.sum(np.square(found.residual[rows])))
-    current = found
-    while True:
-        open_ = [one for one in current.removable if one.effect.label in suspects]
-        if not open_ or len(current.judged) == 1:
-            return current
-        smaller = [without_one(problem, current, claim) for claim in open_]
-        remains = float(np.sum(np.square(current.residual[rows])))
-        losses = [float(np.sum(np.square(one.residual[rows]))) - remains for one in smaller]
-        if min(losses) > MINOR * gap:
-            return current
-        current = fit(problem, smaller[int(np.argmin(losses))].claims)
 
 
 def assessed(

@@ -153,14 +153,10 @@ def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none() -> None:
             assert is_significant(sized(effect, **sizes)) == claimed, effect.label
 
 
-def test_a_dead_time_and_a_simple_lag_become_a_lag_of_second_order() -> None:
-    problem = problem_with(claim("valve_lag", 90.0, 0.9))
-    looking = Search(problem, ADAPTED)
-    imitated = fit(problem, (claim("transport_delay", 1e-3), claim("valve_lag:first_order", 80.0)))
-    found = Outcome(problem, imitated, fit(problem, ()))
-    assert looking._merge(found)
-    assert [one.effect.label for one in found.fit.claims] == ["valve_lag"]
-    assert list(found.fit.claims[0].values.values()) == pytest.approx([90.0, 0.9], rel=0.05)
+def test_a_lag_of_second_order_is_no_dead_time_and_simple_lag() -> None:
+    (found,) = search(problem_with(claim("valve_lag", 90.0, 0.9))).fit.claims
+    assert found.effect.label == "valve_lag"
+    assert list(found.values.values()) == pytest.approx([90.0, 0.9], rel=0.05)
 
 
 @pytest.mark.study

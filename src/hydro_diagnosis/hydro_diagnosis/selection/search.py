@@ -10,13 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import permutations
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.estimation.fit import (
-    FORM_ERROR,
     Fit,
     Prospect,
     Signatures,
@@ -249,9 +247,7 @@ class Search:
             if ranked:
                 idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
-            elif not self._backward(outcome) and (
-                self._exhausted or not (self._swap(outcome, 0.0) or self._merge(outcome))
-            ):
+            elif not self._backward(outcome) and (self._exhausted or not self._swap(outcome, 0.0)):
                 break
             for _ in range(SWAPS):
                 if self._exhausted or not self._swap(outcome, PROMISING):
@@ -289,11 +285,7 @@ class Search:
         return winner
 
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
-        """Fits with one claim more that pay, the best first.
-
-        Where the best only mends the form of its kin, what others explain there is mimicry: then `_plainer`, and what
-        acts elsewhere.
-        """
+        """Fits with one claim more that pay, the best first."""
         enough = base.score - self.settings.threshold
         self._shortlists.renew()
         fits = self._shortlists.beside(problem, base, 0.0)
@@ -301,42 +293,7 @@ class Search:
             best = fits[0].score
             self._shortlists.polish(problem, base, best + CONTENDING * (base.score - best), POLISHED)
         better = [one for one in self._shortlists.beside(problem, base, 0.0) if one.score <= enough]
-        evidence = [one for one in better if all_significant(problem, one)]
-        mends = bool(evidence) and form_error(problem, base, evidence[0])
-        if mends and not self._completed(problem, base, evidence[0]):
-            evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
-        if problem.noticeable(base.residual):
-            evidence += self._plainer(problem, base, enough)
-        return sorted(evidence, key=lambda one: one.score)
-
-    def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
-        """Whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
-        enough = found.score - self.settings.threshold
-        self._shortlists.beside(problem, found, 0.0)
-        self._shortlists.polish(problem, found, enough, POLISHED)
-        for pair in self._shortlists.beside(problem, found, 0.0)[:POLISHED]:
-            clean = problem.remaining(base.residual).keys() - problem.remaining(pair.residual).keys()
-            if clean and clean & problem.remaining(fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
-                return True
-        return False
-
-    def _plainer(self, problem: Problem, base: Fit, enough: float) -> list[Fit]:
-        """Fits with a plainer form of a claim beside one of its kin, no more parameters in all, that score `enough`.
-
-        A soft dead band takes the form of a hard one beside a valve's gain, and then neither pays beside it.
-        """
-        fits = []
-        for rich in (one for one in base.removable if one.effect.family):
-            others = base.but(rich)
-            plainer = [one for one in self.library if one.id == rich.effect.id
-                       and len(one.parameters) < len(rich.effect.parameters)]  # fmt: skip
-            for plain in screen(problem, fit(problem, others), plainer) if plainer else ():
-                beside = fit(problem, (*others, plain.claim))
-                room = base.free - beside.free
-                kin = [one for one in self.library if one.family == rich.effect.family and not one.needs
-                       and len(one.parameters) <= room]  # fmt: skip
-                fits += [fit(problem, (*beside.claims, one.claim)) for one in screen(problem, beside, kin)[:POLISHED]]
-        return [one for one in fits if one.score <= enough and all_significant(problem, one)]
+        return [one for one in better if all_significant(problem, one)]
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
@@ -360,28 +317,6 @@ class Search:
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
-
-    def _merge(self, outcome: Outcome) -> bool:
-        """Try a richer form of a claim in its place and that of one of its kin, no more parameters in all.
-
-        A dead time and a spool of first order take the form of one of second order, and then no single swap pays.
-        """
-        problem, present = outcome.problem, outcome.fit
-        for plain, kin in permutations(present.judged, 2):
-            spare = len(plain.effect.parameters) + len(kin.effect.parameters)
-            richer = [one for one in self.library if one.id == plain.effect.id and one.family == kin.effect.family
-                      and len(plain.effect.parameters) < len(one.parameters) <= spare]  # fmt: skip
-            others = tuple(one for one in present.claims if one is not plain and one is not kin)
-            needed = {need for one in others for need in one.effect.needs}
-            if not richer or kin.effect.id in (plain.effect.id, *needed):
-                continue
-            for prospect in screen(problem, fit(problem, others), richer):
-                merged = fit(problem, (*others, prospect.claim))
-                if merged.score < present.score and all_significant(problem, merged):
-                    labels = f"{plain.effect.label}, {kin.effect.label} -> {prospect.claim.effect.label}"
-                    self._accept(outcome, merged, "swap", labels)
-                    return True
-        return False
 
     def _pays_in_place(self, outcome: Outcome, other: Fit, effect: Effect) -> bool:
         """Return whether the newest claim of `other` may take the place of `effect`.
@@ -430,37 +365,6 @@ class Search:
             if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(problem.uncertainty):
                 break
         return problem, found
-
-
-def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
-    """Return whether the newest claim explains no more than an error in the form of its kin would.
-
-    Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
-    """
-    if problem.noticeable(base.residual) and not problem.noticeable(found.residual):
-        return False
-    newest = found.claims[-1].effect
-    kin = [claim for claim in base.judged if newest.family and claim.effect.family == newest.family]
-    for claim in kin:
-        if claim.effect.id in newest.needs:
-            continue
-        without = problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
-        signature = float(np.sum(np.square(without - problem.residual(found.claims[:-1]))))
-        added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
-        if added < FORM_ERROR**2 * signature:
-            return True
-    return False
-
-
-def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
-    """Whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
-    before, one, two = (problem.mean_squares(each.residual) for each in (base, mended, other))
-    counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
-    removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}
-    shared = sum(
-        part for name, part in removed.items() if before[name] - one[name] > MINOR * (before[name] - two[name])
-    )
-    return shared < MINOR * sum(removed.values())
 
 
 def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
