@@ -3,8 +3,8 @@
 
 Between changes it runs along a line, by weighted least squares. Where it may change is found by the optimal partition
 of Killick, Fearnhead and Eckley (2012), of the library `ruptures`, for scatter that lasts for different times; which of
-these holds, and with it the long-run variance that means are judged by, the likelihood tells. A change needs `NEEDED`
-of evidence by the BIC.
+these holds, and with it the long-run variance that means are judged by, the likelihood tells. A change needs `DECISIVE`
+evidence by the BIC.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from hydro_core.signals import FloatArray
+from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, OUTLYING, QUANTILE
 
-NEEDED = 10.0
-"""Evidence [BIC] of a change: very strong by Kass and Raftery (1995), table in section 3.2."""
 FEWEST = 14
 """Recordings below which nothing is judged: the scatter between them is not known."""
 SHORTEST = 4
@@ -36,15 +35,12 @@ COARSEST = 3
 """Recordings from one place to the next at which all but short histories are first searched: nine times as fast."""
 _PER_CHANGE = 3
 """Numbers that a change adds: its time, a level and a slope."""
-_OUTLYING = 3.0
-"""Standard deviations from the running median of 7 beyond which a value counts for less (Huber 1964)."""
-_NORMAL = 1.96
 _MEDIAN = float(chi2.ppf(0.5, 1))
 LASTING = (0.0, 1.0, 2.0, 4.0, 8.0)
 """Times that scatter may last, in spacings of the recordings; 0: it is new each time."""
 _SIZES = (0.0, 0.25, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
 """Its variances that are tried, over that by neighbours' differences."""
-_DATED = -2.0 * log(1.0 - sqrt(0.95))
+_DATED = -2.0 * log(1.0 - sqrt(2.0 * CONFIDENCE - 1.0))
 """95 % of the likelihood ratio of a break's date (Bai 1997; Eo and Morley 2015): 7.35."""
 HORIZON = 3650.0
 """Days ahead beyond which no date is told."""
@@ -74,12 +70,12 @@ class Line:
 
     def runs(self, count: int) -> bool:
         """Whether there is evidence for its slope, by so many values."""
-        return bool((self.slope / self.slope_sd) ** 2 - log(count) > NEEDED)
+        return bool((self.slope / self.slope_sd) ** 2 - log(count) > DECISIVE)
 
     def reaches(self, limit: float, upwards: bool) -> tuple[float, float, float]:
         """Days after `end` at which it passes a limit, and their 95 % interval; inf where it does not in ten years."""
         ahead = np.arange(0.0, HORIZON + 1.0)
-        value, spread, sign = self.at(self.end + ahead), _NORMAL * self.sd(self.end + ahead), 1.0 if upwards else -1.0
+        value, spread, sign = self.at(self.end + ahead), QUANTILE * self.sd(self.end + ahead), 1.0 if upwards else -1.0
         past = [sign * (value + shift - limit) >= 0.0 for shift in (0.0, sign * spread, -sign * spread)]
         days = [float(ahead[np.argmax(one)]) if one.any() else inf for one in past]
         return days[0], days[1], days[2]
@@ -157,7 +153,7 @@ def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike
     between = scatter_between(value, sd)
     own = np.hypot(sd, between)
     away = np.abs(value - median_filter(value, 7))
-    noise = _Noise(time, value, own * np.maximum(1.0, away / (_OUTLYING * own)), sd, between)
+    noise = _Noise(time, value, own * np.maximum(1.0, away / (OUTLYING * own)), sd, between)
     edges, evidence, long = noise.partition()
     signal = np.column_stack([time, value, 1.0 / (long**2 + 0.5 * np.square(bound))])
     changes = [_change(signal[a:c], each) for a, c, each in zip(edges, edges[2:], evidence, strict=False)]
@@ -195,7 +191,7 @@ class _Noise:
                 break
         deviance, best = self.deviance(found)
         gain = [
-            self._sure(one) * (deviance[0] - each) - (NEEDED + price) * (len(one) - 2)
+            self._sure(one) * (deviance[0] - each) - (DECISIVE + price) * (len(one) - 2)
             for one, each in zip(found, deviance, strict=True)
         ]
         at = int(np.argmax(gain))
@@ -206,7 +202,7 @@ class _Noise:
             deviance, best = self.deviance(fewer)
             evidence = [self._sure(edges) * float(one - least) - price for one in deviance]
             worst = int(np.argmin(evidence))
-            if evidence[worst] >= NEEDED:
+            if evidence[worst] >= DECISIVE:
                 break
             edges, least, kind, evidence = fewer[worst], deviance[worst], int(best[worst]), []
         return edges, evidence, self.long(kind)
@@ -220,7 +216,7 @@ class _Noise:
         cost = _Lines().fit(np.column_stack([self._time, self._value / middle, (middle / long) ** 2]))
         step = min(1 + count // 50, COARSEST)
         try:
-            found = Pelt(custom_cost=cost, min_size=SHORTEST, jump=step).fit(cost.signal).predict(pen=NEEDED + price)
+            found = Pelt(custom_cost=cost, min_size=SHORTEST, jump=step).fit(cost.signal).predict(pen=DECISIVE + price)
         except BadSegmentationParameters:  # too few for two parts
             found = [count]
         edges = [0, *found]

@@ -15,7 +15,8 @@ from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
-from hydro_diagnosis.shapes import MATTERS, Fitted, fading, fitted, missing_sign, named, one_way
+from hydro_diagnosis.shapes import Fitted, fading, fitted, missing_sign, named, one_way
+from hydro_diagnosis.significance import MATTERS, QUANTILE
 from hydro_sim.model import grammar
 
 LABELS = {
@@ -159,7 +160,7 @@ def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]
     """Number of an operator with its interval: what it may be and leave no more than `FLAT` of the least."""
     if name == "mass":
         value, error = curve.mass
-        return [(value, value - 1.96 * error, value + 1.96 * error)]
+        return [(value, value - QUANTILE * error, value + QUANTILE * error)]
     value = getattr(curve.terms, name)
     least = curve.left(curve.terms)
     flat = [one * value for one in REACH if curve.left(replace(curve.terms, **{name: one * value})) < FLAT * least]

@@ -27,6 +27,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report_json import CurveReport
+from hydro_diagnosis.significance import CONFIDENCE
 from hydro_sim.model.tables import KNOTS
 
 STEADY = 0.1
@@ -37,8 +38,6 @@ BINS = 10
 """Points of a curve of the flow."""
 LEAST = 5
 """Stretches of `STEADY` that make a point."""
-SIDE = 0.975
-"""Confidence of each side of a band."""
 
 
 def curve_reports(
@@ -96,7 +95,7 @@ def _report(
     equation: str, over: str, unit_x: str, unit_y: str, at: FloatArray, missing: FloatArray, error: FloatArray,
     count: npt.NDArray[Any], made: FloatArray,
 ) -> CurveReport:  # fmt: skip
-    reach = error * stdtrit(np.maximum(count - 1.0, 1.0), SIDE)
+    reach = error * stdtrit(np.maximum(count - 1.0, 1.0), CONFIDENCE)
     return CurveReport(
         equation=equation, over=over, unit_x=unit_x, unit_y=unit_y, x=at.tolist(), y=missing.tolist(),
         low=(missing - reach).tolist(), high=(missing + reach).tolist(), named=made.tolist(),

@@ -28,7 +28,8 @@ from hydro_diagnosis.io.table import InputError, RawTable
 from hydro_diagnosis.judge import Assessment
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Recording
-from hydro_diagnosis.selection.search import CLOSE, Outcome
+from hydro_diagnosis.selection.search import Outcome
+from hydro_diagnosis.significance import DECISIVE
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
 from hydro_sim.model.plant import AnalyticPlant
@@ -106,7 +107,7 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
     """The reference of the catalog on which two fits differ most; `alike`: how near they are, without a full stop."""
     gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog(problem.bench)]
     gain, reference = max(gains, key=lambda one: one[0])
-    if gain < CLOSE:
+    if gain < DECISIVE:
         why = f"No reference tells {names[0]} from {names[1]} on this bench: another sensor or a known load would."
         return {"why": why, "separates": names, "reference": None, "expected_gain": gain}
     why = f"{alike}; on this reference they differ most, by {gain**0.5:.3g} standard deviations of the noise."
@@ -135,7 +136,7 @@ def _closest(outcome: Outcome, assessment: Assessment) -> tuple[str, Fit] | None
         for rival in outcome.rivals.get(claim.effect.label, []):
             distance = rival.score - assessment.fit.score
             other = rival.claims[-1].effect
-            if distance < CLOSE and other.named and other.id != claim.effect.id:
+            if distance < DECISIVE and other.named and other.id != claim.effect.id:
                 close.append((distance, claim.effect.label, rival))
     if not close:
         return None

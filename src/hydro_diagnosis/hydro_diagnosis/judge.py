@@ -22,9 +22,8 @@ from hydro_diagnosis.estimation.intervals import Interval, is_significant, witho
 from hydro_diagnosis.estimation.problem import NOTICEABLE, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
 from hydro_diagnosis.selection.search import SearchSettings
+from hydro_diagnosis.significance import MATTERS
 
-EXPLAINED = 0.95
-"""Share that must be accounted for where a verdict says that everything is: five in a hundred matter to a person."""
 NEARLY_ALL = 0.98
 """Share of the squared mismatch that names explain where something remains beside them: six sevenths of it."""
 Accounted = dict[str, dict[str, float]]
@@ -128,7 +127,7 @@ def assessed(
     left = (
         problem.noticeable(kept.residual)
         or any(not one.effect.named for one in dropped)
-        or any(name in accounted and accounted[name]["all"] < EXPLAINED for name in _left(holdout, kept))
+        or any(name in accounted and accounted[name]["all"] < 1.0 - MATTERS for name in _left(holdout, kept))
         or (not kept.judged and bool(_left(holdout, kept)))
     )
     if not left:
@@ -144,7 +143,7 @@ def assessed(
         nowhere = tuple(() for _ in problem.models)  # of what was fitted
         remainder = tuple(replace(one, windows=nowhere) for one in remainder)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
-    whole = all(one["all"] >= EXPLAINED for one in accounted.values()) and bool(accounted)
+    whole = all(one["all"] >= 1.0 - MATTERS for one in accounted.values()) and bool(accounted)
     if kept.judged and whole:
         verdict = "modelled" if terms else "explained"
     else:

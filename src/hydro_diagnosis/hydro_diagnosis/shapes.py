@@ -21,17 +21,8 @@ from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.curves import ForceCurve, Point
+from hydro_diagnosis.significance import CONFIDENCE, ITERATIONS, MATTERS, SURE
 
-MATTERS = 0.05
-"""Share of the largest force that matters to a person."""
-SURE = 2.0
-"""Standard errors by which a point is missed, and beyond which it counts less for the sizes (Huber 1964)."""
-GROSS = 2.0
-"""Times what is uncertain or matters by which a point is missed grossly: then a name that would not miss it stands."""
-ROUNDS = 8
-"""Rounds of weighing and fitting."""
-CONFIDENCE = 0.975
-"""Of each side of an interval; Student's, with as many degrees of freedom as the shape leaves points."""
 STRIBECK = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Speeds, over the top speed, over which a rise towards standstill may fade."""
 PROFILE = np.geomspace(0.25, 4.0, 33)
@@ -137,7 +128,7 @@ def fitted(points: Sequence[Point], shape: Shape, top: float) -> Fitted:
     matters = MATTERS * largest
     columns, plain = shape.columns(speed), 1.0 / np.hypot(error, 0.5 * matters)
     weight = plain
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         scale = np.maximum(np.linalg.norm(columns * weight[:, None], axis=0), 1e-300)
         inverse = np.linalg.pinv(columns * weight[:, None] / scale, rcond=1e-9) / scale[:, None]
         values = inverse @ (force * weight)
@@ -192,7 +183,7 @@ def simplest(
             break
         current = best
     either_way = fitted(points, Shape(dry=True, constant=True), top)
-    alone = current.worst > GROSS and room == 1 and len(points) > 2
+    alone = current.worst > SURE and room == 1 and len(points) > 2
     return either_way if alone and not either_way.missed and possible(either_way) else current
 
 
@@ -211,7 +202,7 @@ def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
         if not unsure:
             break
         fewer = [fitted(points, found.shape.without(name), top) for name in sorted(unsure)]
-        fewer = [one for one in fewer if found.missed or one.worst < GROSS]
+        fewer = [one for one in fewer if found.missed or one.worst < SURE]
         if not fewer:  # without it a point is missed grossly: it is needed, and what it may be ends at nothing
             low = np.where(found.values > 0.0, np.maximum(found.low, 0.0), found.low)
             return replace(found, low=low, high=np.where(found.values < 0.0, np.minimum(found.high, 0.0), found.high))

@@ -27,6 +27,7 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.change_points import FEWEST, Course, course
 from hydro_diagnosis.effects import LIBRARY, FitParameter
 from hydro_diagnosis.report.plots import svg
+from hydro_diagnosis.significance import QUANTILE
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED
 
 NEUTRAL: Mapping[str, FitParameter] = {
@@ -120,7 +121,7 @@ def _series(name: str, rows: pd.DataFrame, diagnoses: pd.DataFrame, claimed: pd.
         settled = diagnoses.index[diagnoses.verdict.isin(("no_mismatch", "explained", "modelled"))]
         absent = settled.difference(claimed)
         away = (points.value - neutral.neutral).abs()
-        spread = np.nanmax([neutral.smallest, points.sd.median(), away.min() / 1.96])
+        spread = np.nanmax([neutral.smallest, points.sd.median(), away.min() / QUANTILE])
         unnamed = {"value": neutral.neutral, "sd": spread, "bound": spread * (away / points.sd).min()}
         points = pd.concat([points, pd.DataFrame(unnamed, index=absent)])
     points["time"] = (diagnoses.begin.loc[points.index] - pd.Timestamp(0, tz="UTC")) / _DAY
@@ -131,7 +132,7 @@ def _series(name: str, rows: pd.DataFrame, diagnoses: pd.DataFrame, claimed: pd.
 def row_of(bench: str, series: Series, found: Course, limit: float | None, asked: argparse.Namespace) -> dict[str, Any]:
     """A row of the table; `asked`: new and horizon, in days."""
     line, last = found.lines[-1], found.changes[-1] if found.changes else None
-    now, spread = float(line.at(line.end)), 1.96 * float(line.sd(line.end))
+    now, spread = float(line.at(line.end)), QUANTILE * float(line.sd(line.end))
     before = course(*series.until(line.end - asked.new).arrays)
     new = before is not None and found.findings > before.findings
     ahead = (inf, inf, inf) if limit is None else _ahead(series, found, limit)
@@ -175,10 +176,10 @@ def picture(series: Series, found: Course, limit: float | None) -> str:
     def draw(axes: Any) -> None:
         axis, zero = axes[0], pd.Timestamp(0)
         time = zero + pd.to_timedelta(series.time, "D")
-        axis.errorbar(time, series.value, 1.96 * series.sd, fmt=".", color=GRAY, elinewidth=0.5, markersize=3)
+        axis.errorbar(time, series.value, QUANTILE * series.sd, fmt=".", color=GRAY, elinewidth=0.5, markersize=3)
         for one in found.lines:
             at = np.linspace(one.begin, one.end, 30)
-            when, value, spread = zero + pd.to_timedelta(at, "D"), one.at(at), 1.96 * one.sd(at)
+            when, value, spread = zero + pd.to_timedelta(at, "D"), one.at(at), QUANTILE * one.sd(at)
             axis.plot(when, value, color=BLUE)
             axis.fill_between(when, value - spread, value + spread, color=BLUE, alpha=0.2, linewidth=0)
         for change in found.changes:

@@ -23,13 +23,10 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_diagnosis.recording import UNITS
+from hydro_diagnosis.significance import ITERATIONS, OUTLYING, SURE
 
-STANDS_OUT = 2.0
-"""Error of a window from which it is examined [noise floors, root mean square over channels]."""
 OF_THE_ERROR = 0.5
 """Share of a window's error that the scatter of the model's own outcomes must reach."""
-UNSTEADY = 3.0
-"""Multiple of the median over the windows that it must reach, too: some scatter goes with the search for the start."""
 MOST = 0.25
 """Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
 DRAWS = 8
@@ -40,16 +37,14 @@ FREE_RUN = 0.5
 """Length of the free run [s]."""
 WINDOWS = 48
 """Windows per horizon, spread evenly over the held-out recordings."""
-SHOTS = 6
-"""Steps of the search for a window's initial state."""
 SETTLED = 0.995
 """Ratio of squared errors below which a window is given another step."""
 _TRIED = tuple(1e3 * sign * size for size in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
 """Offsets [Pa] of pressure A that are tried."""
-_STATE_SCALE = np.array([1e-6, 1e-4, 1e3, 1e3])
-"""Steps of the finite differences in the state [m, m/s, Pa, Pa]."""
 _START_UNCERTAINTY = np.array([5e-6, 5e-3, 5e4, 5e4])
 """Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
+_STATE_SCALE = _START_UNCERTAINTY / 50.0
+"""Steps of the finite differences in the state [m, m/s, Pa, Pa]."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +99,11 @@ class _Windows:
         `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
         """
         error = self._size(apart)
-        if not np.any(error > STANDS_OUT):
+        if not np.any(error > SURE):
             return np.zeros(len(self.begins), dtype=bool)
         scatter = self._scatter(state)
-        enough = np.maximum(OF_THE_ERROR * error, UNSTEADY * np.nanmedian(scatter))
-        return np.asarray((error > STANDS_OUT) & (scatter >= enough))
+        enough = np.maximum(OF_THE_ERROR * error, OUTLYING * np.nanmedian(scatter))
+        return np.asarray((error > SURE) & (scatter >= enough))
 
     def _scatter(self, state: FloatArray) -> FloatArray:
         """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
@@ -143,7 +138,7 @@ class _Windows:
             first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
             state = np.stack(tries)[first, :, np.arange(len(self.begins))].T
         best, cost = state.copy(), np.full(len(self.begins), np.inf)
-        for _ in range(SHOTS):
+        for _ in range(ITERATIONS):
             moved = [state] + [state + _STATE_SCALE[:, None] * (np.arange(4) == j)[:, None] for j in range(4)]
             misses = self._misses(np.concatenate(moved, axis=1), recorded)
             reached = np.sum(np.square(misses[:, 0]), axis=0)

@@ -17,6 +17,8 @@ import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray, Values
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.significance import ITERATIONS
+from hydro_diagnosis.significance import QUANTILE as QUANTILE
 
 Part = TypeVar("Part")
 
@@ -68,7 +70,6 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, fi
     return columns
 
 
-QUANTILE = 1.96
 FORM_ERROR = 0.035
 """Share of a claim's signature that its form may be off by: another of its family must explain more."""
 SHORTEST = 1e-100
@@ -121,7 +122,7 @@ def fit(
     problem: Problem,
     claims: Sequence[Claim],
     *,
-    iterations: int = 8,
+    iterations: int = ITERATIONS,
     tolerance: float = 0.1,
     fixed: int | None = None,
     slopes: FloatArray | None = None,

@@ -20,9 +20,10 @@ import numpy.typing as npt
 from scipy.special import stdtrit
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
-from hydro_diagnosis.estimation.fit import QUANTILE, Fit, by_claim, fit, pack, unpack
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, pack, unpack
+from hydro_diagnosis.estimation.problem import FOLD_SECONDS, FOLDS, Problem
 from hydro_diagnosis.report_json import ParameterEstimate
+from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, ITERATIONS, MATTERS, QUANTILE, SURE
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
@@ -43,12 +44,6 @@ def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
     return np.split(moved, np.cumsum(counts)[:-1])
 
 
-ABSENT = 0.05
-"""Share of a shape's neutral value within which an effect without amplitudes is absent."""
-ATTENUATIONS = 2.0
-"""Multiple of `Problem.attenuation`, and of the change by half of the rows, that a claim must exceed."""
-
-
 def is_significant(claim: Claim) -> bool:
     """Return whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
 
@@ -59,7 +54,7 @@ def is_significant(claim: Claim) -> bool:
         return False
     if not amplitudes:
         return any(
-            abs(claim.values[one.name] - one.neutral) > ABSENT * abs(one.neutral) for one in claim.effect.parameters
+            abs(claim.values[one.name] - one.neutral) > MATTERS * abs(one.neutral) for one in claim.effect.parameters
         )
     return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
 
@@ -76,11 +71,11 @@ def _beyond(claim: Claim, shift: FloatArray) -> bool:
     """Return whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
     pairs = list(zip(claim.effect.parameters, shift, strict=True))
     amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
-    return any(abs(claim.values[one.name] - one.neutral) >= ATTENUATIONS * moved for one, moved in amplitudes)
+    return any(abs(claim.values[one.name] - one.neutral) >= SURE * moved for one, moved in amplitudes)
 
 
 def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
-    least = ATTENUATIONS * problem.attenuation.get(claim.effect.id, 0.0)
+    least = SURE * problem.attenuation.get(claim.effect.id, 0.0)
     return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
 
 
@@ -92,19 +87,10 @@ def _at_its_end(parameter: FitParameter, value: float) -> bool:
 
 SYSTEMATIC = 0.03
 """Share of a parameter's smallest size worth claiming; shapes have their own: `FitParameter.systematic`."""
-PROFILING = 4
-"""Steps by secants in which the other parameters follow a moved one."""
-NEARER = 6
-"""Points at most on either side."""
-_BLOCK = 0.25
-CONFIDENCE = 0.975
-"""Of each side; Student's, with as many degrees of freedom as blocks that are independent."""
+_BLOCK = FOLD_SECONDS / FOLDS
+"""s over which scores are summed: long beside the memory of any residual."""
 FEWEST = 3.0
 """Degrees of freedom at least."""
-FORMS_ALIKE = 10.0
-"""Deviance by which another form of a claim may be worse and still be the true one (Kass and Raftery 1995)."""
-MOST_CORRELATED = 0.97
-"""Correlation of neighbouring blocks at most: of 60 s of data hardly any block is new beyond it."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +145,7 @@ def intervals(problem: Problem, found: Fit) -> list[Interval]:
         for form in claim.effect.other_forms:
             others = [replace(one, effect=form) if one is claim else one for one in found.claims]
             other = fit(problem, others)
-            if other.deviance < found.deviance + FORMS_ALIKE:
+            if other.deviance < found.deviance + DECISIVE:
                 for k, bound in zip(kin, _intervals(problem, other, kin), strict=True):
                     low, high = min(bounds[k].low, bound.low), max(bounds[k].high, bound.high)
                     bounds[k] = replace(bounds[k], low=low, high=high)
@@ -218,7 +204,8 @@ def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
         return np.asarray(np.sum(pairs, axis=0) / max(len(pairs), 1) / power)
 
     first = correlation(1) if len(blocks) > 1 else np.zeros(moves.shape[1])
-    first = np.clip(np.where(first > chance, first, 0.0), 0.0, MOST_CORRELATED)
+    most = (len(blocks) - FEWEST) / (len(blocks) + FEWEST)  # as many blocks as that are new
+    first = np.clip(np.where(first > chance, first, 0.0), 0.0, max(most, 0.0))
     total, lasts = 1.0 + 2.0 * first, np.ones(moves.shape[1], bool)
     for lag in range(2, len(blocks) // 4, 2):
         pair = correlation(lag) + correlation(lag + 1)
@@ -258,12 +245,12 @@ def _profiled(problem: Problem, found: Fit, index: int, value: float, step: floa
     if not np.isfinite(step) or step == 0.0:
         return abs(step)
     wanted = (QUANTILE * inflation) ** 2
-    for _ in range(NEARER):
+    for _ in range(ITERATIONS):
         step = float(np.clip(value + step, number.low, number.high)) - value
         if step == 0.0:
             break
         values[index] = value + step
-        moved = fit(problem, unpack(effects, values), iterations=PROFILING, fixed=index, slopes=found.jacobian)
+        moved = fit(problem, unpack(effects, values), fixed=index, slopes=found.jacobian)
         rise = moved.deviance - found.deviance
         ratio = sqrt(wanted / rise) if rise > 0.0 else 2.0
         step *= float(np.clip(ratio, 0.5, 2.0))

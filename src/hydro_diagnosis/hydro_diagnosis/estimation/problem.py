@@ -139,8 +139,6 @@ ResidualParts = dict[tuple[str, int], FloatArray]
 """Residuals by channel and segment, physical unit."""
 
 
-LEVEL = 1.0
-"""Averaging time [s] of the error that missing rows may hide."""
 NOTICEABLE = 0.35
 """Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
 CHANCE = 4.0
@@ -273,9 +271,9 @@ class Problem:
                 self.deviations[(self.layout.channel == index) & (self.layout.segment == k)] = deviation
 
     def _level(self, segment: int, change: FloatArray) -> FloatArray:
-        """Root mean square of a change over `LEVEL` seconds around each residual."""
+        """Root mean square of a change over `FOLD_SECONDS` around each residual."""
         model = self.models[segment]
-        count = max(round(LEVEL * len(change) / (len(model.time) * model.step)), 1)
+        count = max(round(FOLD_SECONDS * len(change) / (len(model.time) * model.step)), 1)
         return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
 
     def _changes(self, claims: Sequence[Claim]) -> ResidualParts:

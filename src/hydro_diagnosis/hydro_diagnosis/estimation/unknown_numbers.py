@@ -20,14 +20,11 @@ from hydro_diagnosis.effects.base import Claim, Effect, changed
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import InputError, Segment
+from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.model.bench import Bench
 
 SIZES = (1.0, 0.1, 10.0)
 """Multiples of the stand-in at which a number that was not given begins."""
-EXPLAINED = 1.5
-"""Mean square of the residuals over the noise's, below which no other beginning is tried."""
-ROUNDS = 12
-"""Times at most that the bench is written again from one beginning."""
 SETTLED = 0.01
 """Share of a number by which it may still move."""
 SECONDS = 12.0
@@ -85,7 +82,7 @@ def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence
     for size in SIZES:
         start = _start(bench, names, size, short)
         tried.append(_settled(short, start, baseline, names))
-        if np.max(tried[-1][1].variances(tried[-1][2].residual)) < EXPLAINED:
+        if not tried[-1][1].noticeable(tried[-1][2].residual):
             break
     return min(tried, key=lambda one: _left(one[1], one[2]))[0]
 
@@ -94,7 +91,7 @@ def _settled(
     segments: Sequence[Segment], bench: Bench, baseline: Sequence[Claim], names: Sequence[str]
 ) -> tuple[Bench, Problem, Fit]:
     """The bench, problem and fit once the numbers stand still."""
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         problem = Problem(segments, bench, baseline, estimated=estimated_claims(bench, names))
         found = fit(problem, tuple(_beside(problem, names)))
         before = np.array([getattr(bench, name) for name in names])

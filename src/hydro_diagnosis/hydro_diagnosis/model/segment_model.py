@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.hermite_e import hermegauss
 from scipy.ndimage import correlate1d
 from scipy.signal import lfilter
 
@@ -42,6 +43,7 @@ from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.preprocessing.smoothing import (
     KINEMATIC_WIDTH,
     STRIDE,
+    TOTAL_WIDTH,
     finish,
     finish_at,
     kinematics,
@@ -57,19 +59,21 @@ from hydro_sim.model.equations import LOAD_CELL_DAMPING
 BLOCK = 0.1
 """Averaging time [s] of the hydraulic balance."""
 TAIL = 20
-"""Recorded rows at a segment's end that are not judged, and `MARGIN` before and after one that is missing."""
-MARGIN = 6
-SETTLE = 0.3
-"""Time [s] at the start of a segment that is not judged: filters and observer settle."""
+"""Recorded rows at a segment's end that are not judged."""
+MARGIN = round(4.0 * TOTAL_WIDTH)
+"""Recorded rows before and after one that is missing that are not judged: what the test function sees."""
 CACHE_SIZE = 10
 """Largest number of intermediate results that a segment keeps."""
 LAG_ITERATIONS = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
 OBSERVER_MEMORY = 0.12
 """Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
+SETTLE = 2.5 * OBSERVER_MEMORY
+"""Time [s] at the start of a segment that is not judged: filters and observer settle, to 8 %."""
 SLOPE_STEP = 1e3
 """Step [Pa] of the differences that give the slope of a curved reading."""
-_GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
+_NODES, _WEIGHTS = hermegauss(3)
+"""Of a mean over a Gaussian; the weights sum to the root of two pi."""
 PLACES = 4
 """Corrected positions that a segment keeps."""
 BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
@@ -325,7 +329,10 @@ class SegmentModel:
     def _seen_velocities(self) -> tuple[tuple[float, FloatArray, FloatArray], ...]:
         """Weight, velocity [m/s] and its smoothed sign at each node of the first Gaussian."""
         width = KINEMATIC_WIDTH * self.spacing * self.step
-        nodes = ((weight, self.v + node * width * self.a) for node, weight in _GAUSS_HERMITE)
+        nodes = (
+            (weight, self.v + node * width * self.a)
+            for node, weight in zip(_NODES, _WEIGHTS / _WEIGHTS.sum(), strict=True)
+        )
         return tuple((weight, velocity, np.tanh(velocity / SLIP_VELOCITY)) for weight, velocity in nodes)
 
     def required_force(self, claims: Sequence[Claim]) -> FloatArray:

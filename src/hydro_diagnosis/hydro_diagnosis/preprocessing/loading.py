@@ -20,6 +20,7 @@ from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingErro
 from hydro_diagnosis.io.topics import has_states
 from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SHORTEST
 from hydro_diagnosis.preprocessing.streaming import (
+    LONGEST,
     WINDOW,
     Visits,
     read_bag_within,
@@ -30,10 +31,6 @@ from hydro_diagnosis.recording import MEASURED, Recording, Segment, named_in_ful
 from hydro_diagnosis.wiring import Inspection, inspect_table
 from hydro_sim.model.bench import Bench
 
-LONGEST = 300.0
-"""Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
-ENOUGH = 3.0
-"""Time [s] in which the piston must move."""
 STILL_FOR = 0.25
 """Time [s] over which motion of the piston is judged."""
 
@@ -98,7 +95,7 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
         lasted += len(segment) * segment.step
         moving += STILL_FOR * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
-    if moving < ENOUGH:
+    if moving < 2.0 * SHORTEST:
         why = "; ".join([*notes, *_saturation(segments, bench)]).replace(f"; {REMEDY}", "")
         raise UnusableRecordingError(
             f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"

@@ -27,6 +27,7 @@ from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
+from hydro_diagnosis.significance import OUTLYING
 from hydro_sim.model.bench import Bench
 
 Rows = npt.NDArray[np.int64]
@@ -40,8 +41,6 @@ SMOOTHER = 0.9
 """Ratio to the roughness of evenly taken samples below which samples lie at their stamps."""
 _LOOKS = ((32, 0.03), (512, 3e-3), (8192, 2e-4))
 """Rows in which a rhythm is sought, and how far around the guess: finer as more of them are in step."""
-_BEGIN = 21
-"""Stamps that initialise that clock."""
 
 
 def uneven(time: FloatArray) -> bool:
@@ -72,7 +71,7 @@ def _period(time: FloatArray, step: float) -> float:
 
 
 def _followed(time: FloatArray, step: float) -> Rows:
-    turns = np.exp(2j * np.pi / step * (time[:_BEGIN] - time[0]))  # their mean angle: lost rows do not matter
+    turns = np.exp(2j * np.pi / step * (time[: _LOOKS[0][0]] - time[0]))  # their mean angle: lost rows do not matter
     begin = float(np.angle(turns.mean())) / (2.0 * np.pi) * step
     clock = float(time[0]) + begin
     rows, row = np.zeros(len(time), dtype=np.int64), 0
@@ -121,8 +120,6 @@ def stamped(time: FloatArray, rows: Rows, step: float, *, taken_there: bool) -> 
 
 FROZEN = 40
 """Samples: a noisy sensor that repeats the same number so often has stopped, an encoder may have."""
-DISPLACED = 2e-4
-"""m by which the piston must move, by what else there is, while its encoder stands."""
 QUANTA = 10.0
 """Steps of the encoder that it must move at least."""
 LOAD_SETTLES, VELOCITY_SETTLES = 0.1, 0.03
@@ -156,7 +153,7 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
     position = columns["piston_position"]
     steps = np.abs(np.diff(position))
     quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
-    least = max(DISPLACED, QUANTA * quantum) if np.isfinite(quantum) else DISPLACED
+    least = max(MOVING, QUANTA * quantum) if np.isfinite(quantum) else MOVING
     mask = np.zeros(len(position), dtype=bool)
     for begin, end in _runs(position):
         jumps = end < len(position) and abs(position[end] - position[end - 1]) > least
@@ -207,14 +204,12 @@ STOP_MARGIN = 5e-4
 """Margin [m] from an end stop."""
 CAVITATION = 5e4
 """Pressure [Pa] below which the oil cavitates."""
-BEYOND_NOISE = 3.0
-"""Standard deviations of the sensor's noise by which a pressure must be lower."""
 EVENT_MARGIN = 100
 """Samples before and after such an event that are left out."""
-STILL = 1e-5
-"""m: a recording whose position moves less shows nothing."""
 MOVING = 2e-4
-"""m: a segment in which the position moves less (a tripped bench, say) is left out."""
+"""m: a segment in which the position moves less (a tripped bench, say) is left out; of a recording in which it moves by
+a tenth of it nothing can be diagnosed. An encoder that stands while the piston moves so far is frozen.
+"""
 REMEDY = (
     "record it with lower gains; if the bench still trips or swings from stop to stop, give the box, not the "
     "diagnosis, a bench.yaml with a valve_nominal_flow that is 25 % higher or more"
@@ -262,7 +257,7 @@ def _grid(table: RawTable, notes: list[str]) -> tuple[float, npt.NDArray[np.int6
     if len(forward) < 0.5 * len(steps):
         raise UnusableRecordingError(f"{table.name}: the time does not run forward")
     step = float(np.median(forward))
-    step = 1e-3 if abs(step - 1e-3) < 5e-5 else step
+    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < SAME * SAMPLE_PERIOD else step
     counts = np.diff(table.sample) if table.sample is not None else steps / step
     whole = np.rint(np.where(np.isfinite(counts), counts, 1e6)).astype(np.int64)
     jumps = int(np.count_nonzero((np.abs(steps - whole * step) > max(5e-3, 2.0 * step)) & np.isfinite(steps)))
@@ -305,7 +300,7 @@ def _alive(table: RawTable, notes: list[str]) -> dict[str, FloatArray]:
 def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> None:
     if "piston_position" in columns:
         span = float(np.nanmax(columns["piston_position"]) - np.nanmin(columns["piston_position"]))
-        if span < STILL:
+        if span < MOVING / 10.0:
             raise UnusableRecordingError(
                 f"{name}: the piston position does not change (by {span:.2g} m): nothing can be diagnosed"
             )
@@ -402,7 +397,7 @@ def _cavitates(pressure: FloatArray, tank: float) -> Mask:
     noise, pressure = white_noise(pressure[known]), np.where(known, pressure, np.median(pressure[known]))
     found = np.zeros(len(pressure), dtype=bool)
     for count in (1, AVERAGED):
-        found |= uniform_filter1d(pressure, count) < least - BEYOND_NOISE * noise / count**0.5
+        found |= uniform_filter1d(pressure, count) < least - OUTLYING * noise / count**0.5
     return found
 
 

@@ -20,7 +20,7 @@ from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArr
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, mapped
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.preprocessing.smoothing import kinematics
+from hydro_diagnosis.preprocessing.smoothing import STRIDE, kinematics
 from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRecordingError
 from hydro_sim.model.bench import Bench
 
@@ -34,8 +34,6 @@ _PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
 """Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
 _TIMES = 10
 """Parts of the recordings that are distinguished, so that drift is seen."""
-_THINNED = 5
-"""Stride of the samples that are counted."""
 
 
 class Visits:
@@ -59,7 +57,7 @@ class Visits:
         if {"pressure_a", "pressure_b"} <= channels.keys():
             difference = channels["pressure_a"] - channels["pressure_b"]
             there = there + 9 * np.digitize(0.5 * (1.0 + difference / bench.supply_pressure), _PLACES)
-        counts = [np.bincount(cells[::_THINNED], minlength=9 * 16) for cells in (here, there)]
+        counts = [np.bincount(cells[::STRIDE], minlength=9 * 16) for cells in (here, there)]
         self._cells.append(np.concatenate(counts).astype(np.float64))
         self._starts.append(window.start)
 
@@ -86,7 +84,9 @@ def select_informative_windows(visits: Visits, count: int, among: Sequence[int] 
 
 STRETCH = 60_000
 """Samples read at a time."""
-WHOLE = 5
+LONGEST = 300.0
+"""Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
+WHOLE = round(LONGEST / (STRETCH * SAMPLE_PERIOD))
 """Largest number of stretches that are held whole."""
 FITTED, HELD = 10, 5
 """Windows kept of the first two thirds, and of the last, which is held out where no other recording is."""

@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, FOLD_SECONDS, Problem
 from hydro_diagnosis.model.responses import Responses, Shown
 from hydro_diagnosis.model.segment_model import SegmentModel
 
@@ -144,12 +144,6 @@ def _hats(problem: Problem, variable: str, knots: FloatArray) -> list[FloatArray
             own = np.concatenate([own * (at == k) for at in range(len(problem.models))])
         found.append(own)
     return found
-
-
-_PAUSE = 2.0
-"""s, pauses of excess that `windows` bridge."""
-_WINDOW = 0.5
-"""s, over which excess is averaged for `windows`."""
 
 
 @dataclass(frozen=True)
@@ -283,7 +277,7 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
     for k, model in enumerate(problem.models):
         at = (layout.channel == CHANNELS.index(channel)) & (layout.segment == k)
         time = layout.time[at]
-        width = max(int(_WINDOW / max(float(np.median(np.diff(time))), 1e-3)), 1)
+        width = max(int(0.5 * FOLD_SECONDS / max(float(np.median(np.diff(time))), 1e-3)), 1)
         level = uniform_filter1d(np.square(residual[at]), width, mode="nearest")
         loud = level > max(2.0, 0.5 * float(np.mean(level)))
         windows.append(_stretches(time, loud))
@@ -302,11 +296,11 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
 
 
 def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float], ...]:
-    """Stretches in which something is loud; pauses shorter than `_PAUSE` are bridged."""
+    """Stretches in which something is loud; pauses of less than two blocks are bridged."""
     loud = loud.copy()
     pauses = np.flatnonzero(np.diff(np.concatenate([[True], loud, [True]]).astype(np.int8)))
     for begin, end in zip(pauses[::2], pauses[1::2], strict=True):
-        if time[min(end, len(time) - 1)] - time[begin] < _PAUSE and begin > 0 and end < len(time):
+        if time[min(end, len(time) - 1)] - time[begin] < 2.0 * FOLD_SECONDS and begin > 0 and end < len(time):
             loud[begin:end] = True
     edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(np.int8)))
     return tuple((float(time[begin]), float(time[end - 1])) for begin, end in zip(edges[::2], edges[1::2], strict=True))

@@ -26,6 +26,7 @@ from hydro_diagnosis.estimation.fit import (
 )
 from hydro_diagnosis.estimation.intervals import all_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
+from hydro_diagnosis.significance import ITERATIONS, MINOR, SURE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,10 +51,6 @@ class SearchSettings:
 
 NAMES = SearchSettings(most=12, patience=2)
 """Settings of a search among names alone, which ends by itself where nothing remains or nothing has a name."""
-MINOR = 0.1
-"""Share of what remains in a channel below which a claim says little about it."""
-CLOSE = 10.0
-"""BIC within which a rival is not distinguished from a claim (Kass and Raftery 1995: decisive beyond it)."""
 
 
 @dataclass(frozen=True)
@@ -156,19 +153,11 @@ class Shortlists:
 POLISHED = 3
 """Largest number of candidates for a further claim that are fitted in full; the others by secants."""
 CONTENDING = 0.3
-"""Share of the best one's worth by which a candidate may fall short by secants and still be fitted in full."""
-PROMISING = 0.3
-"""Share of a claim's worth that a candidate must promise, to first order, to be tried in its place at once."""
+"""Share of the best one's worth by which a candidate may fall short by secants and still be fitted in full, and that it
+must promise, to first order, to be tried in the place of a claim at once.
+"""
 DOUBTFUL = 10.0
 """Multiple of the threshold below which a claim's worth is found by a fit in full before it is dropped."""
-NEAR = 100.0
-"""BIC within which the rival of a claim is fitted again beside numbers that are estimated."""
-SWAPS = 3
-"""Rounds of exchanging causes at most, after each claim."""
-SWAP_BIC_MARGIN = 2.0
-"""BIC by which another cause must do better, its further parameters paid: enough to never go back and forth."""
-MAX_REWEIGHT_ITERATIONS = 6
-"""Rounds of weighing and fitting at most."""
 
 
 class Search:
@@ -223,7 +212,7 @@ class Search:
         outcome = Search(self.problem.estimating(()), self.library, self.settings, self.progress).run()
         if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.beyond(SEARCH):
             return None
-        least = outcome.fit.score
+        most = outcome.fit.score + DOUBTFUL * self.settings.threshold
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
         numbers = [replace(one, values=sizes.pop(one.effect.label, one.values)) for one in self.problem.estimated]
         others = [claim for claim in outcome.fit.claims if claim.effect.label in sizes]
@@ -231,7 +220,7 @@ class Search:
         outcome.nothing = fit(outcome.problem, ())
         names = {one.effect.label for one in numbers}
         for label, fits in outcome.rivals.items():
-            near = [one for one in fits if one.score < least + NEAR and not names & _labels(one)]
+            near = [one for one in fits if one.score < most and not names & _labels(one)]
             outcome.rivals[label] = [fit(outcome.problem, (*numbers, *one.claims)) for one in near]
         self._backward(outcome)
         self.steps[:] = outcome.steps
@@ -249,8 +238,8 @@ class Search:
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
             elif not self._backward(outcome) and (self._exhausted or not self._swap(outcome, 0.0)):
                 break
-            for _ in range(SWAPS):
-                if self._exhausted or not self._swap(outcome, PROMISING):
+            for _ in range(ITERATIONS):
+                if self._exhausted or not self._swap(outcome, CONTENDING):
                     break
             ranked = [] if idle >= self.settings.patience else self._further(outcome)
         return outcome
@@ -326,7 +315,7 @@ class Search:
         newest = other.claims[-1].effect
         more = len(newest.parameters) - len(effect.parameters)
         toll = self.settings.threshold * max(more, 0)
-        return other.score + toll < outcome.fit.score - SWAP_BIC_MARGIN
+        return other.score + toll < outcome.fit.score - SURE * SCREEN_TOLERANCE
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
@@ -358,7 +347,7 @@ class Search:
 
     def _weighed(self, found: Fit) -> tuple[Problem, Fit]:
         """Weights and fit under the uncertainty that the fit's own claims bring, iterated until they stand still."""
-        for _ in range(MAX_REWEIGHT_ITERATIONS):
+        for _ in range(ITERATIONS):
             before = pack(found.claims)[1]
             problem = self.problem.weighed(found.claims)
             found = fit(problem, found.claims)

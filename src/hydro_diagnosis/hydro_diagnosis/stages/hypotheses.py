@@ -23,6 +23,7 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.search import NAMES, Search
+from hydro_diagnosis.significance import ITERATIONS
 from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case, Progress, Question, read
 from hydro_diagnosis.wiring import (
@@ -49,8 +50,6 @@ STEP = 0.02
 """s by which a channel is moved to see which way it is late."""
 REACH = 0.15
 """s, the longest delay that is looked for."""
-DOWNHILL = 5
-"""Parabolas at most on the way to a delay."""
 PHYSICS = {
     "valve_current": (-0.02, 0.0),
     "piston_position": (-0.01, 0.02),
@@ -170,7 +169,7 @@ class _Trial:
     def _delays(self, field: str) -> Iterator[Advance]:
         """The delay that leaves least, about, where no cause makes it: downhill by parabolas through three delays."""
         at, moved = 0.0, REACH
-        for _ in range(DOWNHILL):
+        for _ in range(ITERATIONS):
             low, middle, high = (self._squares(advance(field, at + by)) for by in (-STEP, 0.0, STEP))
             bend = low + high - 2.0 * middle
             vertex = 0.5 * STEP * (low - high) / bend if bend > 0.0 else REACH * float(np.sign(low - high))

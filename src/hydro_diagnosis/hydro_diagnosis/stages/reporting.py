@@ -23,7 +23,8 @@ from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
 from hydro_diagnosis.selection.localisation import Place
-from hydro_diagnosis.selection.search import CLOSE, Outcome, Search
+from hydro_diagnosis.selection.search import Outcome, Search
+from hydro_diagnosis.significance import DECISIVE
 from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case
 from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
@@ -163,7 +164,7 @@ def _rivals(outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], li
             continue
         seen.add(cause(last.effect))
         distance = other.score - found.score
-        apart, words = distance > CLOSE, last.effect.label.replace(":", " ")
+        apart, words = distance > DECISIVE, last.effect.label.replace(":", " ")
         words = words if last.effect.named else words.replace("_", " ")
         why = (
             f"{words} in its place fits worse: its BIC is higher by {distance:.0f}"

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Levels by which everything is decided: what chance makes, which evidence decides, what matters to a person."""
+
+from __future__ import annotations
+
+from scipy.special import ndtri
+
+CONFIDENCE = 0.975
+"""Of each side of an interval: 95 % in all."""
+QUANTILE = float(ndtri(CONFIDENCE))
+"""Standard deviations of a Gaussian within which it lies."""
+SURE = 2.0
+"""Multiple of a doubt beyond which a value is no doubt's: `QUANTILE`, rounded up."""
+OUTLYING = 3.0
+"""Standard deviations beyond which a single value is no noise (Huber 1964): one of 400 is."""
+DECISIVE = 10.0
+"""Difference of two BICs, or of two deviances, that is very strong evidence (Kass and Raftery 1995, section 3.2)."""
+MATTERS = 0.05
+"""Share of the largest force, or of any other size, that matters to a person."""
+MINOR = 0.1
+"""Share of what remains below which something says little about it: twice what matters."""
+ITERATIONS = 8
+"""Rounds of any iteration at most; each ends by what it gains, most after three."""
