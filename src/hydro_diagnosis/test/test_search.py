@@ -108,7 +108,7 @@ def worn_out() -> Problem:
 
 @pytest.mark.parametrize("settings, why", [({"most": 2}, "2 causes at most"), ({"effort": 150}, "150 evaluations")])
 def test_a_search_that_ends_early_says_why(worn_out: Problem, settings: dict[str, int], why: str) -> None:
-    outcome = Search(worn_out, ADAPTED, SearchSettings(restarts=1, **settings)).run()
+    outcome = Search(worn_out, ADAPTED, SearchSettings(**settings)).run()
     assert why in outcome.cut_short
     assert worn_out.noticeable(outcome.fit.residual)
 

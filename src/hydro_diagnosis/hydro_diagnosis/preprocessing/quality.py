@@ -43,6 +43,10 @@ _LOOKS = ((32, 0.03), (512, 3e-3), (8192, 2e-4))
 """Rows in which a rhythm is sought, and how far around the guess: finer as more of them are in step."""
 
 
+_BEGIN = 21
+"""Stamps that initialise that clock."""
+
+
 def uneven(time: FloatArray) -> bool:
     """Return whether stamps [s] run forward, but not evenly."""
     steps = np.diff(time)
@@ -71,7 +75,7 @@ def _period(time: FloatArray, step: float) -> float:
 
 
 def _followed(time: FloatArray, step: float) -> Rows:
-    turns = np.exp(2j * np.pi / step * (time[: _LOOKS[0][0]] - time[0]))  # their mean angle: lost rows do not matter
+    turns = np.exp(2j * np.pi / step * (time[:_BEGIN] - time[0]))  # their mean angle: lost rows do not matter
     begin = float(np.angle(turns.mean())) / (2.0 * np.pi) * step
     clock = float(time[0]) + begin
     rows, row = np.zeros(len(time), dtype=np.int64), 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Search for the causes that together explain the recordings: forward, backward and swap steps by evidence.
+"""Search for the causes that together explain the recordings: forward and swap steps by evidence.
 
 Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per
 parameter plus a threshold; so must each parameter that a cause has more than the one whose place it takes.
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.estimation.fit import (
     Fit,
     Prospect,
@@ -24,9 +24,9 @@ from hydro_diagnosis.estimation.fit import (
     with_one_more,
     without_one,
 )
-from hydro_diagnosis.estimation.intervals import all_significant
+from hydro_diagnosis.estimation.intervals import is_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
-from hydro_diagnosis.significance import ITERATIONS, MINOR, SURE
+from hydro_diagnosis.significance import DECISIVE, ITERATIONS, MINOR, SURE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,12 +41,8 @@ class SearchSettings:
     """Claims at most."""
     patience: int = 100
     """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
-    restarts: int = 3
-    """First claims that are tried, one search each, as long as something remains unexplained."""
     effort: int = 9000
-    """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before
-    the search begins again: some 3 ms each for 60 s of data.
-    """
+    """Evaluations of all residuals after which no further claim is looked for: some 3 ms each for 60 s of data."""
 
 
 NAMES = SearchSettings(most=12, patience=2)
@@ -156,8 +152,6 @@ CONTENDING = 0.3
 """Share of the best one's worth by which a candidate may fall short by secants and still be fitted in full, and that it
 must promise, to first order, to be tried in the place of a claim at once.
 """
-DOUBTFUL = 10.0
-"""Multiple of the threshold below which a claim's worth is found by a fit in full before it is dropped."""
 
 
 class Search:
@@ -183,21 +177,12 @@ class Search:
         self._shortlists = Shortlists(self.library, self.settings)
 
     def run(self) -> Outcome:
-        """Search; where something remains, search again from other first claims, and keep the best outcome."""
+        """Search."""
         if self.problem.estimated and self.given:
             if beside := self._beside_given():
                 return beside
             self._begun = self.problem.budget.evaluations
-        nothing = fit(self.problem, ())
-        restarts = self._ranked(self.problem, nothing)
-        best = self._from(nothing, restarts[:1])
-        for opening in restarts[1 : self.settings.restarts]:
-            if not self.problem.noticeable(best.fit.residual) or self._exhausted_at(self.settings.effort / 3):
-                break
-            self.progress(f"again from {opening.claims[-1].effect.label}")
-            best = self._better(best, self._from(nothing, [opening]))
-        self.steps[:] = best.steps
-        return best
+        return self._from(fit(self.problem, ()))
 
     def nothing(self) -> Outcome:
         """The outcome without a search."""
@@ -212,7 +197,7 @@ class Search:
         outcome = Search(self.problem.estimating(()), self.library, self.settings, self.progress).run()
         if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.beyond(SEARCH):
             return None
-        most = outcome.fit.score + DOUBTFUL * self.settings.threshold
+        most = outcome.fit.score + DECISIVE * self.settings.threshold
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
         numbers = [replace(one, values=sizes.pop(one.effect.label, one.values)) for one in self.problem.estimated]
         others = [claim for claim in outcome.fit.claims if claim.effect.label in sizes]
@@ -222,21 +207,20 @@ class Search:
         for label, fits in outcome.rivals.items():
             near = [one for one in fits if one.score < most and not names & _labels(one)]
             outcome.rivals[label] = [fit(outcome.problem, (*numbers, *one.claims)) for one in near]
-        self._backward(outcome)
         self.steps[:] = outcome.steps
         return outcome
 
-    def _from(self, nothing: Fit, opening: Sequence[Fit]) -> Outcome:
-        """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""
+    def _from(self, nothing: Fit) -> Outcome:
+        """Add what pays most, exchange what others do better, until nothing pays."""
         self.steps.clear()
         self._shortlists.renew()
         outcome = Outcome(self.problem.weighed(()), nothing, nothing)
-        ranked, idle = list(opening), 0
+        ranked, idle = self._ranked(self.problem, nothing), 0
         for _ in range(2 * self.settings.most):
             if ranked:
                 idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
-            elif not self._backward(outcome) and (self._exhausted or not self._swap(outcome, 0.0)):
+            elif self._exhausted or not self._swap(outcome, 0.0):
                 break
             for _ in range(ITERATIONS):
                 if self._exhausted or not self._swap(outcome, CONTENDING):
@@ -260,18 +244,8 @@ class Search:
 
     @property
     def _exhausted(self) -> bool:
-        return self._exhausted_at(self.settings.effort)
-
-    def _exhausted_at(self, effort: float) -> bool:
-        return self.problem.budget.evaluations - self._begun > effort or self.problem.budget.beyond(SEARCH)
-
-    def _better(self, one: Outcome, other: Outcome) -> Outcome:
-        """The outcome with more evidence, both weighed with the doubt that either of them brings."""
-        problem = self.problem.weighed((*one.fit.claims, *other.fit.claims))
-        first, second = (fit(problem, found.fit.claims).score for found in (one, other))
-        winner = one if first <= second else other
-        winner.problem = self.problem.weighed(winner.fit.claims)
-        return winner
+        spent = self.problem.budget.evaluations - self._begun
+        return spent > self.settings.effort or self.problem.budget.beyond(SEARCH)
 
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
         """Fits with one claim more that pay, the best first."""
@@ -282,7 +256,7 @@ class Search:
             best = fits[0].score
             self._shortlists.polish(problem, base, best + CONTENDING * (base.score - best), POLISHED)
         better = [one for one in self._shortlists.beside(problem, base, 0.0) if one.score <= enough]
-        return [one for one in better if all_significant(problem, one)]
+        return [one for one in better if all_significant(one)]
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
@@ -302,7 +276,7 @@ class Search:
             fits = self._shortlists.beside(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if self._pays_in_place(outcome, one, claim.effect)]
-            if better and all_significant(problem, better[0]):
+            if better and all_significant(better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
@@ -316,26 +290,6 @@ class Search:
         more = len(newest.parameters) - len(effect.parameters)
         toll = self.settings.threshold * max(more, 0)
         return other.score + toll < outcome.fit.score - SURE * SCREEN_TOLERANCE
-
-    def _backward(self, outcome: Outcome) -> bool:
-        changed = False
-        while outcome.fit.judged:
-            smaller = [self._without(outcome, claim) for claim in outcome.fit.removable]
-            best = min(smaller, key=lambda one: one.score)
-            if best.score - outcome.fit.score > self.settings.threshold:
-                return changed
-            kept = {claim.effect.label for claim in best.claims}
-            dropped = [claim.effect.label for claim in outcome.fit.claims if claim.effect.label not in kept]
-            self._accept(outcome, best, "drop", dropped[0])
-            changed = True
-        return changed
-
-    def _without(self, outcome: Outcome, claim: Claim) -> Fit:
-        """The fit without a claim, in full where the claim may be worth little."""
-        problem, found = outcome.problem, outcome.fit
-        fewer = without_one(problem, found, claim)
-        evidence = fewer.score - found.score
-        return fewer if evidence > DOUBTFUL * self.settings.threshold else fit(problem, fewer.claims)
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
         outcome.problem, outcome.fit = self._weighed(found)
@@ -354,6 +308,11 @@ class Search:
             if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(problem.uncertainty):
                 break
         return problem, found
+
+
+def all_significant(found: Fit) -> bool:
+    """Whether every claim is beyond its smallest size, and none where physics ends."""
+    return all(is_significant(claim) for claim in found.judged)
 
 
 def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:

@@ -213,7 +213,7 @@ def _corrected(segment: Segment, repair: Repair) -> Segment:
     return moved.cut(margin, len(moved) - margin)
 
 
-TRIAL = replace(NAMES, restarts=1, effort=1500)
+TRIAL = replace(NAMES, effort=1500)
 """Search by which two readings of the same recordings are compared."""
 LAGS = frozenset({"sensor_lag", "transport_delay", "valve_lag"})
 """Causes that a delay of a channel found too short or too long would pass for."""
