@@ -29,12 +29,12 @@ from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, OUTLYING, QUANTIL
 
 FEWEST = 14
 """Recordings below which nothing is judged: the scatter between them is not known."""
-SHORTEST = 4
+_PER_CHANGE = 3
+"""Numbers that a change adds: its time, a level and a slope."""
+SHORTEST = _PER_CHANGE + 1
 """Recordings between two changes."""
 COARSEST = 3
 """Recordings from one place to the next at which all but short histories are first searched: nine times as fast."""
-_PER_CHANGE = 3
-"""Numbers that a change adds: its time, a level and a slope."""
 _MEDIAN = float(chi2.ppf(0.5, 1))
 LASTING = (0.0, 1.0, 2.0, 4.0, 8.0)
 """Times that scatter may last, in spacings of the recordings; 0: it is new each time."""

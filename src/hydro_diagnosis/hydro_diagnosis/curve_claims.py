@@ -15,7 +15,7 @@ from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
-from hydro_diagnosis.shapes import Fitted, fading, fitted, missing_sign, named, one_way
+from hydro_diagnosis.shapes import PROFILE, Fitted, fading, fitted, missing_sign, named, one_way
 from hydro_diagnosis.significance import MATTERS, QUANTILE
 from hydro_sim.model import grammar
 
@@ -29,10 +29,6 @@ DIRECTIONAL, MASS, RISE, CELL = (
 )  # fmt: skip
 OPERATORS = frozenset({MASS, RISE, "sensor_lag"})
 """Ids of what stands beside the shapes of the speed."""
-FLAT = 1.05
-"""Ratio to the least of what an operator's number may leave: its interval holds all that do."""
-REACH = np.geomspace(0.25, 4.0, 17)
-"""Factors within which they are sought."""
 NOTHING = {"named": 0.0, "all": 0.0}
 """Shares where nothing is claimed."""
 
@@ -157,13 +153,14 @@ def _rise(curve: ForceCurve, shape: Fitted, name: str) -> float:
 
 
 def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Number of an operator with its interval: what it may be and leave no more than `FLAT` of the least."""
+    """Number of an operator with its interval: what it may be and leave no more than `MATTERS` more than the least."""
     if name == "mass":
         value, error = curve.mass
         return [(value, value - QUANTILE * error, value + QUANTILE * error)]
     value = getattr(curve.terms, name)
     least = curve.left(curve.terms)
-    flat = [one * value for one in REACH if curve.left(replace(curve.terms, **{name: one * value})) < FLAT * least]
+    most, tried = (1.0 + MATTERS) * least, value * PROFILE[::2]
+    flat = [one for one in tried.tolist() if curve.left(replace(curve.terms, **{name: one})) < most]
     low, high = min([*flat, value]), max([*flat, value])
     return [(value, low, high)] if name == "cell" else [(dry[0][0] / value, dry[0][0] / high, dry[0][0] / low)]
 

@@ -32,6 +32,7 @@ from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, ST
 from hydro_diagnosis.bench_numbers import can_simulate
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.preprocessing.quality import SATURATED
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import ForecastReport
@@ -48,14 +49,10 @@ SETTLE = 2.0
 """s after which a loop that began at rest is where the recorded one is: a run that is entered late differs by 0.1 %."""
 SECONDS = 18.0
 """s of each recording that are compared at most: 50 ms of computing for a simulation."""
-LEAST = 1.0
-"""s that are compared at least."""
 MISSED = 0.2
 """Share of the recorded RMSE by which a forecast that is said to miss is off."""
 LAW_OFF = MISSED / 4.0
 """Share of the nominal current's RMS by which the law may miss it: what is then wrong is not the law's doing."""
-AT_LIMIT = 0.999
-"""Share of the largest current from which on the valve is taken to stand at its limit."""
 LAW_STATE_TOPIC = "/hydro/law_state"
 
 
@@ -176,8 +173,8 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     spacing = segment.spacing
     begin += (segment.phase - begin) % spacing
     end = min(end, begin + round((SETTLE + SECONDS) / SAMPLE_PERIOD))
-    if end - begin < round((SETTLE + LEAST) / SAMPLE_PERIOD):
-        raise NoForecastError(f"its box is armed for less than {SETTLE + LEAST:g} s without a gap")
+    if end - begin < round(1.5 * SETTLE / SAMPLE_PERIOD):
+        raise NoForecastError(f"its box is armed for less than {1.5 * SETTLE:g} s without a gap")
     part = segment.cut(begin, end).channels
     belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, bag), spacing)
     schedule = Schedule(
@@ -234,7 +231,7 @@ def _law_state(segment: Segment, bag: Recording | None) -> tuple[Law, FloatArray
 def _correction(channels: Mapping[str, FloatArray], limit: float, spacing: int) -> FloatArray | None:
     """Recorded corrections [A] of the filter, none where the current is at its limit; None where it did nothing."""
     current, nominal = channels["valve_current"][::spacing], channels["nominal_valve_current"][::spacing]
-    added = np.where(np.abs(current) < AT_LIMIT * limit, current - nominal, 0.0)
+    added = np.where(np.abs(current) < SATURATED * limit, current - nominal, 0.0)
     if np.max(np.abs(added)) < 1e-6 * limit:
         return None
     return np.asarray(np.repeat(added, spacing)[: len(channels["valve_current"])])
@@ -278,7 +275,7 @@ def _law_off(
     moving = scales[0] * eq.force_rate(n, stiff, (0.0, 0.0), channels["piston_velocity"])
     action = nominal * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
     current = channels["valve_current"]
-    stopped = (np.abs(current) >= AT_LIMIT * belief.valve_current_max) & (current * error > 0.0)
+    stopped = (np.abs(current) >= SATURATED * belief.valve_current_max) & (current * error > 0.0)
     grown = np.cumsum(np.where(stopped, 0.0, channels["integral_gain"] * error)) * SAMPLE_PERIOD
     left = (action[1:] - grown[:-1])[spacing - 1 :: spacing]
     off = (left - left.mean()) / gain[spacing::spacing]

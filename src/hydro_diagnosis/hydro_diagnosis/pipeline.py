@@ -16,7 +16,7 @@ from hydro_diagnosis.estimation.problem import Budget
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
-from hydro_diagnosis.selection.search import NAMES, Search, SearchSettings
+from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.stage_bar import SIMULATOR
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
@@ -87,7 +87,7 @@ def diagnose(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
         estimate=estimate, as_wired=as_wired, budget=Budget(seconds),
     )  # fmt: skip
-    settings = settings or NAMES
+    settings = settings or SearchSettings()
     if not simulated:
         return _answered(_read(question, progress), settings, progress)
 

@@ -26,7 +26,7 @@ from hydro_diagnosis.significance import CONFIDENCE, ITERATIONS, MATTERS, SURE
 STRIBECK = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Speeds, over the top speed, over which a rise towards standstill may fade."""
 PROFILE = np.geomspace(0.25, 4.0, 33)
-"""Factors of such a speed among which its interval ends."""
+"""Factors of a number of a shape or an operator among which its interval ends."""
 STEEPEST = 2.0
 """Largest rise towards standstill, over the friction of sliding."""
 OPPOSING = 0.9

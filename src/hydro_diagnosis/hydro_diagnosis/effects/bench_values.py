@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import ClassVar
 
 from hydro_diagnosis.effects.base import HYDRAULIC, MOTION, PRESSURE, Effect, FitParameter, Values, changed
+from hydro_diagnosis.effects.fluid import MEETING_POINT
 from hydro_sim.model.bench import Bench
 
 RATIO = FitParameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
@@ -79,8 +80,6 @@ EFFECTS: tuple[Effect, ...] = (
             f"dead_volume_{chamber}", chamber=chamber, ratio=_DEAD) for chamber in "ab"),
     TankPressure(),
 )  # fmt: skip
-_LEVEL = 5e6
-"""Typical pressure [Pa] of the chambers: over the bulk modulus, the additional oil that a wider hose holds."""
 
 
 class WideningHoses(Effect):
@@ -99,7 +98,7 @@ class WideningHoses(Effect):
     parameters = (FitParameter(name="compliance", unit="m3/Pa", low=0.0, high=1e-12, probes=(1e-14,), smallest=6e-16),)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        more = values["compliance"] * (bench.bulk_modulus + _LEVEL)
+        more = values["compliance"] * (bench.bulk_modulus + MEETING_POINT)
         return changed(bench, dead_volume_a=bench.dead_volume_a + more, dead_volume_b=bench.dead_volume_b + more)
 
 

@@ -120,12 +120,6 @@ def _proxy(plant: Plant, name: str) -> FloatArray:
     return p_a if name == "pressure_a" else p_b
 
 
-SUBSTEPS = 4
-"""RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
-SUBSTEPS_STICKING = 8
-"""The same where the piston may stick: the time of a stop is known to one step only."""
-
-
 @dataclass(frozen=True)
 class Grip:
     """Effect of dry friction within one step, per lane."""
@@ -160,7 +154,7 @@ class Plant:
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:
         """Prepare a recording."""
-        substeps = SUBSTEPS_STICKING if _sticks(claims) else SUBSTEPS
+        substeps = chambers.SUBSTEPS * (2 if _sticks(claims) else 1)
         channels, model = model.channels, model.placed(claims)
         claims = [claim for claim in claims if not claim.effect.places]
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)

@@ -18,7 +18,7 @@ from hydro_diagnosis.bench_numbers import refuse_unconnected
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, read_table
 from hydro_diagnosis.io.topics import has_states
-from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SHORTEST
+from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SATURATED, SHORTEST
 from hydro_diagnosis.preprocessing.streaming import (
     LONGEST,
     WINDOW,
@@ -109,7 +109,7 @@ def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
     currents = [segment.channels["valve_current"] for segment in segments if "valve_current" in segment.channels]
     if not currents:
         return []
-    share = float(np.mean(np.abs(np.concatenate(currents)) >= 0.999 * bench.valve_current_max))
+    share = float(np.mean(np.abs(np.concatenate(currents)) >= SATURATED * bench.valve_current_max))
     return [f"the valve current is saturated in {100.0 * share:.0f} % of what is left"] if share > 0.01 else []
 
 

@@ -27,14 +27,12 @@ from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
-from hydro_diagnosis.significance import OUTLYING
+from hydro_diagnosis.significance import MATTERS, OUTLYING
 from hydro_sim.model.bench import Bench
 
 Rows = npt.NDArray[np.int64]
 SHAKEN = 0.02
-"""Deviation of a stamp, as a share of the sampling time, that counts as jitter."""
-OFTEN = 0.05
-"""Share of the stamps that must have jitter."""
+"""Deviation of a stamp, as a share of the sampling time, that counts as jitter where one of twenty has it."""
 FOLLOWS = 0.01
 """Gain of the clock that counts rows: the share of a stamp's error that it follows."""
 SMOOTHER = 0.9
@@ -53,7 +51,7 @@ def uneven(time: FloatArray) -> bool:
     if not np.all(np.isfinite(steps)) or np.any(steps < 0.0) or not np.any(steps > 0.0):
         return False
     steps = steps / float(np.median(steps[steps > 0.0]))
-    return bool(np.mean(np.abs(steps - np.rint(steps)) > SHAKEN) > OFTEN)
+    return bool(np.mean(np.abs(steps - np.rint(steps)) > SHAKEN) > MATTERS)
 
 
 def counted(time: FloatArray) -> tuple[float, Rows]:
@@ -311,7 +309,7 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
         if knows(bench, "stroke"):
             _refuse_outside(name, columns["piston_position"], bench.stroke)
     if "valve_current" in columns:
-        limit = bench.valve_current_max * 0.999
+        limit = SATURATED * bench.valve_current_max
         share = float(np.mean(np.abs(columns["valve_current"]) >= limit))
         if share > 0.6:
             raise UnusableRecordingError(
@@ -319,6 +317,8 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
             )
 
 
+SATURATED = 0.999
+"""Share of the largest current from which on the valve is taken to stand at its limit."""
 OUTSIDE = 0.2
 """Share of samples beyond the stroke from which the position's zero or the stroke is another."""
 

@@ -22,6 +22,7 @@ from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
 from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.report_json import EffectReport, Report
+from hydro_diagnosis.significance import SURE
 from hydro_diagnosis.twin import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, add_legend
@@ -32,8 +33,6 @@ _POINTS = 1500
 """Plotted per line at most."""
 _INTERVAL = 0.25
 """s, shaded by one cause."""
-_STANDS_OUT = 2.0
-"""Noise's multiple from which the part of a cause is shaded."""
 _SHADES = (SKY, GREEN, PURPLE, RED)
 
 
@@ -134,7 +133,7 @@ def _causes(
         inside = (unseen.layout.time >= at) & (unseen.layout.time < at + _INTERVAL)
         sizes = {label: float(np.sqrt(np.mean(np.square(part[inside])))) for label, part in parts.items()}
         label = max(sizes, key=lambda name: sizes[name], default=None) if inside.any() else None
-        if label is not None and sizes[label] > _STANDS_OUT:
+        if label is not None and sizes[label] > SURE:
             shaded.append((float(at), float(min(at + _INTERVAL, end)), label))
     return shaded
 

@@ -37,16 +37,12 @@ class SearchSettings:
     """Evidence in units of BIC that a claim needs beyond its parameters' price: a choice, held against recordings
     with nothing missing (`benchmarks.null_simulations`).
     """
-    most: int = 6
+    most: int = 12
     """Claims at most."""
-    patience: int = 100
+    patience: int = 2
     """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
     effort: int = 9000
     """Evaluations of all residuals after which no further claim is looked for: some 3 ms each for 60 s of data."""
-
-
-NAMES = SearchSettings(most=12, patience=2)
-"""Settings of a search among names alone, which ends by itself where nothing remains or nothing has a name."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +74,7 @@ SHORTLIST = 7
 SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
 SAME_UNCERTAINTY = 1e-3
-"""Relative change of the doubt below which fits with other claims are not made again."""
+"""Relative change of the doubt, or of the sizes that bring it, below which fits are not made again."""
 
 
 @dataclass
@@ -305,7 +301,8 @@ class Search:
             before = pack(found.claims)[1]
             problem = self.problem.weighed(found.claims)
             found = fit(problem, found.claims)
-            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(problem.uncertainty):
+            stands = np.allclose(pack(found.claims)[1], before, rtol=SAME_UNCERTAINTY, atol=0.0)
+            if stands or not any(problem.uncertainty):
                 break
         return problem, found
 

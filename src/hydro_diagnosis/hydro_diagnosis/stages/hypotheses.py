@@ -22,7 +22,7 @@ from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
-from hydro_diagnosis.selection.search import NAMES, Search
+from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.significance import ITERATIONS
 from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case, Progress, Question, read
@@ -213,11 +213,11 @@ def _corrected(segment: Segment, repair: Repair) -> Segment:
     return moved.cut(margin, len(moved) - margin)
 
 
-TRIAL = replace(NAMES, effort=1500)
+TRIAL = SearchSettings(effort=1500)
 """Search by which two readings of the same recordings are compared."""
 LAGS = frozenset({"sensor_lag", "transport_delay", "valve_lag"})
 """Causes that a delay of a channel found too short or too long would pass for."""
-MOST_READINGS = 8
+MOST_READINGS = 2 * MOST_REPAIRS
 """Ways of reading that are tried where numbers cannot be what they are named."""
 Repaired = tuple[tuple[Repair, ...], Case]
 """Repairs, and the recordings after them."""

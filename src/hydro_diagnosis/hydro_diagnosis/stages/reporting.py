@@ -92,16 +92,12 @@ def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
     return Line(float(frequency[best]), min(share, 1.0)) if share > SHARE else None
 
 
-TIMING = 2e-5
-"""Tolerance [s] of a dead time of one row."""
-
-
 def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str | None:
     """Return a sentence if a claimed dead time is one row: a current written a row before it acts looks the same."""
     rows = {model.step * model.spacing for model in problem.models}
     for effect in effects:
         bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
-        if bounds and any(bounds[0] - TIMING <= row <= bounds[1] + TIMING for row in rows):
+        if bounds and any(bounds[0] <= row <= bounds[1] for row in rows):
             return (
                 "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
                 "the same; if this one does, move that column down by one row and diagnose again"
