@@ -23,7 +23,7 @@ from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, pack, unpack
 from hydro_diagnosis.estimation.problem import FOLD_SECONDS, FOLDS, Problem
 from hydro_diagnosis.report_json import ParameterEstimate
-from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, ITERATIONS, MATTERS, QUANTILE
+from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, ITERATIONS, MATTERS, QUANTILE, SURE
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
@@ -57,6 +57,26 @@ def is_significant(claim: Claim) -> bool:
             abs(claim.values[one.name] - one.neutral) > MATTERS * abs(one.neutral) for one in claim.effect.parameters
         )
     return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+
+
+def all_significant(problem: Problem, found: Fit) -> bool:
+    """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
+    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.judged):
+        return False
+    moved = zip(found.claims, shifts(problem, found), strict=True)
+    return all(claim.effect.estimated or _beyond(claim, shift) for claim, shift in moved)
+
+
+def _beyond(claim: Claim, shift: FloatArray) -> bool:
+    """Return whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
+    pairs = list(zip(claim.effect.parameters, shift, strict=True))
+    amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
+    return any(abs(claim.values[one.name] - one.neutral) >= SURE * moved for one, moved in amplitudes)
+
+
+def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
+    least = SURE * problem.attenuation.get(claim.effect.id, 0.0)
+    return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
 
 
 def _at_its_end(parameter: FitParameter, value: float) -> bool:

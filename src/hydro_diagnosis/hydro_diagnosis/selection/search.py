@@ -15,6 +15,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.estimation.fit import (
+    FORM_ERROR,
     Fit,
     Prospect,
     Signatures,
@@ -24,7 +25,7 @@ from hydro_diagnosis.estimation.fit import (
     with_one_more,
     without_one,
 )
-from hydro_diagnosis.estimation.intervals import is_significant
+from hydro_diagnosis.estimation.intervals import all_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
 from hydro_diagnosis.significance import DECISIVE, ITERATIONS, MINOR, SURE
 
@@ -244,7 +245,10 @@ class Search:
         return spent > self.settings.effort or self.problem.budget.beyond(SEARCH)
 
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
-        """Fits with one claim more that pay, the best first."""
+        """Fits with one claim more that pay, the best first.
+
+        Where the best only mends the form of its kin, what others explain there is mimicry: then what acts elsewhere.
+        """
         enough = base.score - self.settings.threshold
         self._shortlists.renew()
         fits = self._shortlists.beside(problem, base, 0.0)
@@ -252,7 +256,21 @@ class Search:
             best = fits[0].score
             self._shortlists.polish(problem, base, best + CONTENDING * (base.score - best), POLISHED)
         better = [one for one in self._shortlists.beside(problem, base, 0.0) if one.score <= enough]
-        return [one for one in better if all_significant(one)]
+        evidence = [one for one in better if all_significant(problem, one)]
+        if evidence and form_error(problem, base, evidence[0]) and not self._completed(problem, base, evidence[0]):
+            evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
+        return evidence
+
+    def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
+        """Whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
+        enough = found.score - self.settings.threshold
+        self._shortlists.beside(problem, found, 0.0)
+        self._shortlists.polish(problem, found, enough, POLISHED)
+        for pair in self._shortlists.beside(problem, found, 0.0)[:POLISHED]:
+            clean = problem.remaining(base.residual).keys() - problem.remaining(pair.residual).keys()
+            if clean and clean & problem.remaining(fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
+                return True
+        return False
 
     def _swap(self, outcome: Outcome, promising: float) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
@@ -272,7 +290,7 @@ class Search:
             fits = self._shortlists.beside(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if self._pays_in_place(outcome, one, claim.effect)]
-            if better and all_significant(better[0]):
+            if better and all_significant(problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
@@ -307,9 +325,35 @@ class Search:
         return problem, found
 
 
-def all_significant(found: Fit) -> bool:
-    """Whether every claim is beyond its smallest size, and none where physics ends."""
-    return all(is_significant(claim) for claim in found.judged)
+def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
+    """Return whether the newest claim explains no more than an error in the form of its kin would.
+
+    Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
+    """
+    if problem.noticeable(base.residual) and not problem.noticeable(found.residual):
+        return False
+    newest = found.claims[-1].effect
+    kin = [claim for claim in base.judged if newest.family and claim.effect.family == newest.family]
+    for claim in kin:
+        if claim.effect.id in newest.needs:
+            continue
+        without = problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
+        signature = float(np.sum(np.square(without - problem.residual(found.claims[:-1]))))
+        added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
+        if added < FORM_ERROR**2 * signature:
+            return True
+    return False
+
+
+def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
+    """Whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
+    before, one, two = (problem.mean_squares(each.residual) for each in (base, mended, other))
+    counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
+    removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}
+    shared = sum(
+        part for name, part in removed.items() if before[name] - one[name] > MINOR * (before[name] - two[name])
+    )
+    return shared < MINOR * sum(removed.values())
 
 
 def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
