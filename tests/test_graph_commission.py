@@ -24,9 +24,8 @@ from hydro_core.files import site
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
 from hydro_policy.nodes.commissioning import NAMES, comparison
-from hydro_policy.nodes.evaluation import box_mismatch, expected_box
+from hydro_policy.nodes.plants import box_mismatch, expected_box, take_site
 from hydro_policy.nodes.site_runs import Site
-from hydro_policy.nodes.startup.options import take_site
 from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench
 from hydro_sim.nodes import sim

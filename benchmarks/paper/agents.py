@@ -32,10 +32,10 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.sac import actor_parameters
-from hydro_policy.sessions.plan import TrainingPlan, training
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.training_plan import TrainingPlan, training
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
@@ -139,9 +139,9 @@ def _first(store: Store, authority: str, seed: int) -> Result:
     start, episodes = simulated(store, authority, seed), store.size.bench_episodes
     session, graph = train(bench(store), start, episodes, max(episodes // EXAMS, 1), seed)
     came = actor_parameters(start.agent)
-    run, progress = session.plan.run, session.plan.progress
-    best, last = (came if found is None else found for found in (run.best, run.good))
-    told = {"episodes": progress.episode, "trips": graph.trips, "ended": str(run.gave_up or "")}
+    plan, progress = session.plan, session.plan.progress
+    best, last = (came if found is None else found for found in (plan.best, plan.good))
+    told = {"episodes": progress.episode, "trips": graph.trips, "ended": str(plan.gave_up or "")}
     told |= {key: [float(exam[key]) for exam in progress.exams] for key in ("score", "error")}
     told |= {"last": _rmse(store, _controller(start, last), seed)["rmse"]}
     return {**_rmse(store, _controller(start, best), seed), **told}

@@ -23,11 +23,11 @@ from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.sac import Losses, Sac, actor_parameters, dump
-from hydro_policy.sessions.run_state import EXAMINED, Progress, RunState, significantly_better
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings, Score, Trace, score
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
+from hydro_policy.training_plan import EXAMINED, TrainingPlan, significantly_better
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -101,6 +101,7 @@ class Learner:
     """Gives one state after another."""
 
     entropy_coefficient, updates, losses = 0.0, 0, Losses()
+    replay = new_weights = wake = None
 
     def __init__(self) -> None:
         self.states: list[bytes] = []
@@ -136,8 +137,9 @@ def test_better_is_better_by_more_than_the_noise(
 
 
 def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> None:
-    learner, progress = Learner(), Progress(reference_rmse=FIXED.tolist())
-    state = RunState(TrainingSettings(), learner, progress, None, RunRecord())  # type: ignore[arg-type]
+    learner = Learner()
+    state = TrainingPlan(TrainingSettings(), learner, None)  # type: ignore[arg-type]
+    state.progress.reference_rmse = FIXED.tolist()
     came = actor_parameters(learner.states[0])
 
     def examined(share: float, scatter: float) -> bool:
@@ -148,10 +150,38 @@ def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> 
     learner.learn()
     assert not examined(0.48, 0.04), "better by less than the scatter"
     np.testing.assert_array_equal(state.best, came)
-    assert progress.best_score == pytest.approx(0.5)
+    assert state.progress.best_score == pytest.approx(0.5)
     assert examined(0.3, 0.04)
     np.testing.assert_array_equal(state.best, actor_parameters(learner.states[1]))
     assert np.any(state.best != came)
+
+
+def test_an_interrupted_comparison_makes_only_the_trials_that_are_missing(tmp_path: Path) -> None:
+    asked = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=0.5)
+    gains = [FixedGains(90.0, 15.0), FixedGains(300.0, 15.0)]  # the guard passes no such gains: stopped
+
+    def session() -> tuple[OfflineGraph, TrialRunner[Comparison]]:
+        graph = OfflineGraph(AnalyticPlant(Bench.nominal()), Bench.nominal())
+        return graph, TrialRunner(Comparison(asked, gains), PlantSupervisor(graph, True), record=record)
+
+    record = RunRecord(tmp_path / "run.json")
+    graph, first = session()
+    graph.run(first, 4.6)
+    assert 2 <= len(first.scores) < len(first.plan)
+    record.add("end", complete=False)
+    record.flush()
+    record = RunRecord(tmp_path / "run.json")
+    graph, resumed = session()
+    assert list(map(repr, resumed.scores)) == list(map(repr, first.scores)), "not a number is lost, nor a NaN"
+    made = len(graph.gains_published)
+    graph.run(resumed, 20.0)
+    assert resumed.finished and made == 0 and len(resumed.scores) == len(resumed.plan)
+    assert [score.run for score in resumed.scores] == [trial.stopped("").run for trial in resumed.plan.trials]
+    assert len(resumed.traces) < len(resumed.plan)
+    for last in ({"kind": "end", "complete": True}, {"kind": "episode"}):  # compared, or another policy
+        record.events.append(last)
+        assert not record.unfinished("trial")
+        record.events.pop()
 
 
 LIMIT = 127.0

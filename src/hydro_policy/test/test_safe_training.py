@@ -21,14 +21,13 @@ from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sessions.plan import TrainingPlan, training
-from hydro_policy.sessions.run_state import LEAD
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import GainRange, Step, StepClock, TaskSettings
+from hydro_policy.training_plan import LEAD, TrainingPlan, training
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import PASSED, InlineLearner, OfflineGraph
@@ -65,8 +64,8 @@ def assert_acts_by(session: TrialRunner[TrainingPlan], parameters: np.ndarray) -
 def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_from_it() -> None:
     graph, learner, session = start(settings())
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.plan.run.gave_up
-    exams = session.plan.run.record.of("exam")
+    assert session.finished and not session.plan.gave_up
+    exams = session.plan.record.of("exam")
     assert [exam["episode"] for exam in exams] == [0, 1, 2]
     assert learner.replay.produced == session.plan.progress.total_steps == 300
     assert len(session.plan.progress.reference_rmse) == 4, "the fixed gains are examined once"
@@ -82,9 +81,9 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
     graph, learner, session = start(settings(top=285.0, exam=ExamSettings(every=0)))
     started = session.plan.learner.snapshot()
     graph.run(session, 12.0, learner)
-    stops = session.plan.run.record.of("stop")
+    stops = session.plan.record.of("stop")
     assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
-    assert "4 rollbacks in a row" in session.plan.run.gave_up
+    assert "4 rollbacks in a row" in session.plan.gave_up
     assert all("error of" in stop["reason"] or "chattering" in stop["reason"] for stop in stops), "not the box"
     assert f"rolled back to the last good one ({session.plan.policy.digest()})" in stops[-1]["sentence"]
     assert graph.references[-1].waveform is Waveform.HOLD and graph.gains_published[-1][:2] == (0.0, 0.0)
@@ -98,7 +97,7 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     graph, learner, session = start(chosen)
     graph.run(session, 13.5 + 2.0 * LEAD, learner)
     assert session.phase is Phase.TRAINING
-    good = session.plan.run.good
+    good = session.plan.good
     sample = np.zeros(14)
     session._stop(session.plan.trial, "a test says so", sample)
     assert session.phase is Phase.PAUSED
@@ -109,9 +108,9 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     assert session.phase is Phase.PAUSED, "calm first"
     assert {g[:2] for g in graph.gains_published[-80:]} == {(0.0, 0.0)}
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.plan.run.gave_up and session.plan.progress.rollbacks >= 1
+    assert session.finished and not session.plan.gave_up and session.plan.progress.rollbacks >= 1
     assert learner.updates >= updates, "the updates stay counted"
-    assert session.plan.run.rollbacks_in_a_row == 0, "an accepted policy ends the row"
+    assert session.plan.rollbacks_in_a_row == 0, "an accepted policy ends the row"
 
 
 def test_monitor_tells_chatter_from_noise_and_from_jumps_and_a_cycle_from_one_sick_sample() -> None:
@@ -262,9 +261,9 @@ def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy()
         session.override.hold(20.0, 5.0, 0.0, graph.time)
         session.on_sample(sequence, np.zeros(14), tripped, graph.time)
         assert session.phase is Phase.PAUSED and session.watch.calming
-        assert session.plan.progress.rollbacks == session.plan.run.rollbacks_in_a_row == 0
+        assert session.plan.progress.rollbacks == session.plan.rollbacks_in_a_row == 0
         session.override.release()
         while phase is Phase.EVALUATING and session.phase is not Phase.TRAINING:
             graph.run(session, 0.1, learner)
-    assert len(session.plan.run.record.of("exam")) == 1, "the examination began again and came to its end"
-    assert not session.plan.run.record.of("stop")
+    assert len(session.plan.record.of("exam")) == 1, "the examination began again and came to its end"
+    assert not session.plan.record.of("stop")

@@ -17,11 +17,11 @@ from hydro_policy.evaluation.runner import REPEATS, SILENCE, Phase, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.sessions.plan import TrainingPlan, training
 from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor
 from hydro_policy.supervision.plant_supervisor import learner as learner_ready
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import StepClock, TaskSettings, rewards
+from hydro_policy.training_plan import TrainingPlan, training
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -75,7 +75,7 @@ def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> N
 def test_curves_and_losses_of_a_run_are_in_its_event_files(tmp_path: Path) -> None:
     graph, learner, session = start(short(), record=RunRecord(tmp_path / "run.json"))
     graph.run(session, 10.0, learner)
-    session.plan.run.record.flush()
+    session.plan.record.flush()
     (path,) = (tmp_path / "tensorboard").iterdir()
     for value in (one["force_rmse"] for one in session.plan.progress.history):
         assert b"episode/force_rmse" + b"\x15" + struct.pack("<f", value) in path.read_bytes(), "tag and number"

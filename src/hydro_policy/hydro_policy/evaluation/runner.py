@@ -13,7 +13,7 @@ hold-up   corrections, commands or samples came late, or the box heard nothing f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from math import inf
 from pathlib import Path
@@ -26,6 +26,7 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
+from hydro_policy.runs.run import RunRecord
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import FALLBACK, TRIALS, UNHELD, PlantSupervisor
 from hydro_policy.task.cases import SPOILT, Score, Trace, score
@@ -117,6 +118,9 @@ class TrialRunner(Generic[P]):
         Estimator of the controller under the compensated law, if there is one.
     felt
         File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one.
+    record, kind
+        Takes each score, but of a training, as an event of this kind. Those that it has of an interrupted run are taken
+        from it: their trials are not made again.
     """
 
     def __init__(
@@ -127,6 +131,8 @@ class TrialRunner(Generic[P]):
         monitor: SafetyMonitor | None = None,
         compensation: LiveCompensation | None = None,
         felt: Path | None = None,
+        record: RunRecord | None = None,
+        kind: str = "trial",
     ) -> None:
         self.plan, self.watch, self.override = plan, watch, watch.override
         self.compensation, self.monitor = compensation, monitor
@@ -140,6 +146,14 @@ class TrialRunner(Generic[P]):
         self._run: _Run | None = None
         self._phase = Phase.WAITING
         self._steps, self._step_ended = 0, False
+        self._record, self._kind = None, kind
+        for event in record.unfinished(kind) if record is not None else ():
+            made, due = Score.of_event(event), plan.trial
+            same = due is not None and due.stopped("").run == made.run
+            if not same:
+                break
+            self._add(made)
+        self._record = record
 
     @property
     def finished(self) -> bool:
@@ -356,6 +370,8 @@ class TrialRunner(Generic[P]):
         self._repeats = 0
         if not self.plan.training:
             self.scores.append(done)
+            if self._record is not None:
+                self._record.add(self._kind, **asdict(done))
         return self.plan.add(done)
 
     def _again(self, trial: Trial, why: str) -> bool:

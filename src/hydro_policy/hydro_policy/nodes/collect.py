@@ -28,8 +28,9 @@ from hydro_core.process.endings import signals_ignored
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Plan, Trial
-from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.nodes.graph.progress import TrialProgress
+from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.plants import add_rearm_option
+from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.task.cases import Case, Score
 from hydro_sim.box.box import EMULATED_BOX
 from hydro_sim.excitation import ExcitationRange, Segment, draw_schedule, load_schedule, save_schedule
@@ -106,11 +107,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--bench", metavar="FILE", help="bench.yaml of the box, kept in the recording (default: as the box says)"
     )
-    made.add_argument(
-        "--rearm",
-        choices=("auto", "ask"),
-        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`",
-    )
+    add_rearm_option(made)
     add_dashboard_option(made)
     return made
 

@@ -36,7 +36,7 @@ from hydro_filter.metric import ScheduledMetric
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError, GateSkipped, best, scored
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
-from hydro_policy.nodes.evaluation import require_matching_policy
+from hydro_policy.nodes.plants import require_matching_policy
 from hydro_policy.nodes.site_runs import Site, read_json
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.files.pairing import BoxIdentity

@@ -16,7 +16,7 @@ from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import command, make_parser, writable_file, writable_folder
-from hydro_policy.nodes.startup.options import LAWS, add_plant_options, take_site
+from hydro_policy.nodes.plants import LAWS, add_plant_options, take_site
 
 
 def parser() -> argparse.ArgumentParser:
@@ -76,6 +76,13 @@ def parser() -> argparse.ArgumentParser:
     files = result.add_argument_group("files")
     files.add_argument(
         "--runs", type=writable_folder, default="runs", metavar="DIR", help="folder of all runs (default: runs)"
+    )
+    files.add_argument(
+        "--resume",
+        type=Path,
+        metavar="RUN",
+        help="go on with the interrupted evaluation in this folder, by the same options: only trials that are missing "
+        "are made",
     )
     files.add_argument("--name", help="of this one's folder: figures, plot, page, recording (default: date and time)")
     files.add_argument("--json", type=writable_file, metavar="FILE", help="write every run's figures to FILE, too")

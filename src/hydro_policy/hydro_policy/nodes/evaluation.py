@@ -1,34 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluation on a live plant: start it, search fixed gains if requested, run all controllers, write the results.
 
-A run expects the box that its command line names; whether the plant's box, an agent and a policy match it.
+Each trial is recorded in run.json of the evaluation's folder; a resumed evaluation makes those that are missing.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
-from datetime import datetime, timezone
+from dataclasses import asdict, replace
+from datetime import datetime
 from functools import partial
-from math import isclose
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.pages import Section, results_page
+from hydro_bridge.pages import Section
 from hydro_bridge.ros.companion import CompanionError, start_dashboard
 from hydro_bridge.ros.node import declare_parameters, leave_graph, refuse_unknown_parameters
-from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import UserError
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import encode_json
 from hydro_core.process.endings import signals_ignored
 from hydro_core.size import rescale
 from hydro_policy.compensation.estimator import CompensatorSettings, LoadCell
@@ -39,70 +37,30 @@ from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGa
 from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.nodes.graph.progress import TrialProgress
-from hydro_policy.nodes.startup.companions import NO_FILTER, describe_policy, guard_range, start_plant
-from hydro_policy.nodes.startup.options import load_cell, may_rearm, plant_options, unless_said
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.plants import (
+    NO_FILTER,
+    box_mismatch,
+    describe_policy,
+    expected_box,
+    guard_range,
+    load_cell,
+    may_rearm,
+    plant_options,
+    require_matching_policy,
+    start_plant,
+    unless_said,
+)
+from hydro_policy.nodes.progress import TrialProgress
+from hydro_policy.runs.report import write_page
+from hydro_policy.runs.run import RunDirectory, RunRecord
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor, corrections
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import BASE, GainRange
-from hydro_sim.box.box import BoxConfig
-from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched, read_provenance
+from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
-
-if TYPE_CHECKING:  # evaluate does without
-    from hydro_policy.runs.initial_agent import InitialAgent
-
-PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
-
-
-def expected_box(options: argparse.Namespace) -> BoxIdentity:
-    """Return the expected box: by --bench and --base-gains, or the nominal one.
-
-    Of a plant that runs already nothing is expected but what --bench says.
-
-    Raises ValueError: the bench file cannot be used; UserError: the box of a running plant is specified, or the model
-    is not a file.
-    """
-    plant_options(options)
-    if options.model is not None and not options.model.is_file():
-        raise UserError(f"--model {options.model}: there is no such file")
-    if options.plant == "external":
-        return BoxIdentity.of_file(options.bench) if options.bench else BoxIdentity(digest="", source="what runs")
-    box = BoxIdentity.of_file(options.bench, tuple(options.base_gains or BASE))
-    return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
-
-
-def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
-    """Return why the box is not the expected one, with the options that would fit it; empty if it is."""
-    if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
-        told = (
-            f"the box believes {BoxIdentity.of_box(box).description}, this run was planned for bench {plan.description}"
-        )
-        return f"{told}: name the bench.yaml of this box by --bench"
-    expected = plan.base_gains or box.base_gains
-    if not all(isclose(*pair, rel_tol=1e-6) for pair in zip(expected, box.base_gains, strict=True)):
-        kp, ki = box.base_gains
-        planned = "({:g}, {:g})".format(*expected)
-        told = f"the box adds changes to base gains ({kp:g}, {ki:g}), this run was planned for {planned}"
-        return f"{told}: say --base-gains {kp:g} {ki:g}"
-    return ""
-
-
-def require_matching_agent(start: InitialAgent | None, box: BoxIdentity) -> None:
-    """Raise PairingError if this agent was not made for this box."""
-    if start is not None:
-        remedy = f"{PRETRAIN}, or begin without one: --from scratch"
-        raise_if_mismatched(mismatch(f"the agent {start.source.name}", start.made, box, remedy))
-
-
-def require_matching_policy(path: Path, box: BoxIdentity) -> None:
-    """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
-    file = policy_file(path)
-    raise_if_mismatched(mismatch(f"the policy {path.name}", read_provenance(file), box, PRETRAIN))
 
 
 def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Controller]:
@@ -119,8 +77,7 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
 
 def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
     """Evaluation settings from defaults and command line."""
-    names = ("repeats", "multisine", "steps", "fast")
-    given = {name: getattr(options, name) for name in names}
+    given = {name: getattr(options, name) for name in ("repeats", "multisine", "steps", "fast")}
     given["recorded"] = tuple(map(str, options.recorded))
     given["frequencies"] = options.frequencies and tuple(options.frequencies)
     return EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
@@ -130,30 +87,37 @@ def required_gain_range(
     controllers: Sequence[Controller], grid: GridSettings | None = None, base: tuple[float, float] | None = None
 ) -> GainRange:
     """Range of gain changes that the guard must allow on a box with these base gains."""
-    ranges = [controller.reach for controller in controllers] or [FixedGains(*(base or BASE), base or BASE).reach]
+    base = base or BASE
+    ranges = [controller.reach for controller in controllers] or [FixedGains(*base, base).reach]
     if grid is not None:
         corners = ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))
-        ranges += [FixedGains(*pair, base or BASE).reach for pair in corners]
+        ranges += [FixedGains(*pair, base).reach for pair in corners]
     return GainRange.enclosing(*ranges)
 
 
 @contextmanager
-def new_evaluation(parent: Path, name: str | None) -> Iterator[RunDirectory]:
-    """Create runs/NAME, by default evaluate- with date and time; it is removed if it stays empty.
+def evaluation_folder(options: argparse.Namespace) -> Iterator[RunDirectory]:
+    """Create runs/NAME, by default evaluate- with date and time, which is removed if it stays empty; or resume one.
 
-    Raises FileExistsError: the name is taken; OSError: the folder cannot be created.
+    Raises FileExistsError: the name is taken; OSError: the folder cannot be created; UserError: there is nothing to
+    resume.
     """
-    run = RunDirectory(parent / (name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
-    first = not parent.exists()
-    try:
-        run.path.mkdir(parents=True)
-    except FileExistsError:
-        raise FileExistsError(f"{run.path} is there already: choose another --name") from None
+    parent = Path(options.runs)
+    run = RunDirectory(options.resume or parent / (options.name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
+    first = not options.resume and not parent.exists()
+    if options.resume and not run.record.is_file():
+        raise UserError(f"{run.path} holds no evaluation to resume: there is no {run.record.name}")
+    if not options.resume:
+        try:
+            run.path.mkdir(parents=True)
+        except FileExistsError:
+            raise FileExistsError(f"{run.path} is there already: choose another --name") from None
+    before = run.recordings
     try:
         yield run
     finally:
-        if run.bag.exists():
-            print(f"recording: {run.bag}", file=sys.stderr)
+        for bag in run.recordings[len(before) :]:
+            print(f"recording: {bag}", file=sys.stderr)
         for folder in (run.path, parent) if first else (run.path,):
             with suppress(OSError):  # not empty, or gone already
                 folder.rmdir()
@@ -185,31 +149,21 @@ def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
     return {**told, **more, "code_version": code_version()}
 
 
-def show_results(
+def report_results(
     results: TrialRunner[Comparison], run: RunDirectory, notes: Mapping[str, Any], json: Path | None = None
-) -> None:
-    """Print the table; write figures and plot into the run's folder, the figures also to `json`."""
+) -> list[Section]:
+    """Print the table; write figures and plot into the run's folder, the figures also to `json`; returns its page."""
     if not results.scores:
-        return
+        return []
     under = ", ".join(f"{name} {value}" for name, value in notes.items())
     print("\n".join(filter(None, ("", report.table(results).text(), report.best(results), under))))
     for file in filter(None, (run.evaluation, json)):
         report.write_json(results, file, notes)
     report.plot(results, run.tracking_plot)
-    told = {"figures of every run": json or run.evaluation, "plot": run.tracking_plot}
-    for name, file in told.items():
+    for name, file in {"figures of every run": json or run.evaluation, "plot": run.tracking_plot}.items():
         if file.is_file():
             print(f"{name}: {file}", file=sys.stderr)
-
-
-def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections: list[Section]) -> None:
-    """Write report.html and the index page of all runs; a failure is reported, never raised."""
-    when = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    try:
-        write_whole(run.page, results_page(title, {"written": when, **about}, sections).encode())
-    except OSError as error:
-        print(f"no page of the run: {error.strerror or error}", file=sys.stderr)
-    refresh_index(run.path)
+    return report.sections(results, run.tracking_plot)
 
 
 def evaluate(options: argparse.Namespace) -> int:
@@ -230,24 +184,24 @@ def evaluate(options: argparse.Namespace) -> int:
         raise UserError(
             "--filter none leaves the compensated law: say --law compensated, without --fixed, --policy, --grid"
         )
-    with new_evaluation(Path(options.runs), options.name) as run:
+    with evaluation_folder(options) as run:
         return evaluate_in(run, options)
 
 
 def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
     """Run the evaluation with its results in `run`; returns the exit status."""
     box, cell, unfiltered = expected_box(options), load_cell(options), options.filter.split() == list(NO_FILTER)
-    controllers, settings = make_controllers(options, box), evaluation_settings(options)
+    controllers, settings, rearm = make_controllers(options, box), evaluation_settings(options), may_rearm(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("evaluate")
         stack.callback(leave_graph, node)
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)
-        stack.enter_context(remove_rejected(run, node))
+        stack.enter_context(remove_rejected(run, node, made=not options.resume))
         node.box_fault = partial(box_mismatch, box)
         if options.plant != "external":
-            recording = Path(options.record) if options.record else run.bag if options.keeps_bag else None
+            recording = Path(options.record) if options.record else run.next_recording if options.keeps_bag else None
             plant = plant_options(
                 options, recording=recording, seed=options.seed, policies=tuple(map(policy_file, options.policy)),
                 controller="evaluate",
@@ -274,42 +228,62 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         node.box_fault = partial(box_mismatch, box)
         reach = guard_range(required_gain_range(controllers, grid, box.base_gains))
         node.override = GainOverride(reach, node.override.say, box.base_gains or BASE)
-        for path in options.policy:
-            node.say(describe_policy(policy_file(path)))
-        rearm = may_rearm(options)
+        policies = [describe_policy(policy_file(path)) for path in options.policy]
+        for sentence in policies:
+            node.say(sentence)
+        about = {"settings": asdict(settings), "box": box.digest, "policies": policies, "grid": grid and asdict(grid)}
+        record = begin_record(run, {**about, "load_cell": cell and asdict(cell)})
         if not rearm:
             node.listen_for_enter()
         watch = node.supervisor(rearm=rearm)
         if not unfiltered:  # one that runs all the same may be of the bench as it was
             node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
         if grid is not None:
-            before = search_on(node, grid, settings, watch)
+            before = search_on(node, grid, settings, watch, record)
             if before.trial is not None:
                 return 130
-            if before.search.found:
-                controllers.append(before.best)
+            controllers += [before.best] if before.search.found else []
             watch = node.supervisor(rearm=rearm, after=watch)
         results = evaluate_on(
             node, controllers, watch, settings=settings, compensated=options.law != "paper", cell=cell,
-            learned=options.learned_residual,
+            learned=options.learned_residual, record=record,
         )  # fmt: skip
+        record.add("end", complete=results.finished)
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
+    record.flush()
     notes = conditions(options, box=box.description, integral=box.integral or "not told")
     if options.plant in ("sim", "emulator"):
         notes["seed"] = options.seed
-    show_results(results, run, notes, Path(options.json) if options.json else None)
-    if results.scores:
-        write_page(run, f"Evaluation {run.path.name}", notes, report.sections(results, run.tracking_plot))
+    if page := report_results(results, run, notes, Path(options.json) if options.json else None):
+        write_page(run, f"Evaluation {run.path.name}", notes, page)
         print(f"page: {run.page}", file=sys.stderr)
+    if not results.finished and results.scores:
+        print(f"go on with the same options and --resume {run.path}", file=sys.stderr)
     return 0 if results.finished else 130
 
 
-def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, watch: PlantSupervisor) -> GridPlan:
+def begin_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
+    """Return the record of an evaluation, whose first event says what is compared.
+
+    Raises UserError: the evaluation that is resumed compared something else.
+    """
+    record = RunRecord(run.record)
+    known = json.loads(encode_json(about))
+    if record.events and any(record.events[0].get(key) != value for key, value in known.items()):
+        raise UserError(f"{run.path} compared something else: resume it with the options that it was started with")
+    record.add("start", **known)
+    return record
+
+
+def search_on(
+    node: GraphNode, grid: GridSettings, settings: EvaluationSettings, watch: PlantSupervisor, record: RunRecord
+) -> GridPlan:
     """Search the best fixed gains on the plant by short trials; after a signal it is not at its end."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     plan = GridPlan(grid, short, node.override.base)
-    runner = TrialRunner(plan, watch, monitor=SafetyMonitor(rescale(MonitorSettings(), NOMINAL, node.size)))
+    monitor = SafetyMonitor(rescale(MonitorSettings(), NOMINAL, node.size))
+    runner = TrialRunner(plan, watch, monitor=monitor, record=record, kind="grid")
     told = 0
 
     def tick() -> None:
@@ -339,11 +313,12 @@ def evaluate_on(
     compensated: bool = True,
     cell: LoadCell | None = None,
     learned: bool = False,
+    record: RunRecord | None = None,
 ) -> TrialRunner[Comparison]:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
     Where `compensated`, the box's compensated law is compared, too, if it has one; with `cell`, for the force in front
-    of that; if `learned`, also with the learned residual.
+    of that; if `learned`, also with the learned residual. `record` takes each trial, and has those made before.
     """
     if compensated and node.law is not None and node.compensation is None:
         estimator = rescale(CompensatorSettings(), NOMINAL, node.size)
@@ -354,7 +329,7 @@ def evaluate_on(
         if learned and cell is None:
             controllers.append(Compensated(compensation, node.override.base, learned=True))
     plan = Comparison(settings or EvaluationSettings(amplitude=node.size.force), controllers)
-    session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force)
+    session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force, record=record)
     with TrialProgress(session, "evaluating") as bar:
         node.run_session(session, bar.tick)
     return session

@@ -27,13 +27,20 @@ from hydro_core.cli.console import UserError, print_above_progress, terminal_lin
 from hydro_core.files import site
 from hydro_core.process.endings import signals_ignored
 from hydro_policy.commissioning.record import GateError, Record
-from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.runner import Rest
-from hydro_policy.nodes.evaluation import box_mismatch, evaluate_on, required_gain_range, show_results, write_page
-from hydro_policy.nodes.graph.announcements import CompanionWatch, companion_output
-from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.nodes.startup.companions import NO_FILTER, PlantOptions, commands, guard_range, recorder_arguments
+from hydro_policy.nodes.announcements import CompanionWatch, companion_output
+from hydro_policy.nodes.evaluation import evaluate_on, report_results, required_gain_range
+from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.plants import (
+    NO_FILTER,
+    PlantOptions,
+    box_mismatch,
+    commands,
+    guard_range,
+    recorder_arguments,
+)
+from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import corrections
@@ -180,8 +187,7 @@ class Site:
         gains = "{:g} {:g}".format(*self.record.base_gains)
         notes = {"plant": self.record.plant, "filter": " ".join(words), "bench": str(self.bench), "base gains": gains}
         notes["code_version"] = code_version()
-        show_results(results, run, notes)
-        write_page(run, f"Evaluation {name}", notes, report.sections(results, run.tracking_plot))
+        write_page(run, f"Evaluation {name}", notes, report_results(results, run, notes))
         return read_json(run.evaluation)
 
     def _disconnect(self) -> None:

@@ -19,36 +19,31 @@ from hydro_bridge.safety.readiness import Readiness
 from hydro_core.cli.console import writable_folder
 from hydro_core.process.endings import signals_ignored
 from hydro_core.size import rescale
-from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
 from hydro_policy.evaluation.runner import Phase, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.learner_process.learner import write_run
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
-from hydro_policy.nodes.evaluation import (
-    box_mismatch,
-    conditions,
-    evaluate_on,
-    expected_box,
-    remove_rejected,
-    require_matching_agent,
-    search_on,
-    show_results,
-    write_page,
-)
-from hydro_policy.nodes.graph.node import GraphNode
-from hydro_policy.nodes.graph.progress import TrainingProgress
-from hydro_policy.nodes.startup.companions import describe_policy, guard_range, requested_filter, start_plant
-from hydro_policy.nodes.startup.options import (
+from hydro_policy.nodes.evaluation import conditions, evaluate_on, remove_rejected, report_results, search_on
+from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.plants import (
     SCRATCH,
+    box_mismatch,
     declare_settings,
+    describe_policy,
+    expected_box,
+    guard_range,
     load_cell,
     may_rearm,
     plant_options,
     plant_options_as_yaml,
+    requested_filter,
+    require_matching_agent,
+    start_plant,
     unless_said,
 )
+from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs import report as curves
 from hydro_policy.runs.digest import circumstances, run_digest
@@ -56,12 +51,11 @@ from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_ag
 from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
-from hydro_policy.sessions.plan import TrainingPlan, training
-from hydro_policy.sessions.run_state import Progress
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
+from hydro_policy.training_plan import Progress, TrainingPlan, training
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
 from hydro_sim.model.bench import NOMINAL
 
@@ -180,12 +174,6 @@ def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Initi
     write_run(run, settings, agent, nothing, {})
 
 
-def recordings(run: RunDirectory) -> list[Path]:
-    """Return the recordings of a run, those of resumptions last."""
-    later = sorted(run.path.glob(f"{run.bag.name}-*"), key=lambda folder: int(folder.name.rpartition("-")[2]))
-    return [folder for folder in (run.bag, *later) if folder.exists()]
-
-
 SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))
 """References of the search for the best fixed gains."""
 
@@ -195,9 +183,9 @@ def paper_controllers(plan: TrainingPlan, start: InitialAgent | None) -> list[Co
 
     I is the best policy of the run, or the last one if none was better than the initial one.
     """
-    gains, best = plan.settings.task.gains, plan.run.best
+    gains, best = plan.settings.task.gains, plan.best
     name = "I: last policy, trained here"
-    if best is not None and plan.run.improved:
+    if best is not None and plan.improved:
         plan.policy.load_flat(best)
         name = "I: policy, trained here"
     controllers: list[Controller] = [PolicyController(plan.policy, gains, name)]
@@ -273,11 +261,10 @@ def train(options: argparse.Namespace) -> int:
 
         node.override = GainOverride(guard_range(settings.task.gains), tell, settings.base_gains)
         record.add("start", plant=options.plant, start=str(start.source) if start else None, resumed=bool(checkpoint))
-        folders = (run.bag, *(run.bag.with_name(f"{run.bag.name}-{number}") for number in range(2, 10_000)))
-        free = next(folder for folder in folders if not folder.exists())  # a resumed run gets a separate recording
+        recording = run.next_recording if options.record and options.plant != "external" else None
         plant = plant_options(
-            options, recording=free if options.record and options.plant != "external" else None, seed=settings.seed,
-            controller="trainer", metadata=(f"run={run.path.name}", f"seed={settings.seed}"), attachments=(run.config,),
+            options, recording=recording, seed=settings.seed, controller="trainer",
+            metadata=(f"run={run.path.name}", f"seed={settings.seed}"), attachments=(run.config,),
             policies=(run.policy,),
         )  # fmt: skip
         real_time = options.plant == "external" or plant.real_time
@@ -298,27 +285,25 @@ def train(options: argparse.Namespace) -> int:
             node.successor = options.hand_over or ""
         timings = {"jitter": node.timing.jitter, "inference": plan.explorer.inference, "response": node.timing.response}
         timing = {f"{name}_p99": latency.percentile(99) for name, latency in timings.items()}
-        record.add("end", plan.run.gave_up, **timing, complete=finished)
+        record.add("end", plan.gave_up, **timing, complete=finished)
     notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
-    if results is not None:
-        show_results(results, run, notes)
+    found = [] if results is None else report_results(results, run, notes)
     digest = ""
     if finished and node.paced:
-        digest = run_digest(run.policy, recordings(run), results.scores if results else ())
+        digest = run_digest(run.policy, run.recordings, results.scores if results else ())
         record.add("digest", run_digest=digest, circumstances=circumstances())
     record.flush()
-    found = evaluation.sections(results, run.tracking_plot) if results is not None and results.scores else []
     try:
         curves.draw_curve(record.events, run.learning_curve)
     except OSError as error:
         print(f"no learning curve: {error.strerror or error}", file=sys.stderr)
     found += curves.sections(record.events, run.learning_curve)
-    write_page(run, f"Training {run.path.name}", notes, found)
+    curves.write_page(run, f"Training {run.path.name}", notes, found)
     print_files(run, plant.recording, finished, options, time.monotonic() - began)
     if digest:
         print(f"\nThe same seed gives the same digest {circumstances()}:\nrun digest: {digest}")
-    if plan.run.gave_up:
-        print(f"Training was given up: {plan.run.gave_up}; {run.record} has what happened.", file=sys.stderr)
+    if plan.gave_up:
+        print(f"Training was given up: {plan.gave_up}; {run.record} has what happened.", file=sys.stderr)
         return 1
     return 0 if finished else 130
 
@@ -332,37 +317,36 @@ def drive(
         node.listen_for_enter()
     if not node.wait_for_plant():
         return False, None
-    bar = TrainingProgress(node, session)
-    try:
-        finished = plan.run.trained or node.run_session(session, bar.tick)
-    finally:
-        bar.close()
+    with TrainingProgress(node, session) as bar:
+        finished = plan.trained or node.run_session(session, bar.tick)
     inference = plan.explorer.inference.sentence()
     node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; inference took {inference}")
-    if plan.progress.exams and not plan.run.improved:
+    if plan.progress.exams and not plan.improved:
         node.say(curves.NONE_BETTER)
-    if not finished or plan.run.gave_up or not options.evaluate:
-        return finished and not plan.run.gave_up, None
+    if not finished or plan.gave_up or not options.evaluate:
+        return finished and not plan.gave_up, None
     readiness = Readiness([plant_supervisor.learner(lambda: plan.learner.ready)], node.say)
     while not readiness.complete:  # of a finished run that was resumed
         if warning := plan.look_after():
             node.warn(warning)
         readiness.look(time.monotonic())
         time.sleep(0.05)
-    plan.run.start()
+    plan.start()
     bar.phase = lambda: Phase.EVALUATING
     controllers = paper_controllers(plan, start)
     watch = node.supervisor(rearm=rearm, after=session.watch)
     if rearm:
         grid = coarse_grid(plan.settings.task.gains, plan.settings.base_gains)
-        search = search_on(node, grid, replace(SEARCHED, amplitude=node.size.force), watch)
+        search = search_on(node, grid, replace(SEARCHED, amplitude=node.size.force), watch, plan.record)
         if search.trial is not None:
             return False, None
         controllers += [search.best] if search.search.found else []
         watch = node.supervisor(rearm=rearm, after=watch)
     else:
         node.say(LEFT_OUT)
-    results = evaluate_on(node, controllers, watch, compensated=rearm, cell=cell, learned=cell is None)
+    results = evaluate_on(
+        node, controllers, watch, compensated=rearm, cell=cell, learned=cell is None, record=plan.record
+    )
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots

@@ -8,8 +8,11 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.pages import Section
-from hydro_core.cli.console import Table, plural
+from hydro_bridge.pages import Section, results_page
+from hydro_bridge.viewer.runs import refresh_index
+from hydro_core.cli.console import Table, plural, print_above_progress
+from hydro_core.files.atomic import write_whole
+from hydro_policy.runs.run import RunDirectory
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 Events = Sequence[Mapping[str, Any]]
@@ -26,6 +29,16 @@ def sections(events: Events, curve: Path) -> list[Section]:
     if exams.rows:
         found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=exams))
     return [*found, Section(heading="What happened", table=event_table(events))]
+
+
+def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections: Sequence[Section]) -> None:
+    """Write report.html and the index page of all runs; a failure is reported, never raised."""
+    when = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    try:
+        write_whole(run.page, results_page(title, {"written": when, **about}, sections).encode())
+    except OSError as error:
+        print_above_progress(f"no page of the run: {error.strerror or error}")
+    refresh_index(run.path)
 
 
 def draw_curve(events: Events, path: Path) -> None:

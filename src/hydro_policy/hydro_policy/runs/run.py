@@ -9,7 +9,8 @@ runs/NAME/
                            trainer.json          count of all ever stored; episode, steps, random states, best episode
     checkpoints/best/      learner.safetensors of the best policy so far: the complete agent, to start others from
     run.json               {"events": [{"time": ISO 8601, "kind": KIND, "sentence": ..., further values by name}, ...]},
-                           KIND is start, episode, exam, stop, override, end or digest; a resumed run appends
+                           KIND is start, episode, exam, stop, override, grid, trial (of a comparison, as
+                           evaluation.json), end or digest; a resumed run appends
     bag/                   the recording
     evaluation.json, tracking.png, log.txt
 
@@ -104,6 +105,19 @@ class RunDirectory:
     page = property(lambda self: self.path / "report.html")
     log = property(lambda self: self.path / "log.txt")
 
+    @property
+    def recordings(self) -> list[Path]:
+        """Recordings of the run, those of resumptions last."""
+        later = sorted(self.path.glob(f"{self.bag.name}-*"), key=lambda folder: int(folder.name.rpartition("-")[2]))
+        return [folder for folder in (self.bag, *later) if folder.exists()]
+
+    @property
+    def next_recording(self) -> Path:
+        """Folder of the next recording: a resumed run gets a separate one."""
+        made = self.recordings
+        last = int(made[-1].name.partition("-")[2] or 1) if made else 0
+        return self.bag.with_name(f"{self.bag.name}-{last + 1}") if last else self.bag
+
     def create(self) -> RunDirectory:
         """Create the folders. Raises FileExistsError: the folder already holds a run."""
         self.refuse_existing()
@@ -178,6 +192,10 @@ def _numbered(name: str, value: Any) -> list[tuple[str, float]]:
     return [(name, float(value))] if isinstance(value, (int, float)) and math.isfinite(value) else []
 
 
+_TRAINED = ("episode", "exam", "stop")
+"""Kinds of events after which a policy is another one."""
+
+
 class RunRecord:
     """Appends events; saves them to `path` if given.
 
@@ -213,6 +231,12 @@ class RunRecord:
     def of(self, kind: str) -> list[dict[str, Any]]:
         """Return all events of a kind."""
         return [event for event in self.events if event["kind"] == kind]
+
+    def unfinished(self, kind: str) -> list[dict[str, Any]]:
+        """Return the events of a kind of a comparison that was interrupted: since training, or since a complete end."""
+        events = self.events
+        over = (n + 1 for n, one in enumerate(events) if one["kind"] in _TRAINED or one.get("complete"))
+        return [event for event in events[max(over, default=0) :] if event["kind"] == kind]
 
     def flush(self) -> None:
         """Wait until everything is on disk; so does the end of the process.

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -173,6 +173,19 @@ class Score:
     """Samples for which the box held base gains (stale correction or command)."""
     stopped: str = ""
     """Why the run was not completed: the box tripped, or the monitor stopped it; empty if it was."""
+
+    @classmethod
+    def of_event(cls, event: Mapping[str, Any]) -> Score:
+        """Return the score of an event of a run's record, in which NaN is null."""
+        values: dict[str, Any] = {
+            one.name: math.nan if event[one.name] is None else event[one.name] for one in fields(cls)
+        }
+        return cls(**values)
+
+    @property
+    def run(self) -> tuple[str, str, int]:
+        """Which run it is of: controller, reference, repeat."""
+        return self.controller, self.case, self.repeat
 
     @property
     def spoilt(self) -> bool:

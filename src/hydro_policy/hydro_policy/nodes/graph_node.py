@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS node of trainer and evaluate: states in; gains, reference and arming out."""
+"""The ROS node of trainer, evaluate, collect and commission: states in; gains, reference and arming out.
+
+A person acts on its run by two services: gains held by hand (/hydro/override), frozen coefficients.
+"""
 
 from __future__ import annotations
 
@@ -16,20 +19,24 @@ from builtin_interfaces.msg import Time
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.task import Future
+from std_srvs.srv import SetBool
 
 from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.commander import LEASE_WAIT_MAX, Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
-from hydro_bridge.ros.diagnostics import RosoutLogger, publisher_conflicts
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, RosoutLogger, Status, publisher_conflicts
 from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, seconds, subscribe, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
 from hydro_bridge.ros.topics import (
     BOX_LAW,
     CORRECTION,
+    FREEZE_SERVICE,
     GRAPH,
     LAW_STATE,
+    OVERRIDE_SERVICE,
     POLICY,
     STATE,
     Mailbox,
@@ -48,9 +55,9 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, ST
 from hydro_core.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import PolicyStep
+from hydro_msgs.srv import OverrideGains
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.nodes.graph.announcements import UNRECORDED, Announcer, CompanionWatch
-from hydro_policy.nodes.graph.services import FreezeService, OverrideService
+from hydro_policy.nodes.announcements import UNRECORDED, Announcer, CompanionWatch
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor, Session
@@ -144,7 +151,10 @@ class GraphNode(Node):
         self._commander = Commander(self, self._on_lease, endings.request_termination, self.warn, alone_within)
         self.command_law, self.reference = self._commander.law, self._commander.reference
         self._two_plants, self._crowd = False, ""  # whose samples came since the last tick; warned of
-        self._override_service = OverrideService(self, journal.log_call)
+        self._override_service: Service | None = (
+            None  # offered while it holds the lease: the next holder offers its own
+        )
+        self._log_call = journal.log_call
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = subscribe(self, STATE, STATES, self._on_state)
         self._mailbox = Mailbox(name)
@@ -273,7 +283,20 @@ class GraphNode(Node):
         def take(message: Any) -> None:
             compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
 
-        FreezeService(self, compensation)
+        def freeze(request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+            compensation.frozen, answer.success = bool(request.data), True
+            answer.message = "the coefficients are frozen" if request.data else "the coefficients adapt again"
+            self.warn(f"by {FREEZE_SERVICE}: {answer.message}")
+            return answer
+
+        def status() -> Status:
+            health, frozen = compensation.health, compensation.frozen
+            message = "frozen" if frozen else "adapts" if compensation.acting else "the paper's law acts"
+            troubled = frozen or health["at a bound"] != "no"
+            return Status(level=Level.WARN if troubled else Level.OK, message=message, values=health)
+
+        self.create_service(SetBool, FREEZE_SERVICE, freeze)
+        DiagnosticsPublisher(self, status, name="compensation")
         subscribe(self, LAW_STATE, LAW_STATES, take)  # each before its sample
 
     def destroy_node(self) -> None:
@@ -376,8 +399,11 @@ class GraphNode(Node):
         try:
             if ends:
                 self._read_corrections(message.sequence)
-            if self._commander.held and not session.finished:
-                self._pass_on(session, message, arrived)
+            now = 1e-9 * message.stamp if message.flags & Flag.PACED else arrived
+            sends = self._commander.held and not session.finished
+            if sends and session.on_sample(message.sequence, np.array(message[_SAMPLE]), message.flags, now):
+                age = seconds(self._commander.last_gains.header.stamp) - 1e-9 * message.stamp
+                self.timing.add(arrived, self._gains_out, age)
             if self.paced and message.sequence % _TICK_SAMPLES == 0 and not session.finished:
                 self._tick(self.now())
         except Exception as error:
@@ -387,12 +413,6 @@ class GraphNode(Node):
         if ends:
             self._owed = message.sequence
             self._answer()
-
-    def _pass_on(self, session: Session, message: Any, arrived: float) -> None:
-        now = 1e-9 * message.stamp if message.flags & Flag.PACED else arrived
-        if session.on_sample(message.sequence, np.array(message[_SAMPLE]), message.flags, now):
-            age = seconds(self._commander.last_gains.header.stamp) - 1e-9 * message.stamp
-            self.timing.add(arrived, self._gains_out, age)
 
     def _begin_answering(self) -> None:
         """Handle what a plant that goes by its own clock has sent before the session, and answer it."""
@@ -445,14 +465,14 @@ class GraphNode(Node):
                 if self._session is not None:
                     self._session.watch.arm_now(self.now())
             if self.paced:
-                self._tick_by_the_wall()
+                self._tick_by_wall_clock()
             else:
                 self._read_corrections()
                 self._tick(time.monotonic())
         except Exception as error:
             self.fail(error)
 
-    def _tick_by_the_wall(self) -> None:
+    def _tick_by_wall_clock(self) -> None:
         """Look after what does not go by the plant's clock: companions, what is awaited, a plant that is silent."""
         self._look_after_companions()
         if self._session is None:
@@ -477,12 +497,10 @@ class GraphNode(Node):
         self._look_after_companions()
         if self.refused or self.companions.lost:
             return
-        if self._session is not None:
-            self._carry_on(self._session, now)
-        elif self._meeting is not None:
-            self._meeting.look(now)
-
-    def _carry_on(self, session: Session, now: float) -> None:
+        if (session := self._session) is None:
+            if self._meeting is not None:
+                self._meeting.look(now)
+            return
         self._commander.seek(now)
         crowd = publisher_conflicts(self, STATE) if self._two_plants else ""
         if crowd and not self._crowd:
@@ -500,9 +518,34 @@ class GraphNode(Node):
     def _on_lease(self, lost: str) -> None:
         if lost:
             self.warn(f"the lease on the plant was lost; nothing is sent until it is regained: {lost}")
-            self._override_service.close()
-        else:
-            self._override_service.open()
+            if self._override_service is not None:
+                self.destroy_service(self._override_service)
+            self._override_service = None
+        elif self._override_service is None:
+            self._override_service = self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
+
+    def _on_override(self, request: OverrideGains.Request, answer: OverrideGains.Response) -> OverrideGains.Response:
+        own, gains = self.get_name(), (request.proportional_gain, request.integral_gain)
+        try:
+            if request.whom not in ("", own):
+                raise ValueError(f"{own} chooses the gains here, not {request.whom}")
+            if request.active:
+                answer.message = self.override.hold(*gains, request.seconds, self.now())
+            else:
+                answer.message = self.override.release()
+            answer.success = True
+        except ValueError as error:
+            answer.success, answer.message = False, str(error)
+            self.warn(f"override refused: {error}")
+        except OSError as error:  # the run's record cannot be written, which ends the run
+            answer.success, answer.message = False, str(error)
+            self.fail(error)
+        wanted = "hold ({:g}, {:g}) for {:g} s".format(*gains, request.seconds)
+        told = answer.message if answer.success else f"refused: {answer.message}"
+        self._log_call(
+            f"{request.name or 'somebody'}: override, {wanted if request.active else 'give the gains back'}: {told}"
+        )
+        return answer
 
     def fail(self, error: Exception) -> None:
         """End the session by an error, which is raised there: in a callback rclpy would print it, too."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from rclpy.clock import Clock, ClockType
 from tqdm import tqdm
@@ -15,25 +15,63 @@ from hydro_bridge.ros.topics import TRAINING, create_publisher
 from hydro_core.cli.console import progress
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.evaluation.runner import Phase, TrialRunner
-from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.graph_node import GraphNode
 
 if TYPE_CHECKING:  # evaluate does without
-    from hydro_policy.sessions.plan import TrainingPlan
+    from hydro_policy.training_plan import TrainingPlan
+
+P = TypeVar("P", bound="TrialProgress")
 
 _REDRAW = 4  # ticks of 50 ms
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
 """Without a rate: waiting and examinations take their time too."""
 
 
-class TrainingProgress:
+class TrialProgress:
+    """Progress bar of a plan's trials; use as context manager.
+
+    `label`: of the bar. `total`: trials, or s of them; 0: not known. `bar_format`: as of tqdm.
+    """
+
+    def __init__(self, session: TrialRunner[Any], label: str, total: float = 0.0, bar_format: str = "") -> None:
+        self._session, self._label, self._total = session, label, total or session.plan.total
+        form = bar_format or (_BAR.replace("{elapsed}", "{elapsed}<{remaining}") if self._total else None)
+        self._bar: tqdm[None] = progress(total=self._total or None, label=label, bar_format=form)
+
+    def __enter__(self: P) -> P:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.tick()
+        self._redraw()
+        self._bar.close()
+
+    def tick(self) -> None:
+        """Redraw; call every 50 ms."""
+        self._redraw()
+
+    @property
+    def _override(self) -> str:
+        override = self._session.override
+        return f"OVERRIDDEN {override.description}" if override.active else ""
+
+    def _redraw(self) -> None:
+        session, now = self._session, self._session.watch.summary
+        self._bar.n = round(session.plan.done)
+        if (trial := session.plan.trial) is not None:
+            self._bar.set_description_str(self._label + ("" if now == "armed" else f" ({now})"), refresh=False)
+            self._bar.set_postfix_str(", ".join(filter(None, (self._override, trial.name))), refresh=False)
+        self._bar.refresh()
+
+
+class TrainingProgress(TrialProgress):
     """Progress bar, topic and diagnostics of one training."""
 
     def __init__(self, node: GraphNode, session: TrialRunner[TrainingPlan]) -> None:
-        self._node, self._session, self._plan, self._learner = node, session, session.plan, session.plan.learner
-        self.phase: Callable[[], Phase] = lambda: session.phase
+        self._node, self._plan, self._learner = node, session.plan, session.plan.learner
         self._steps = self._plan.settings.task.steps_per_episode
-        total = self._plan.settings.episodes * self._steps
-        self._bar: tqdm[None] = progress(total=total, label="waiting", bar_format=_BAR)
+        super().__init__(session, "waiting", self._plan.settings.episodes * self._steps, _BAR)
+        self.phase: Callable[[], Phase] = lambda: session.phase
         self._ticks, self._told = 0, self._plan.progress.episode
         self._examined = len(self._plan.progress.exams)
         self._message = TrainingStatus()
@@ -42,7 +80,7 @@ class TrainingProgress:
         self._diagnostics = DiagnosticsPublisher(node, self._status)
 
     def tick(self) -> None:
-        """Redraw at intervals, and print a line for each finished episode."""
+        """Redraw at intervals, and print a line for each finished episode and examination."""
         progress = self._plan.progress
         while self._told < progress.episode:
             self._node.say(_episode_line(progress.history[self._told], self._plan.settings.episodes))
@@ -53,12 +91,6 @@ class TrainingProgress:
         self._ticks += 1
         if self._ticks % _REDRAW == 0:
             self._redraw()
-
-    def close(self) -> None:
-        """Take the bar away."""
-        self.tick()
-        self._redraw()
-        self._bar.close()
 
     def publish(self) -> None:
         """Publish TrainingStatus."""
@@ -76,26 +108,22 @@ class TrainingProgress:
 
     def _redraw(self) -> None:
         session, plan, bar = self._session, self._plan, self._bar
-        under_way = plan.explorer.current.steps if session.phase is Phase.TRAINING else 0
-        bar.n = min(plan.progress.episode * self._steps + under_way, bar.total or 0)
-        now = session.watch.summary
-        doing, state = session.phase.name.lower(), "" if now == "armed" else f" ({now})"
+        now, done, trains = plan.explorer.current, plan.progress, session.phase is Phase.TRAINING
+        bar.n = min(done.episode * self._steps + (now.steps if trains else 0), bar.total or 0)
+        doing, state = session.phase.name.lower(), session.watch.summary
         if plan.exam is not None:
             doing = f"examining, {len(plan.scores) + 1} of {len(plan.exam)}"
-        bar.set_description_str(now if session.phase is Phase.WAITING else f"{doing}{state}", refresh=False)
-        bar.set_postfix_str(self._figures(), refresh=False)
+        described = doing + ("" if state == "armed" else f" ({state})")
+        bar.set_description_str(state if session.phase is Phase.WAITING else described, refresh=False)
+        figures = [self._override]
+        if trains:
+            rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
+            figures += [f"return {now.episode_return:.0f}"]
+            figures += [f"RMSE {rmse:.1f} N"] if math.isfinite(rmse) else []  # none before the first samples
+            figures += [f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"]
+            figures += [f"latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"]
+        bar.set_postfix_str(", ".join(filter(None, figures)), refresh=False)
         bar.refresh()
-
-    def _figures(self) -> str:
-        held = f"OVERRIDDEN {self._session.override.description}" if self._session.override.active else ""
-        if self._session.phase is not Phase.TRAINING:
-            return held
-        now, done = self._plan.explorer.current, self._plan.progress
-        rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
-        learner = f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"
-        error = f"RMSE {rmse:.1f} N" if math.isfinite(rmse) else ""  # none before the first samples
-        latency = f"latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"
-        return ", ".join(filter(None, (held, f"return {now.episode_return:.0f}", error, learner, latency)))
 
     def _status(self) -> Status:
         session, plan, node, learner = self._session, self._plan, self._node, self._learner
@@ -109,7 +137,7 @@ class TrainingProgress:
             "interruptions": done.interruptions,
             "rollbacks": done.rollbacks,
             "examination": _exam_line(done.exams[-1], plan) if done.exams else "none yet",
-            "last stop": plan.run.last_stop or "none",
+            "last stop": plan.last_stop or "none",
             "override": session.override.description,
             "policy": f"blake2b {plan.policy.digest()}",
             "best score": done.best_score,
@@ -128,33 +156,6 @@ class TrainingProgress:
         message += "" if learner.alive else ", learner down"
         message += f", OVERRIDDEN by hand: {session.override.description}" if overridden else ""
         return Status(level=Level.OK if fine else Level.WARN, message=message, values=values)
-
-
-class TrialProgress:
-    """Progress bar of a plan's trials; use as context manager."""
-
-    def __init__(self, session: TrialRunner[Any], label: str) -> None:
-        self._session, self._label = session, label
-        form = _BAR.replace("{elapsed}", "{elapsed}<{remaining}") if session.plan.total else None
-        self._bar: tqdm[None] = progress(total=session.plan.total or None, label=label, bar_format=form)
-
-    def __enter__(self) -> TrialProgress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.tick()
-        self._bar.close()
-
-    def tick(self) -> None:
-        """Redraw."""
-        session = self._session
-        self._bar.n = round(session.plan.done)
-        if (trial := session.plan.trial) is not None:
-            state = "" if (now := session.watch.summary) == "armed" else f" ({now})"
-            held = f"OVERRIDDEN {session.override.description}, " if session.override.active else ""
-            self._bar.set_description_str(f"{self._label}{state}", refresh=False)
-            self._bar.set_postfix_str(f"{held}{trial.name}", refresh=False)
-        self._bar.refresh()
 
 
 def _exam_line(result: dict[str, Any], plan: TrainingPlan) -> str:

@@ -1,28 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State of a training run: progress, record of events, verdicts, and which agents are candidate, good and best.
+"""The plan of a training: which trial is next, and which of the learner's agents is candidate, good and best.
 
-A failing policy is replaced by the last one that passed an examination::
+    examination ──> episodes ──> examination ──> episodes ──> ... ──> examination
+                       ^   stopped: back to the last good policy, after too many in a row the end
+                       └── interrupted: begun again
 
     learner's state ──propose──> candidate ──accept──> last good ──(best score)──> best, on disk
-                                     └────── stopped: roll_back to the last good one; after too many in a row: the end
+
+An examination is a comparison of the policy's mean action, and of fixed gains where their scores are not yet known;
+learning goes on meanwhile, the acting policy does not change. `evaluation.runner.TrialRunner` makes the trials.
+
+A plant that goes by its own clock waits for the learner: each step acts on the weights after all updates that were due
+at its beginning, and examinations and checkpoints are of that state.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
-from hydro_core.signals import FloatArray
-from hydro_policy.evaluation.exploration import EpisodeRecord
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
+from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
+from hydro_policy.evaluation.exploration import EpisodeRecord, Explorer
+from hydro_policy.evaluation.runner import TrialRunner
+from hydro_policy.evaluation.trial import Comparison, Plan, Trial
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.sac import actor_parameters
-from hydro_policy.task.cases import ExamSettings, Score
+from hydro_policy.supervision.monitor import SafetyMonitor
+from hydro_policy.supervision.plant_supervisor import Outputs, PlantSupervisor
+from hydro_policy.task.cases import Case, ExamSettings, Score
+from hydro_policy.task.mdp import events
 
 CHANCE = 0.025
 """Probability that a score passes for better by chance, over the comparisons of the run so far (Bonferroni)."""
@@ -61,63 +74,145 @@ class Progress:
     history: list[dict[str, float]] = field(default_factory=list)
 
 
-class RunState:
-    """The one state of a run: what has happened, what it follows for the run, and the agents that came of it.
+class TrainingPlan(Plan):
+    """Episodes and examinations, with the learner that they are for.
 
     Parameters
     ----------
     settings
         Settings of the run.
     learner
-        Running learner, which stores accepted policies.
-    progress
-        Progress of the run so far, as held by a checkpoint.
-    best
-        The best agent of the resumed run, or None.
+        Running learner, which stores accepted agents.
+    outputs
+        The graph.
+    state, best
+        `state()` and best agent of the run to continue, or None.
     record
         Record of events.
     """
+
+    training = True
 
     def __init__(
         self,
         settings: TrainingSettings,
         learner: LearnerSupervisor,
-        progress: Progress | None = None,
+        outputs: Outputs,
+        *,
+        state: dict[str, Any] | None = None,
         best: bytes | None = None,
         record: RunRecord | None = None,
     ) -> None:
-        self.settings, self.learner = settings, learner
-        self.progress, self.record = progress or Progress(), record or RunRecord()
+        self.settings, self.learner, self.record = settings, learner, record or RunRecord()
+        self.progress = Progress() if state is None else Progress(**state["progress"])
         self.gave_up = ""
         """Why the run ended before its last episode; empty if it did not."""
         self.last_stop = ""
         """Why a policy was last stopped; empty if none was."""
         self.rollbacks_in_a_row = 0
         """Rollbacks since a policy was last accepted."""
-        self.exact = False
-        """Whether the plant waits for the learner, so that a run is a function of its seed."""
+        self.explorer = Explorer(settings, learner.replay, outputs, learner.new_weights, learner.wake)
+        self.explorer.published = self.explorer.total_steps = self.progress.total_steps
+        if state is not None:
+            self.explorer.rng.bit_generator.state = state["random_state"]
+        self.policy = self.explorer.policy
+        self.exam: Comparison | None = None
+        """The present examination."""
+        self.scores: list[Score] = []
+        """Of the present examination."""
         self._candidate: bytes | None = None
         self._good, self._best = best, best
         if best is not None:
             learner.save_policy(best)
+        self._exact = False  # whether the plant waits for the learner, so that a run is a function of its seed
+        self._fresh = True  # no episode has passed since the box was armed
+        self._trial = self._due()
+
+    # ---------------------------------------------------------------------------------------------------- trials
+
+    @property
+    def trial(self) -> Trial | None:
+        """See `Plan`."""
+        return None if self.gave_up else self._trial
 
     @property
     def trained(self) -> bool:
         """Whether all episodes are done."""
         return self.progress.episode >= self.settings.episodes
 
-    @property
-    def improved(self) -> bool:
-        """Whether a policy trained here scored better than the initial one, by more than noise."""
-        return any(exam["best"] and exam["episode"] > 0 for exam in self.progress.exams)
+    def begin(self, trial: Trial) -> None:
+        """See `Plan`: the first agent is good until a better one is known; the learner's present state is examined."""
+        self.start()
+        if self.exam is None:
+            self.explorer.begin(self.progress.episode + 1, trial.case.signal)
+        elif not self.scores:
+            if (parameters := self.propose()) is not None:
+                self.policy.load_flat(parameters)
+            self.explorer.forget()
 
-    @property
-    def exam_due(self) -> bool:
-        """Whether an examination is due: before the first episode, at intervals, and after the last; once each."""
-        done, every = self.progress.episode, self.settings.exam.every
-        return bool(every) and self.progress.examined < done and (self.trained or done % every == 0)
+    def add(self, score: Score) -> str:
+        """See `Plan`: a policy that was stopped is rolled back."""
+        if score.stopped and score.controller in (EXAMINED, self.explorer.name):
+            return self._stop(score.stopped)
+        if self.exam is None:
+            self._fresh = False
+            best = self._add_episode(self.explorer.current)
+        else:
+            self.scores.append(score)
+            self.exam.add(score)
+            if self.exam.trial is not None:
+                self._trial = self.exam.trial
+                return ""
+            best = self.add_exam(self.scores, self.policy.digest())
+        self.learner.save(self.state(), best, exact=self._exact)
+        self._trial = self._due()
+        return ""
 
-    def add_episode(self, done: EpisodeRecord) -> bool:
+    def pause(self) -> None:
+        """See `Plan`: an examination begins anew."""
+        self.progress.interruptions += 1
+        self._fresh = True
+        self._trial = self._due()
+
+    def wait(self, *, exact: bool) -> None:
+        """See `Plan`."""
+        self._exact = exact
+        if exact:
+            self.learner.settle()
+
+    def look_after(self) -> str:
+        """See `Plan`."""
+        return self.learner.restart_if_dead() or ""
+
+    def state(self) -> dict[str, Any]:
+        """Return the state for a checkpoint, as JSON types."""
+        progress = self.progress
+        progress.total_steps = self.explorer.total_steps
+        summary = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
+        return {**summary, "progress": asdict(progress), "random_state": self.explorer.rng.bit_generator.state}
+
+    def _due(self) -> Trial | None:
+        """Return the first trial of an examination, the episode after the finished ones, or None.
+
+        Examinations are due before the first episode, at intervals, and after the last; once each.
+        """
+        self.exam, self.scores = None, []
+        task, done, exam = self.settings.task, self.progress.episode, self.settings.exam
+        if exam.every and self.progress.examined < done and (self.trained or done % exam.every == 0):
+            controllers: list[Controller] = [PolicyController(self.policy, task.gains, EXAMINED)]
+            if reference_too := not self.progress.reference_rmse:
+                controllers.append(FixedGains(exam.reference_kp, exam.reference_ki, self.settings.base_gains))
+            self.exam = Comparison(exam.evaluation, controllers, LEAD if self._fresh or reference_too else 0.0)
+            return self.exam.trial
+        if self.trained:
+            return None
+        case = Case(f"episode {done + 1}", events.reference(task, done, self.settings.seed))
+        seconds = task.steps_per_episode * SAMPLES_PER_STEP * SAMPLE_PERIOD
+        return Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, judged=False)
+
+    # ---------------------------------------------------------------------------------------------------- results
+
+    def _add_episode(self, done: EpisodeRecord) -> bool:
         """Add a completed episode; returns True if its policy is the best so far."""
         progress = self.progress
         progress.episode += 1
@@ -130,7 +225,7 @@ class RunState:
         if not self.settings.exam.every:  # all that is known is that it completed the episode
             best = done.lag < progress.best_lag
             self.propose()
-            self.accept(best)
+            self._accept(best)
         progress.best_lag = min(done.lag, progress.best_lag)
         return best
 
@@ -140,17 +235,17 @@ class RunState:
         One in which the machine was held up makes no policy the best.
         The first one is that of the initial policy: the run returns it, or one that is better by more than noise.
         """
-        progress, settings = self.progress, self.settings.exam
-        reference = progress.reference_rmse or reference_rmse(settings, scores)
+        progress = self.progress
+        reference = progress.reference_rmse or reference_rmse(self.settings.exam, scores)
         if not any(run.spoilt for run in scores if run.controller != EXAMINED):
             progress.reference_rmse = reference
         rmse, score, error = verdict(scores, reference)
         beaten = sum(own < fixed for own, fixed in zip(rmse, reference, strict=True))
         errors = [*(exam["error"] for exam in progress.exams if not exam.get("spoilt")), error]
-        kept = next((exam["error"] for exam in reversed(progress.exams) if exam["best"]), 0.0)
+        best_error = next((exam["error"] for exam in reversed(progress.exams) if exam["best"]), 0.0)
         spoilt = any(run.spoilt for run in scores)
-        best = not spoilt and significantly_better(score, progress.best_score, errors, kept)
-        self.accept(best)
+        best = not spoilt and significantly_better(score, progress.best_score, errors, best_error)
+        self._accept(best)
         progress.examined, progress.best_score = progress.episode, score if best else progress.best_score
         if progress.passed_at < 0 and beaten == len(rmse) and not spoilt:
             progress.passed_at = progress.episode
@@ -159,34 +254,43 @@ class RunState:
         self.record.add("exam", **progress.exams[-1], reference_rmse=reference)
         return best
 
-    def add_stop(self, reason: str, where: str, good: str = "") -> str:
-        """Add a stop with rollback of the policy; returns the sentence for the user. Too many stops: `gave_up`.
+    def _stop(self, reason: str) -> str:
+        """Return to the last good policy, which learns the penalty if it explored; returns the sentence for the user.
 
-        `good` is the digest of the policy that acts from now on; empty: there is no other.
+        Too many stops in a row: the run gives up.
         """
+        where = f"episode {self.explorer.current.episode}"
+        if self.exam is not None:
+            where, self.progress.examined = "the examination", self.progress.episode
         self.progress.rollbacks += 1
-        self.last_stop = reason
+        self.rollbacks_in_a_row += 1
+        self.last_stop, most = reason, self.settings.monitor.rollbacks_max
         sentence = f"policy stopped in {where}: {reason}; rolled back to the last good one"
-        sentence += f" ({good})" if good else ""
-        if self.rollbacks_in_a_row > self.settings.monitor.rollbacks_max:
+        if (good := self.good) is not None:
+            self.learner.roll_back()
+            self.policy.load_flat(good)
+            sentence += f" ({self.policy.digest()})"
+        if self.rollbacks_in_a_row > most:
             self.gave_up = f"{self.rollbacks_in_a_row} rollbacks in a row, the last: {reason}"
-            sentence += f"; that was once too often ({self.settings.monitor.rollbacks_max} in a row): the run ends"
+            sentence += f"; that was once too often ({most} in a row): the run ends"
         self.record.add("stop", sentence, reason=reason, rollbacks=self.progress.rollbacks)
+        self._trial = self._due()
         return sentence
+
+    # ----------------------------------------------------------------------------------------------------- agents
 
     def start(self) -> None:
         """Accept the initial agent as good until a better one is known; call when the learner is ready."""
         if self._good is None:
             self.propose()
-            self.accept()
+            self._accept()
 
     def propose(self) -> FloatArray | None:
         """Take the learner's state as candidate; returns its actor's parameters, None if there is no state yet."""
-        self._candidate = self.learner.snapshot(exact=self.exact)
+        self._candidate = self.learner.snapshot(exact=self._exact)
         return None if self._candidate is None else actor_parameters(self._candidate)
 
-    def accept(self, best: bool = False) -> None:
-        """Accept the candidate; `best`: it is better than any before."""
+    def _accept(self, best: bool = False) -> None:
         if self._candidate is not None:
             self._good = self._candidate
             self._best = self._good if best else self._best
@@ -203,12 +307,10 @@ class RunState:
         """Parameters of the best actor so far; before there is one, of the last good one."""
         return self.good if self._best is None else actor_parameters(self._best)
 
-    def roll_back(self) -> FloatArray | None:
-        """Roll back; returns the parameters of the actor that acts from now on, None if there never was a state."""
-        self.rollbacks_in_a_row += 1
-        if self._good is not None:
-            self.learner.roll_back()
-        return self.good
+    @property
+    def improved(self) -> bool:
+        """Whether a policy trained here scored better than the initial one, by more than noise."""
+        return any(exam["best"] and exam["episode"] > 0 for exam in self.progress.exams)
 
 
 def significantly_better(score: float, best: float, errors: Sequence[float], best_error: float = 0.0) -> bool:
@@ -251,3 +353,8 @@ def _by_case(scores: Sequence[Score]) -> list[list[Score]]:
     """Return the runs of each sine, sines in order of first occurrence."""
     names = dict.fromkeys(score.case for score in scores)
     return [[score for score in scores if score.case == name] for name in names]
+
+
+def training(plan: TrainingPlan, watch: PlantSupervisor) -> TrialRunner[TrainingPlan]:
+    """Return the runner of a training, whose monitor stops policies."""
+    return TrialRunner(plan, watch, monitor=SafetyMonitor(plan.settings.monitor))
