@@ -65,7 +65,9 @@ class InlineLearner:
 
     def new_weights(self) -> FloatArray | None:
         """See `LearnerSupervisor.new_weights`."""
-        return self._learner.sac.actor_parameters() if self._latest.news and self._latest.read() is not None else None
+        return (
+            self._learner.sac.actor_parameters() if self._latest.changed and self._latest.read() is not None else None
+        )
 
     def work(self) -> None:
         """Perform all pending updates, then publish."""

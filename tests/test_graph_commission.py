@@ -23,8 +23,8 @@ from hydro_core.errors import UserError
 from hydro_core.files import site
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
-from hydro_policy.nodes.commissioning import NAMES, comparison
-from hydro_policy.nodes.plants import box_mismatch, expected_box, take_site
+from hydro_policy.nodes.commission import NAMES, comparison
+from hydro_policy.nodes.plants import apply_site, box_mismatch, expected_box
 from hydro_policy.nodes.site_runs import Site
 from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench
@@ -103,14 +103,14 @@ def test_a_site_stands_for_the_options_of_each_executable(tmp_path: Path) -> Non
     words = ["--site", str(tmp_path)]
     for plant, model in (("sim", tmp_path / site.MODEL), ("bench", None)):
         asked = evaluate.parser().parse_args(["--plant", plant, *words])
-        take_site(asked)
+        apply_site(asked)
         assert (asked.bench, asked.model, asked.base_gains) == (tmp_path / site.BENCH, model, [20.0, 4.0])
         assert asked.filter == f"--model {tmp_path / site.MODEL} --metric {tmp_path / site.METRIC}"
     settings, _ = sim.parse_args(words)
     assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH), str(tmp_path / site.MODEL))
     (tmp_path / site.METRIC).unlink()
     with pytest.raises(UserError, match="has not got that far"):
-        take_site(evaluate.parser().parse_args(["--plant", "sim", *words]))
+        apply_site(evaluate.parser().parse_args(["--plant", "sim", *words]))
 
 
 def test_a_bench_file_is_expected_of_a_plant_that_runs(tmp_path: Path) -> None:

@@ -32,8 +32,7 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.sac import actor_parameters
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
-from hydro_policy.supervision.plant_supervisor import learner as learner_ready
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor, learner_requirement
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.training_plan import TrainingPlan, training
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -160,7 +159,7 @@ def train(
     guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
-    watch = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
+    watch = PlantSupervisor(graph, True, [learner_requirement(lambda: learner.ready)])
     session = training(TrainingPlan(settings, learner, graph), watch)
     graph.run(session, 60.0 * episodes + (600.0 if every else 0.0), learner)
     return session, graph

@@ -180,7 +180,7 @@ class TrainingPlan(Plan):
         if exact:
             self.learner.settle()
 
-    def look_after(self) -> str:
+    def poll(self) -> str:
         """See `Plan`."""
         return self.learner.restart_if_dead() or ""
 

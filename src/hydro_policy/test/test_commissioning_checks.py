@@ -38,12 +38,12 @@ MISTAKES: tuple[tuple[str, Callable[[StateArray], dict[str, FloatArray]]], ...] 
 
 
 def test_a_right_bench_passes() -> None:
-    noise, off = checks.sensors(REST, BENCH)
+    noise, off = checks.sensor_noise(REST, BENCH)
     assert noise["load_force"] == pytest.approx(0.6, rel=0.1) and abs(off) < 1.0
     creeping = REST.copy()
     creeping["load_force"] += 0.4 * creeping["time"]
     assert checks.creep(creeping) - checks.creep(REST) == pytest.approx(0.4)
-    assert min(checks.signs(MOTION[1000:], BENCH).values()) > checks.FOLLOWS
+    assert min(checks.channel_correlations(MOTION[1000:], BENCH).values()) > checks.FOLLOWS
 
 
 def test_a_reading_at_rest_that_cannot_be_and_a_sign_are_told() -> None:
@@ -53,49 +53,49 @@ def test_a_reading_at_rest_that_cannot_be_and_a_sign_are_told() -> None:
         for name, values in mistake(right).items():
             states[name] = values
         with pytest.raises(GateError, match=sentence):
-            (checks.sensors if number < 3 else checks.signs)(states, BENCH)
+            (checks.sensor_noise if number < 3 else checks.channel_correlations)(states, BENCH)
 
 
 def test_a_force_that_an_overlap_holds_back_still_follows_and_a_valve_that_hangs_is_told() -> None:
     states = MOTION[1000:].copy()
     states["load_force"] = 0.6 * np.roll(states["reference_force"], 300)
-    assert checks.signs(MOTION[1000:], BENCH)["load force and its reference"] > checks.FOLLOWS
-    checks.tracking(states, 0.5)
+    assert checks.channel_correlations(MOTION[1000:], BENCH)["load force and its reference"] > checks.FOLLOWS
+    checks.require_tracking(states, 0.5)
     states["load_force"] *= 0.1
     with pytest.raises(GateError, match="times the swing"):
-        checks.tracking(states, 0.5)
+        checks.require_tracking(states, 0.5)
 
 
 def test_lost_samples_and_late_commands_count() -> None:
     states = MOTION[:1000].copy()
     states["flags"] = Flag.ARMED
-    assert checks.unusable(states) == 0.0
+    assert checks.unusable_share(states) == 0.0
     states["flags"][:20] = Flag.ARMED | Flag.FILTER_STALE
-    assert checks.unusable(states) == pytest.approx(0.02)
+    assert checks.unusable_share(states) == pytest.approx(0.02)
     kept = states[states["sequence"] % 50 != 3]
-    assert checks.unusable(kept) == pytest.approx(0.04, abs=5e-3)
+    assert checks.unusable_share(kept) == pytest.approx(0.04, abs=5e-3)
     with pytest.raises(GateError, match="lost"):
-        checks.line(kept, 1.0)
+        checks.sample_loss(kept, 1.0)
 
 
 def test_of_an_evaluation_single_late_runs_do_not_count_and_many_do() -> None:
     runs = [{"samples": 3000, "lost": 20, "held": 0}, {"samples": 0, "lost": 0, "held": 0}]
     runs += [{"samples": 3000, "lost": 0, "held": 40}]
-    assert checks.disturbed({"runs": runs}) == pytest.approx(0.01)
-    assert checks.disturbed({"runs": runs[1:2]}) == 0.0
+    assert checks.disturbed_share({"runs": runs}) == pytest.approx(0.01)
+    assert checks.disturbed_share({"runs": runs[1:2]}) == 0.0
 
 
 def test_a_model_that_is_not_this_bench_is_told_before_the_valve_moves_behind_its_filter() -> None:
-    checks.fits(MOTION, default_filter(BENCH))
+    checks.require_matching_filter(MOTION, default_filter(BENCH))
     other = MOTION.copy()
     other["load_force"] *= 1.3
     with pytest.raises(GateError, match="spring or its load cell"):
-        checks.fits(other, default_filter(BENCH))
+        checks.require_matching_filter(other, default_filter(BENCH))
 
 
 def test_a_piston_that_stands_is_no_exchanged_channel_and_is_moved_further() -> None:
     states = MOTION[1000:].copy()
     states["piston_position"], states["load_force"] = 0.05, 0.0
-    assert checks.held(states)
+    assert checks.held_back(states)
     with pytest.raises(GateError, match="the piston did not move under currents up to"):
-        checks.signs(states, BENCH)
+        checks.channel_correlations(states, BENCH)

@@ -86,12 +86,12 @@ def test_a_plant_that_a_person_disarmed_is_asked_for_now_and_then_until_a_person
     watch = armed_watch(heard, rearm=True)
     run(watch, 0, 1.1, 1.3)
     assert heard.armings == [False, True]
-    watch.leave_to_person(1.3)
+    watch.defer_to_person(1.3)
     run(watch, 0, 1.3, 31.0)
     assert heard.armings == [False, True]
     run(watch, 0, 31.0, 32.0)
     assert heard.armings == [False, True, False, True]
-    watch.leave_to_person(32.0)
+    watch.defer_to_person(32.0)
     run(watch, ARMED, 32.0, 32.1)
     run(watch, 0, 32.1, 32.3)
     assert heard.armings == [False, True] * 3

@@ -23,8 +23,7 @@ from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH, PlantSupervisor
-from hydro_policy.supervision.plant_supervisor import learner as learner_ready
+from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH, PlantSupervisor, learner_requirement
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import GainRange, Step, StepClock, TaskSettings
 from hydro_policy.training_plan import LEAD, TrainingPlan, training
@@ -45,7 +44,7 @@ def settings(*, episodes: int = 2, top: float = 75.0, **more: object) -> Trainin
 def start(chosen: TrainingSettings) -> tuple[OfflineGraph, InlineLearner, TrialRunner[TrainingPlan]]:
     guard = GuardSettings(delta_kp_max=chosen.task.gains.delta_kp_max)
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, guard=guard), InlineLearner(chosen)
-    watch = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
+    watch = PlantSupervisor(graph, True, [learner_requirement(lambda: learner.ready)])
     return graph, learner, training(TrainingPlan(chosen, learner, graph), watch)
 
 

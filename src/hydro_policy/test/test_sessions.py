@@ -17,8 +17,7 @@ from hydro_policy.evaluation.runner import REPEATS, SILENCE, Phase, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor
-from hydro_policy.supervision.plant_supervisor import learner as learner_ready
+from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor, learner_requirement
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import StepClock, TaskSettings, rewards
 from hydro_policy.training_plan import TrainingPlan, training
@@ -40,7 +39,7 @@ def short(**task: float) -> TrainingSettings:
 
 def start(settings: TrainingSettings, *, config: BoxConfig | None = None, record: RunRecord | None = None):
     graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=config), InlineLearner(settings)
-    supervisor = PlantSupervisor(graph, True, [learner_ready(lambda: learner.ready)])
+    supervisor = PlantSupervisor(graph, True, [learner_requirement(lambda: learner.ready)])
     return graph, learner, training(TrainingPlan(settings, learner, graph, record=record), supervisor)
 
 

@@ -29,7 +29,7 @@ _LONGEST_GAP = 1000
 """Samples missing in a row beyond which the recording was interrupted on purpose."""
 
 
-def line(states: StateArray, seconds: float) -> tuple[float, float]:
+def sample_loss(states: StateArray, seconds: float) -> tuple[float, float]:
     """Return rate [1/s] and share of lost samples of a recording of so many seconds at rest."""
     steps = np.diff(states["sequence"].astype(np.int64))
     lost = float(np.mean(steps - 1)) if len(steps) else 1.0
@@ -38,7 +38,7 @@ def line(states: StateArray, seconds: float) -> tuple[float, float]:
     return float(len(steps) / np.ptp(states["time"])), lost
 
 
-def sensors(states: StateArray, bench: Bench) -> tuple[dict[str, float], float]:
+def sensor_noise(states: StateArray, bench: Bench) -> tuple[dict[str, float], float]:
     """Return the noise of each reading at rest, by field in its unit, and the hydraulic force [N] off the pressures."""
     most = bench.piston_area * bench.supply_pressure  # N, of the piston at full supply
     ranges = {
@@ -67,7 +67,7 @@ def creep(states: StateArray) -> float:
     return float(np.polyfit(states["time"] - states["time"][0], states["load_force"], 1)[0])
 
 
-def signs(states: StateArray, bench: Bench) -> dict[str, float]:
+def channel_correlations(states: StateArray, bench: Bench) -> dict[str, float]:
     """Return the correlations of readings that follow one another in a motion at `SLOW` Hz.
 
     The load force may come up to a quarter of a cycle after its reference: overlap and dry friction hold it.
@@ -91,7 +91,7 @@ def signs(states: StateArray, bench: Bench) -> dict[str, float]:
     return found
 
 
-def tracking(states: StateArray, frequency: float) -> None:
+def require_tracking(states: StateArray, frequency: float) -> None:
     """Raise GateError unless the load force follows a sine: of `SWING` of its size, within a quarter of a cycle.
 
     An overlap of the valve and dry friction may hold it far off: they are found later, by what the valve moves.
@@ -105,30 +105,30 @@ def tracking(states: StateArray, frequency: float) -> None:
         )
 
 
-def held(states: StateArray) -> bool:
+def held_back(states: StateArray) -> bool:
     """Return whether overlap and dry friction hold the load force back in a motion at `SLOW` Hz: try a larger one."""
     return not np.ptp(states["piston_position"]) or 0.0 < _follows(states, SLOW) <= FOLLOWS
 
 
-def unusable(armed: StateArray) -> float:
+def unusable_share(armed: StateArray) -> float:
     """Return the share of a recording's armed samples that were lost, or for which commands were late."""
     lost = np.diff(armed["sequence"].astype(np.int64)) - 1
     late = armed["flags"] & (Flag.FILTER_STALE | Flag.WATCHDOG) != 0
     return float((lost[lost < _LONGEST_GAP].sum() + late.sum()) / len(armed))
 
 
-def disturbed(content: Mapping[str, Any]) -> float:
+def disturbed_share(content: Mapping[str, Any]) -> float:
     """Return the share of an evaluation's samples, from its JSON, that were lost or in which base gains were held."""
     spoilt = sum(run["lost"] + run["held"] for run in content["runs"])
     return float(spoilt / max(sum(run["samples"] for run in content["runs"]), 1))
 
 
-def still(entry: Mapping[str, Any], amplitude: float) -> bool:
+def hardly_follows(entry: Mapping[str, Any], amplitude: float) -> bool:
     """Return whether the load force hardly followed sines of this amplitude [N]; `entry` of `record.scored`."""
     return any(rmse is not None and rmse > STILL * amplitude / np.sqrt(2.0) for rmse in entry["rmse"].values())
 
 
-def fits(states: StateArray, loop_filter: LoopFilter) -> None:
+def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None:
     """Raise GateError if the filter would say MISMATCH in a recording: its model predicts this bench too badly.
 
     Parameters

@@ -126,7 +126,7 @@ class Record:
             table.add(gate=gate.name, status=gate.status, seconds=round(gate.seconds, 1), found=gate.reason)
         return table
 
-    def compared(self) -> Table:
+    def comparison_table(self) -> Table:
         """Return the comparison as a table."""
         cases = list(dict.fromkeys(case for entry in self.comparison.values() for case in entry["rmse"]))
         title = f"Force RMSE [N], sines of {self.amplitude:.0f} N"
@@ -144,7 +144,7 @@ class Record:
         gains = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in self.certified_gains.items())
         found = [
             Section(heading="Gates", table=self.table()),
-            Section(heading="Comparison", table=self.compared()),
+            Section(heading="Comparison", table=self.comparison_table()),
             Section(heading="Causes beside the bench file", table=causes),
             Section(heading="Certified gains", text=", ".join(gains)),
             Section(heading="What to watch", text=" ".join(self.watch)),

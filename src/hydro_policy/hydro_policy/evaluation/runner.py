@@ -162,7 +162,7 @@ class TrialRunner(Generic[P]):
 
     @property
     def phase(self) -> Phase:
-        """What is going on."""
+        """Phase of the session, as /hydro/training tells it."""
         return Phase.FINISHED if self.finished else self._phase
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -270,7 +270,7 @@ class TrialRunner(Generic[P]):
         self.watch.on_tick(now)
         if self.watch.lost:
             self._pause(self._run, "no samples")
-        if warning := self.plan.look_after():
+        if warning := self.plan.poll():
             self._outputs.say(warning, warning=True)
 
     def on_correction(self, after: float, status: int) -> None:

@@ -73,8 +73,8 @@ class Plan(ABC):
         """Prepare a policy step of a training; `exact`: the plant goes by its own clock and waits meanwhile."""
         return
 
-    def look_after(self) -> str:
-        """Look after what is computed meanwhile, some twenty times a second; returns a warning, if there is one."""
+    def poll(self) -> str:
+        """Poll what is computed meanwhile, some twenty times a second; returns a warning, if there is one."""
         return ""
 
 

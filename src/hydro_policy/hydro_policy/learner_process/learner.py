@@ -28,10 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_core.files.atomic import write_whole
-from hydro_core.signals import FloatArray
 from hydro_policy.runs.run import RunDirectory, TrainingSettings, save_checkpoint
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
+from hydro_policy.sac.sac import Losses, ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from hydro_sim.files.pairing import with_provenance
@@ -80,15 +79,15 @@ class Latest:
         return None
 
     @property
-    def news(self) -> bool:
+    def changed(self) -> bool:
         """Whether there is a newer value than the last one read here."""
         return bool(self._version[0] > self._seen)
 
 
-UPDATES, ENTROPY, READY, CHECKPOINTS, ROLLBACKS = range(5)
-"""Places in status: updates done, alpha, 1 once there are weights, checkpoints written, rollbacks done."""
-LOSSES = slice(5, 8)
-"""Place of `sac.Losses`."""
+STATUS = np.dtype(
+    [(name, np.float64) for name in ("updates", "alpha", "ready", "checkpoints", "rollbacks", *Losses._fields)]
+)
+"""Progress of a learner: updates done, alpha, 1 once there are weights, checkpoints written, rollbacks done, losses."""
 
 
 class LearnerMemory:
@@ -98,15 +97,15 @@ class LearnerMemory:
         self.capacity, length = settings.replay_capacity, len(agent(settings).state)
         self._replay = self._block(ReplayBuffer.nbytes(OBSERVATIONS, ACTIONS, self.capacity))
         self._latest, self._good = self._block(Latest.nbytes(length)), self._block(Latest.nbytes(length))
-        self._status = self._block(64)
+        self._status = self._block(STATUS.itemsize)
 
     def _block(self, size: int) -> Any:
         return CONTEXT.RawArray(ctypes.c_uint8, size)
 
-    def open(self) -> tuple[ReplayBuffer, Latest, Latest, FloatArray]:
-        """Return replay buffer, latest and good `Sac.state`, and status for use in one process."""
+    def open(self) -> tuple[ReplayBuffer, Latest, Latest, Any]:
+        """Return replay buffer, latest and good `Sac.state`, and status (`STATUS`) for use in one process."""
         replay = ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
-        return replay, Latest(self._latest), Latest(self._good), np.frombuffer(self._status, np.float64)
+        return replay, Latest(self._latest), Latest(self._good), np.frombuffer(self._status, STATUS)[0]
 
 
 def agent(settings: TrainingSettings, blob: bytes | None = None) -> Sac:
@@ -171,8 +170,9 @@ class Learner:
         if not np.isfinite(sac.agent.actor.parameters.sum() + sac.agent.critics.parameters.sum()):
             raise FloatingPointError(f"the networks diverged at update {sac.updates}")
         self._latest.publish(sac.state)
-        status[LOSSES], status[ENTROPY], status[UPDATES] = sac.losses, sac.entropy_coefficient, sac.updates
-        status[READY] = 1.0
+        for name, loss in sac.losses._asdict().items():
+            status[name] = loss
+        status["alpha"], status["updates"], status["ready"] = sac.entropy_coefficient, sac.updates, 1.0
 
     def roll_back(self) -> None:
         """Continue from the last good state; the updates done stay counted, or they would be due again.
@@ -185,7 +185,7 @@ class Learner:
             self.sac.state[:] = good
             self.sac.updates = updates
         self.publish()
-        self._status[ROLLBACKS] += 1  # last: a reader that sees the count finds the weights
+        self._status["rollbacks"] += 1  # last: a reader that sees the count finds the weights
 
     def save(self, request: SaveRequest) -> None:
         """Write the checkpoint and, if it has changed, the policy's file. Raises OSError: as `write_run`."""
@@ -196,7 +196,7 @@ class Learner:
             kept.state[:] = good
             best = dump(kept)
         write_run(self._run, self.settings, dump(self.sac), self.replay, request.trainer, best)
-        self._status[CHECKPOINTS] += 1
+        self._status["checkpoints"] += 1
 
 
 def write_run(

@@ -22,15 +22,9 @@ import numpy as np
 from hydro_core.errors import UserError
 from hydro_core.signals import FloatArray
 from hydro_policy.learner_process.learner import (
-    CHECKPOINTS,
     CONTEXT,
     END,
-    ENTROPY,
-    LOSSES,
-    READY,
     ROLL_BACK,
-    ROLLBACKS,
-    UPDATES,
     WAKE,
     LearnerFault,
     LearnerMemory,
@@ -89,7 +83,8 @@ class LearnerSupervisor:
         self._niceness = NICENESS if real_time else 0
         self._memory = LearnerMemory(settings)
         self.replay, self._latest, self._good, self._status = self._memory.open()
-        self._status[LOSSES] = np.nan
+        for name in Losses._fields:
+            self._status[name] = np.nan
         self._rollbacks, self._unheard = 0, False  # requested; whether the last request could not be delivered
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
@@ -115,34 +110,34 @@ class LearnerSupervisor:
     @property
     def ready(self) -> bool:
         """Whether the present learner process has published weights."""
-        return bool(self._status[READY])
+        return bool(self._status["ready"])
 
     @property
     def updates(self) -> int:
         """Gradient updates so far."""
-        return int(self._status[UPDATES])
+        return int(self._status["updates"])
 
     @property
     def entropy_coefficient(self) -> float:
         """Entropy coefficient alpha."""
-        return float(self._status[ENTROPY])
+        return float(self._status["alpha"])
 
     @property
     def losses(self) -> Losses:
         """Losses of the last updates; NaN before the first."""
-        return Losses(*self._status[LOSSES].tolist())
+        return Losses(*(float(self._status[name]) for name in Losses._fields))
 
     @property
     def checkpoints(self) -> int:
         """Checkpoints written since the start."""
-        return int(self._status[CHECKPOINTS])
+        return int(self._status["checkpoints"])
 
     def new_weights(self) -> FloatArray | None:
         """Return the actor's flat parameters if they are newer than at the last call, else None.
 
         Also None until a requested rollback is done: earlier weights must not act.
         """
-        if self._status[ROLLBACKS] < self._rollbacks or not self._latest.news or not self._read():
+        if self._status["rollbacks"] < self._rollbacks or not self._latest.changed or not self._read():
             return None
         return self._copy.actor_parameters()
 
@@ -171,11 +166,11 @@ class LearnerSupervisor:
         It does not wait for a learner that is dead, starts, or takes more than a minute.
         """
         due = self._settings.updates_due(self.replay.produced)
-        self._await(lambda: self._status[UPDATES] >= due and self._status[ROLLBACKS] >= self._rollbacks)
+        self._await(lambda: self._status["updates"] >= due and self._status["rollbacks"] >= self._rollbacks)
 
     def _await(self, done: Callable[[], bool]) -> None:
         give_up = time.monotonic() + SETTLE_TIMEOUT
-        while not done() and self._status[READY] and time.monotonic() < give_up:
+        while not done() and self._status["ready"] and time.monotonic() < give_up:
             time.sleep(_GLANCE)
             if not self.alive:
                 return
@@ -186,7 +181,7 @@ class LearnerSupervisor:
 
     def roll_back(self) -> None:
         """Make the learner return to the last good state."""
-        self._rollbacks = int(self._status[ROLLBACKS]) + 1
+        self._rollbacks = int(self._status["rollbacks"]) + 1
         self._unheard = not self._ask(ROLL_BACK)  # `restart_if_dead` repeats the request to it or its successor
 
     def save(self, trainer: dict[str, Any], best: bool = False, *, exact: bool = False) -> bool:
@@ -196,9 +191,9 @@ class LearnerSupervisor:
         """
         if exact:
             self.settle()
-        wanted, asked = self._status[CHECKPOINTS] + 1, self._ask(SaveRequest(trainer, best))
+        wanted, asked = self._status["checkpoints"] + 1, self._ask(SaveRequest(trainer, best))
         if exact and asked:
-            self._await(lambda: self._status[CHECKPOINTS] >= wanted)
+            self._await(lambda: self._status["checkpoints"] >= wanted)
         return asked
 
     def restart_if_dead(self) -> str | None:
@@ -223,7 +218,7 @@ class LearnerSupervisor:
         self.restarts += 1
         self._requests.close()
         self._start()
-        if self._status[ROLLBACKS] < self._rollbacks:  # it died before the rollback
+        if self._status["rollbacks"] < self._rollbacks:  # it died before the rollback
             self._unheard = not self._ask(ROLL_BACK)
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
 
@@ -272,7 +267,7 @@ class LearnerSupervisor:
         )
 
     def _start(self) -> None:
-        self._status[READY] = 0.0
+        self._status["ready"] = 0.0
         self._said = ""  # by a learner that ends
         self._requests: Connection
         self._requests, theirs = CONTEXT.Pipe()

@@ -16,7 +16,7 @@ from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import command, make_parser, writable_file, writable_folder
-from hydro_policy.nodes.plants import LAWS, add_plant_options, take_site
+from hydro_policy.nodes.plants import LAWS, add_plant_options, apply_site
 
 
 def parser() -> argparse.ArgumentParser:
@@ -96,7 +96,7 @@ def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
     options = parser().parse_args(own)
-    take_site(options)
+    apply_site(options)
     from hydro_policy.nodes.evaluation import evaluate  # with compiled code: not for --help or a wrong option
 
     with running_ros(ros):

@@ -44,19 +44,19 @@ from hydro_policy.nodes.plants import (
     describe_policy,
     expected_box,
     guard_range,
+    keep_overridden,
     load_cell,
     may_rearm,
     plant_options,
     require_matching_policy,
     start_plant,
-    unless_said,
 )
 from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run import RunDirectory, RunRecord
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor, corrections
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor, corrections_requirement
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import BoxIdentity
@@ -211,7 +211,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             start_plant(stack, node, plant, wanted, folder, page=options.dashboard)
             if options.law == "compensated" and not unfiltered:
                 # the plant's flags tell nothing of the filter under a law that needs none
-                node.requirements.append(corrections(lambda: node.corrected))
+                node.requirements.append(corrections_requirement(lambda: node.corrected))
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, signals_ignored())
         if not node.wait_for_plant(law=options.law != "paper") or node.box is None:
@@ -223,7 +223,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
                 raise NotReadyError(NOT_OFFERED)
             node.say(f"{NOT_OFFERED}; the paper's law alone is compared")
         box = BoxIdentity.of_box(node.box)
-        settings = unless_said(node, settings, rescale(settings, NOMINAL, node.size))
+        settings = keep_overridden(node, settings, rescale(settings, NOMINAL, node.size))
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
         reach = guard_range(required_gain_range(controllers, grid, box.base_gains))

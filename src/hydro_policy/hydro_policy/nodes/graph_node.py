@@ -206,7 +206,7 @@ class GraphNode(Node):
         NotReadyError: no plant appeared in time, or its box was not described.
         """
         needed = (
-            plant_supervisor.plant(lambda: self._sampled < math.inf),
+            plant_supervisor.plant_requirement(lambda: self._sampled < math.inf),
             box_info_requirement(lambda: self.box is not None and self._laws_told),
         )
         self._laws_told |= not law
@@ -565,7 +565,7 @@ class GraphNode(Node):
         if response.message == BY_HAND:  # for as long as the person wants
             self.warn(response.message)
             if self._session is not None:
-                self._session.watch.leave_to_person(now)
+                self._session.watch.defer_to_person(now)
             return
         self._unarmed_since = min(self._unarmed_since, now)
         self.warn(f"the plant was not armed: {response.message}")

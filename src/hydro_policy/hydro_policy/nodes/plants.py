@@ -186,7 +186,7 @@ def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any]
         result.set_defaults(**{name: Path(word) if name in _FILES else word for name, word in words.items()})
 
 
-def take_site(options: argparse.Namespace) -> None:
+def apply_site(options: argparse.Namespace) -> None:
     """Set the options that --site takes the place of (raises UserError)."""
     files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL} --metric {site.METRIC}"}
     files |= {"model": site.MODEL} if options.plant == "sim" else {}
@@ -234,13 +234,13 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
     return replace(declare_parameters(node, settings), task=task, **parts)
 
 
-def unless_said(node: Node, before: T, after: T, prefix: str = "") -> T:
+def keep_overridden(node: Node, before: T, after: T, prefix: str = "") -> T:
     """Return the settings `after`, but what the user set as a parameter is as `before`."""
     kept: dict[str, Any] = {}
     for name in (field.name for field in fields(before)):  # type: ignore[arg-type]
         value = getattr(before, name)
         if is_dataclass(value):
-            kept[name] = unless_said(node, value, getattr(after, name), f"{prefix}{name}.")
+            kept[name] = keep_overridden(node, value, getattr(after, name), f"{prefix}{name}.")
         elif f"{prefix}{name}" in node._parameter_overrides:  # rclpy: no public way
             kept[name] = value
     return replace(after, **kept)  # type: ignore[type-var]

@@ -43,7 +43,7 @@ from hydro_policy.nodes.plants import (
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import corrections
+from hydro_policy.supervision.plant_supervisor import corrections_requirement
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.pairing import BoxIdentity
@@ -179,7 +179,7 @@ class Site:
             if self._typed is not None:
                 node.listen_for_enter(self._typed)
             filtered = tuple(words) != NO_FILTER
-            needed = (corrections(lambda: node.corrected),) if filtered else ()
+            needed = (corrections_requirement(lambda: node.corrected),) if filtered else ()
             watch = node.supervisor(recorder, *needed, rearm=self._rearm, filtered=filtered)
             results = evaluate_on(node, controllers, watch, settings=settings, learned=learned)
             if not results.finished:

@@ -14,7 +14,7 @@ from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import FIXED_ON_RESUME, command, explicit_options, make_parser, reject_changed_options
-from hydro_policy.nodes.plants import SCRATCH, add_plant_options, restore_plant_options, take_site
+from hydro_policy.nodes.plants import SCRATCH, add_plant_options, apply_site, restore_plant_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run import RunDirectory
 
@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def asked(words: Sequence[str]) -> argparse.Namespace:
+def parse_options(words: Sequence[str]) -> argparse.Namespace:
     """Parse the command line; --demo changes the defaults.
 
     Raises UserError: the options of a resumed run contradict those it was started with.
@@ -92,7 +92,7 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
         reject_changed_options(parser(), words, str(run.path), {**begun, **place})
         restore_plant_options(result, run.load_plant(), explicit_options(parser(), words))
         options = result.parse_args(words)
-    take_site(options)
+    apply_site(options)
     return options
 
 
@@ -100,7 +100,7 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
-    options = asked(own)
+    options = parse_options(own)
     options.configuration = options.configuration or "paper"
     from hydro_policy.nodes.training import train  # with numba, which takes a second: not for --help or a slip
 

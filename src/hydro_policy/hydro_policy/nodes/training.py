@@ -34,6 +34,7 @@ from hydro_policy.nodes.plants import (
     describe_policy,
     expected_box,
     guard_range,
+    keep_overridden,
     load_cell,
     may_rearm,
     plant_options,
@@ -41,7 +42,6 @@ from hydro_policy.nodes.plants import (
     requested_filter,
     require_matching_agent,
     start_plant,
-    unless_said,
 )
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.pretraining.configurations import configuration
@@ -127,10 +127,10 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         require_matching_agent(start, box)
         if new:
             size = settings.task.size
-            settings = unless_said(node, settings, rescale(settings, size, box.size or size))
+            settings = keep_overridden(node, settings, rescale(settings, size, box.size or size))
         if new and start is None:
             base, gains = box.base_gains or BASE, settings.task.gains
-            shifted = unless_said(node, gains, gains.shifted(BASE[0] - base[0], BASE[1] - base[1]), "task.gains.")
+            shifted = keep_overridden(node, gains, gains.shifted(BASE[0] - base[0], BASE[1] - base[1]), "task.gains.")
             settings = replace(settings, task=replace(settings.task, gains=shifted))
     if settings.made is not None and not new:
         remedy = "go on with it on its own box, or begin one here"
@@ -273,7 +273,7 @@ def train(options: argparse.Namespace) -> int:
             record.add("uncovered", uncovered)
         state = (checkpoint.trainer or None) if checkpoint else None
         plan = TrainingPlan(settings, learner, node, state=state, best=prepared.best, record=record)
-        watch = node.supervisor(plant_supervisor.learner(lambda: learner.ready), rearm=may_rearm(options))
+        watch = node.supervisor(plant_supervisor.learner_requirement(lambda: learner.ready), rearm=may_rearm(options))
         session = training(plan, watch)
         node.listen_to_corrections()
         node.tell_steps()
@@ -325,9 +325,9 @@ def drive(
         node.say(curves.NONE_BETTER)
     if not finished or plan.gave_up or not options.evaluate:
         return finished and not plan.gave_up, None
-    readiness = Readiness([plant_supervisor.learner(lambda: plan.learner.ready)], node.say)
+    readiness = Readiness([plant_supervisor.learner_requirement(lambda: plan.learner.ready)], node.say)
     while not readiness.complete:  # of a finished run that was resumed
-        if warning := plan.look_after():
+        if warning := plan.poll():
             node.warn(warning)
         readiness.look(time.monotonic())
         time.sleep(0.05)

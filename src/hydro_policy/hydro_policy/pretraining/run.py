@@ -9,7 +9,6 @@ import os
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ import yaml
 from tqdm import tqdm
 
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.pages import Section, results_page
+from hydro_bridge.pages import Section
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_options, progress, reject_changed_options
 from hydro_core.files.atomic import write_whole
@@ -33,6 +32,7 @@ from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
 from hydro_policy.runs.initial_agent import AGENT
+from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import actor_parameters, dump
@@ -151,8 +151,15 @@ def pretrain(options: argparse.Namespace) -> int:
         )
         return endings.exit_status(interruption)
     finally:
-        _leave_page(run, pretraining, source)
-    _show(run, pretraining, options.json, time.monotonic() - began)
+        _write_page(run, pretraining, source)
+    curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse).show(
+        options.json
+    )
+    print(
+        f"{run.path}: best score {pretraining.best_score:.3f}, {pretraining.sac.updates} updates, "
+        f"{time.monotonic() - began:.0f} s\npolicy {run.policy}, learning curve {run.path / CURVE}, page {run.page}",
+        file=sys.stderr,
+    )
     return 0
 
 
@@ -160,19 +167,17 @@ def training_settings(options: argparse.Namespace, source: SimulationSetup) -> T
     """Return the settings of the command line; total gains are the configuration's, whatever the box's base gains."""
     box = source.box_config()
     settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki), source.believed().size)
-    episodes = settings.episodes if options.episodes is None else options.episodes
-    hidden = settings.sac.hidden_size if options.hidden is None else options.hidden
-    steps = settings.task.steps_per_episode if options.steps is None else options.steps
-    updates = settings.updates_per_step if options.updates_per_step is None else options.updates_per_step
-    return replace(
-        settings,
-        made=source.made_for(),
-        episodes=episodes,
-        updates_per_step=updates,
-        replay_capacity=max(settings.replay_capacity, min(episodes * steps, REPLAY_MAX)),
-        sac=replace(settings.sac, hidden_size=hidden),
-        task=replace(settings.task, steps_per_episode=steps),
-    )
+    names = {"episodes": "episodes", "updates_per_step": "updates_per_step"}
+    settings = replace(settings, made=source.made_for(), **_given(options, names))
+    sac = replace(settings.sac, **_given(options, {"hidden": "hidden_size"}))
+    task = replace(settings.task, **_given(options, {"steps": "steps_per_episode"}))
+    rows = min(settings.episodes * task.steps_per_episode, REPLAY_MAX)
+    return replace(settings, sac=sac, task=task, replay_capacity=max(settings.replay_capacity, rows))
+
+
+def _given(options: argparse.Namespace, names: dict[str, str]) -> dict[str, Any]:
+    """Return the values of the options that were given, by the names of the settings."""
+    return {setting: value for name, setting in names.items() if (value := getattr(options, name)) is not None}
 
 
 def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
@@ -240,24 +245,12 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) 
     draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / CURVE)
 
 
-def _leave_page(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    """Write report.html in the run's folder, once there is a curve, and the index page of all runs; never fails."""
-    if pretraining.history:
-        told = {"seed": pretraining.settings.training.seed, "best score": pretraining.best_score}
-        about = {**asdict(source), **told, "code_version": code_version()}
-        table = curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse)
-        curve = Section(heading="Learning curve", picture=run.path / CURVE)
-        with suppress(OSError):
-            page = results_page(f"Pretraining {run.path.name}", about, [curve, Section(heading="Rounds", table=table)])
-            write_whole(run.page, page.encode())
-    refresh_index(run.path)
-
-
-def _show(run: RunDirectory, pretraining: Pretraining, json: Path | None, seconds: float) -> None:
+def _write_page(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
+    if not pretraining.history:
+        refresh_index(run.path)
+        return
+    told = {"seed": pretraining.settings.training.seed, "best score": pretraining.best_score}
+    about = {**asdict(source), **told, "code_version": code_version()}
     table = curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse)
-    table.show(json)
-    print(
-        f"{run.path}: best score {pretraining.best_score:.3f}, {pretraining.sac.updates} updates, {seconds:.0f} s\n"
-        f"policy {run.policy}, learning curve {run.path / CURVE}, page {run.page}",
-        file=sys.stderr,
-    )
+    curve = Section(heading="Learning curve", picture=run.path / CURVE)
+    write_page(run, f"Pretraining {run.path.name}", about, [curve, Section(heading="Rounds", table=table)])

@@ -33,27 +33,27 @@ HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --pl
 NO_FILTER = "the filter does not answer: base gains are in force where the plant's guard requires it, the default"
 
 
-def plant(ready: Callable[[], bool]) -> Requirement:
-    """Samples arrive."""
+def plant_requirement(ready: Callable[[], bool]) -> Requirement:
+    """Return the requirement that samples arrive."""
     missing = "no samples on /hydro/state for 600 s: there is nothing to act on"
     return Requirement(name="the plant", ready=ready, hint=HOW_TO_GET_A_PLANT, within=600.0, missing=missing)
 
 
-def corrections(ready: Callable[[], bool]) -> Requirement:
-    """The filter's corrections reach the plant; without them it continues at base gains."""
+def corrections_requirement(ready: Callable[[], bool]) -> Requirement:
+    """Return the requirement that the filter's corrections reach the plant, which else continues at base gains."""
     hint = HOW_TO_GET_A_FILTER
     return Requirement(name="the filter", ready=ready, hint=hint, within=90.0, missing=NO_FILTER, essential=False)
 
 
-def fitting_filter(ready: Callable[[], bool]) -> Requirement:
-    """The filter's model fits this bench, by the filter's own monitor of its predictions."""
+def fitting_filter_requirement(ready: Callable[[], bool]) -> Requirement:
+    """Return the requirement that the filter's monitor accepts its model for this bench."""
     hint = f"its model is not this bench's: {RECOMMISSION_HINT}"
     missing = f"the filter says MISMATCH for 300 s: {hint}"
     return Requirement(name="a filter that fits", ready=ready, hint=hint, within=300.0, missing=missing)
 
 
-def learner(ready: Callable[[], bool]) -> Requirement:
-    """The learner has published weights and is compiled."""
+def learner_requirement(ready: Callable[[], bool]) -> Requirement:
+    """Return the requirement that the learner is compiled and has published weights."""
     missing = "the learner is not ready after 300 s: nothing would learn, and nothing was armed for it"
     return Requirement(
         name="the learner", ready=ready, hint=COMPILES, within=300.0, missing=missing, by_wall_clock=True
@@ -161,9 +161,11 @@ class PlantSupervisor:
         self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
         self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed, s
         self._prompted = ""  # condition in which a person was asked to arm
-        samples = plant(lambda: not self.lost)
-        answers = corrections(lambda: self.mismatched or self._bypassed or not self._flags & Flag.FILTER_STALE)
-        fitting = fitting_filter(lambda: not self.mismatched)
+        samples = plant_requirement(lambda: not self.lost)
+        answers = corrections_requirement(
+            lambda: self.mismatched or self._bypassed or not self._flags & Flag.FILTER_STALE
+        )
+        fitting = fitting_filter_requirement(lambda: not self.mismatched)
         needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
         self._seen = -math.inf
@@ -325,7 +327,7 @@ class PlantSupervisor:
         self.outputs.reference(ReferenceSignal())
         self.outputs.arm(False)
 
-    def leave_to_person(self, now: float) -> None:
+    def defer_to_person(self, now: float) -> None:
         """Request arming again after `REMINDER` only: the plant refused since a person disarmed it."""
         if self._alone:
             self._arm_after, self._not_before = math.inf, now + REMINDER
