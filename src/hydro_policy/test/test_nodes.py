@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -37,7 +38,7 @@ from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.learned_bench import shipped_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
-from tests.checks import ran
+from tests.checks import ran, wait
 
 pytestmark = pytest.mark.graph
 
@@ -112,6 +113,25 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     assert read_bag(folder.bag).state["flags"].any(), "it records unless told otherwise"
     again = run("evaluate", "--plant", "sim", "--runs", str(folder.path.parent), "--name", "a")
     assert again.returncode == 2 and "choose another --name" in again.stderr.splitlines()[-1]
+
+
+def test_an_interrupted_evaluation_is_resumed_at_the_trial_that_was_interrupted(tmp_path: Path) -> None:
+    folder = RunDirectory(tmp_path / "a")
+    words = ["--plant", "sim", "--law", "paper", "--frequencies", "1", "2", "--fixed", "60", "15"]
+    short = ("--ros-args", "-p", "settle:=0.5", "-p", "measure:=20.0")
+    command = [executable_path("hydro_policy", "evaluate"), *words, "--runs", str(tmp_path), "--name", "a", *short]
+    with subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdin=subprocess.DEVNULL) as first:
+        wait(lambda: folder.record.is_file() and '"trial"' in folder.record.read_text(), 100.0)
+        first.send_signal(signal.SIGINT)
+        assert first.wait(30.0) == 130
+    (made,) = json.loads(folder.evaluation.read_text())["runs"]
+    other = run("evaluate", *words, "--resume", str(folder.path), "--ros-args", "-p", "settle:=1.0")
+    assert other.returncode == 2 and "compared something else" in other.stderr.splitlines()[-1]
+    done = run("evaluate", *words, "--resume", str(folder.path), *short)
+    assert done.returncode == 0, done.stderr
+    runs = json.loads(folder.evaluation.read_text())["runs"]
+    assert runs[0] == made and [one["case"] for one in runs] == ["1 Hz", "2 Hz"] and not runs[1]["stopped"]
+    assert len(folder.recordings) == 3, "each has a recording of its own"
 
 
 class Counted:
