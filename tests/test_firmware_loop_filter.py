@@ -197,7 +197,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def programs(generated: Path) -> dict[str, Path]:
-    return {precision: compiled(generated, precision, "-O2") for precision in WORDS}
+    return {precision: compiled(generated, precision, "-O1") for precision in WORDS}
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +224,7 @@ def test_what_is_exported_decides_as_the_graphs_filter_but_for_rounding(
     rows = drawn(5000)
     assert np.bincount(decided(*SHIPPED, rows)[:, 3].astype(int), minlength=5).min() > 100, "every status is tried"
     other = made_for(uneven(), 0.3)
-    program = compiled(written(tmp_path, *other), "double", "-O2")
+    program = compiled(written(tmp_path, *other), "double", "-O1")
     k, run = np.arange(5000), recorded(*other, 4, 5000)
     scale = 1.0 + 0.2 * np.sin(k / 300.0)
     law = np.column_stack([1.02 * run[:, PLACES[2]], 1.1 * run[:, PLACES[3]], (0.3 + 0.2 * (k > 4000)) * scale, scale])

@@ -9,10 +9,11 @@ import resource
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from setup import compile_kernels, host, kernels, plan, stamp, venv, wheels
+from setup import compile_kernels, host, kernels, plan, ros2, stamp, venv, wheels
 from setup.layout import Layout
 from setup.progress import SetupError
 from tests.checks import ran
@@ -154,7 +155,6 @@ def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture
     assert plan.HERE.root == ROOT
 
 
-ROS2 = ROOT / "setup" / "ros2.py"
 ARM = ("service", "call", "/hydro/arm", "std_srvs/srv/SetBool")
 REFUSED = (
     (("run", "nothing", "echo"), "package 'nothing' not found"),
@@ -173,8 +173,15 @@ REFUSED = (
 )
 
 
-def test_what_it_cannot_do_it_says_in_a_sentence() -> None:
+def test_what_it_cannot_do_it_says_in_a_sentence(capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+    """In this process, whose modules of `launch` and arguments stay as they were."""
+    monkeypatch.setattr(sys, "modules", dict(sys.modules))
     for words, sentence in REFUSED:
-        answer = ran(sys.executable, ROS2, *words, timeout=60)
-        assert (answer.returncode, answer.stdout) == (2, ""), words
-        assert sentence in answer.stderr and answer.stderr.count("\n") == 1, answer.stderr
+        monkeypatch.setattr(sys, "argv", [])
+        try:
+            status = ros2.main([*words])
+        except SystemExit as ended:
+            status = int(ended.code or 0)
+        printed = capfd.readouterr()
+        assert (status, printed.out) == (2, ""), words
+        assert sentence in printed.err and printed.err.count("\n") == 1, printed.err
