@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import BytesIO
-from math import inf
 from pathlib import Path
 from struct import Struct
 from struct import error as struct_error
@@ -21,7 +20,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from mcap.summary import Summary
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -57,7 +56,16 @@ def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
         several = len({re.sub(r"(_\d+)?$", "", file.stem) for file in files}) > 1
         notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (MIXED_FILES if several else "")]
     else:
-        files, notes = _found(path, _listed(path))
+        information = _information(path)
+        storage, mode = (
+            information.get("storage_identifier"),
+            str(information.get("compression_mode") or "none").lower(),
+        )
+        if storage != "mcap":
+            raise RecordingError(f"{path} is stored as {storage}, not as mcap: {_to_mcap(path)}")
+        if mode != "none":
+            raise RecordingError(f"{path} is compressed by {mode}, not within mcap: {_to_mcap(path)}")
+        files, notes = _found(path, [path / Path(name).name for name in information["relative_file_paths"]])
     if not files and list(path.glob("*.db3")):
         raise RecordingError(
             f"{path} is an SQLite bag without metadata.yaml: `ros2 bag reindex {path} sqlite3` writes it, then "
@@ -100,27 +108,22 @@ def _in_time(scans: list[McapScan]) -> list[McapScan]:
     return sorted(scans, key=lambda scan: first[id(scan)]) if all(first.values()) and first else scans
 
 
-def _listed(folder: Path) -> list[Path]:
+def _information(folder: Path) -> dict[str, Any]:
+    """Return the content of metadata.yaml; raises RecordingError."""
     try:
         text = (folder / "metadata.yaml").read_text(encoding="utf-8")
-        information: dict[str, Any] = yaml.safe_load(text)["rosbag2_bagfile_information"]
-        names = [Path(name).name for name in information["relative_file_paths"]]
+        found: dict[str, Any] = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        found["relative_file_paths"]
     except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
         raise RecordingError(f"{folder / 'metadata.yaml'} is not rosbag2 metadata") from None
-    storage, mode = (information.get("storage_identifier"), str(information.get("compression_mode") or "none").lower())
-    if storage != "mcap":
-        raise RecordingError(f"{folder} is stored as {storage}, not as mcap: {_to_mcap(folder)}")
-    if mode != "none":
-        raise RecordingError(f"{folder} is compressed by {mode}, not within mcap: {_to_mcap(folder)}")
-    return [folder / name for name in names]
+    return found
 
 
 def listed_topics(folder: Path) -> list[tuple[str, str]]:
     """Return topics and types in the order of metadata.yaml; empty where it is not there or damaged."""
-    with suppress(OSError, yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
-        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
-        topics = yaml.safe_load(text)["rosbag2_bagfile_information"]["topics_with_message_count"]
-        return [(topic["topic_metadata"]["name"], topic["topic_metadata"]["type"]) for topic in topics]
+    with suppress(OSError, RecordingError, KeyError, TypeError):
+        entries = [topic["topic_metadata"] for topic in _information(folder)["topics_with_message_count"]]
+        return [(entry["name"], entry["type"]) for entry in entries]
     return []
 
 
@@ -188,8 +191,13 @@ class McapScan:
                 for block in self._raw_blocks(stream, size):
                     yield block, self._split(block)
                 return
-            for block in self._indexed_blocks(stream):
-                spans = {channel: span.slice(*self.part) for channel, span in self._split(block).items()}
+            begin, end = self.part
+            summary = self._index(stream)
+            self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
+            chunks = self._indexed_chunks(stream)
+            wanted = [one for one in chunks if one.message_start_time < end and one.message_end_time >= begin]
+            for block in self._blocks_of(stream, wanted):
+                spans = {channel: span.slice(begin, end) for channel, span in self._split(block).items()}
                 yield block, {channel: span for channel, span in spans.items() if len(span.starts)}
 
     def times(self) -> tuple[int, int]:
@@ -205,12 +213,11 @@ class McapScan:
         """
         found: list[tuple[int, int]] = []
         with self._opened() as (stream, _):
-            for chunk in sorted(self._index(stream).chunk_indexes, key=lambda one: one.chunk_start_offset):
+            for chunk in self._indexed_chunks(stream):
                 edges = np.array([chunk.message_start_time, chunk.message_end_time])
                 if edges[1] - edges[0] > 1e9 * gap:  # in it or between two slow messages: they tell
-                    stream.seek(place := chunk.chunk_start_offset + _RECORD.size)
-                    block = self._chunk(stream.read(chunk.chunk_length - _RECORD.size), place)
-                    edges = np.sort(np.concatenate([span.log_times for span in self._split(block).values()]))
+                    for block in self._blocks_of(stream, [chunk]):
+                        edges = np.sort(np.concatenate([span.log_times for span in self._split(block).values()]))
                 ends = np.flatnonzero(np.diff(edges) > 1e9 * gap)
                 begins, ends = edges[np.r_[0, ends + 1]], edges[np.r_[ends, -1]]
                 found += zip(begins.tolist(), ends.tolist(), strict=True)
@@ -261,23 +268,15 @@ class McapScan:
             )
         return summary
 
-    def _indexed_blocks(self, stream: BinaryIO) -> Iterator[bytes]:
-        """The chunks that hold messages of the part."""
-        begin, end = self.part or (0.0, inf)
-        summary = self._index(stream)
-        self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
-        for chunk in sorted(summary.chunk_indexes, key=lambda one: one.chunk_start_offset):
-            if chunk.message_start_time < end and chunk.message_end_time >= begin:
-                place = chunk.chunk_start_offset + _RECORD.size
-                stream.seek(place)
-                try:
-                    block = self._chunk(stream.read(chunk.chunk_length - _RECORD.size), place)
-                except RecordingError:
-                    if not self.salvages:
-                        raise
-                    self.damaged += 1
-                else:
-                    yield block
+    def _indexed_chunks(self, stream: BinaryIO, behind: int = 0) -> list[ChunkIndex]:
+        """Return the entries of the index from a place in the file on, in its order; raises RecordingError."""
+        chunks = [chunk for chunk in self._index(stream).chunk_indexes if chunk.chunk_start_offset > behind]
+        return sorted(chunks, key=lambda chunk: chunk.chunk_start_offset)
+
+    def _blocks_of(self, stream: BinaryIO, chunks: Iterable[ChunkIndex]) -> Iterator[bytes]:
+        for chunk in chunks:
+            stream.seek(chunk.chunk_start_offset + _RECORD.size)
+            yield from self._chunk(stream, chunk.chunk_length - _RECORD.size)
 
     def _raw_blocks(self, stream: BinaryIO, size: int) -> Iterator[bytes]:
         loose = bytearray()
@@ -286,7 +285,10 @@ class McapScan:
             if opcode == 0 or stream.tell() + length > size:
                 self.unread = size - stream.tell() + _RECORD.size  # cut off here
                 if self.salvages:
-                    yield from self._rest(stream, stream.tell())
+                    with suppress(RecordingError):  # the chunks behind it, by the index, if there is one
+                        chunks = self._indexed_chunks(stream, behind=stream.tell())
+                        self.unread, self.damaged = 0, self.damaged + 1
+                        yield from self._blocks_of(stream, chunks)
                 break
             if opcode == Opcode.HEADER:
                 self.ours = b"hydro_bridge" in stream.read(length)
@@ -294,14 +296,7 @@ class McapScan:
             if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 loose += head + stream.read(length)
             elif opcode == Opcode.CHUNK:
-                try:
-                    chunk = self._chunk(stream.read(length), stream.tell() - length)
-                except RecordingError:
-                    if not self.salvages:
-                        raise
-                    self.damaged += 1
-                else:
-                    yield chunk
+                yield from self._chunk(stream, length)
             elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
                 self._keep(opcode, stream.read(length))
             elif opcode == Opcode.DATA_END:
@@ -316,31 +311,22 @@ class McapScan:
         if loose:
             yield bytes(loose)
 
-    def _rest(self, stream: BinaryIO, place: int) -> Iterator[bytes]:
-        """Yield the chunks behind a record that is damaged, by the index, if there is one."""
-        with suppress(RecordingError):
-            chunks = [one for one in self._index(stream).chunk_indexes if one.chunk_start_offset > place]
-            self.unread, self.damaged = 0, self.damaged + 1
-            for chunk in sorted(chunks, key=lambda one: one.chunk_start_offset):
-                start = chunk.chunk_start_offset + _RECORD.size
-                stream.seek(start)
-                try:
-                    yield self._chunk(stream.read(chunk.chunk_length - _RECORD.size), start)
-                except RecordingError:
-                    self.damaged += 1
-
-    def _chunk(self, body: bytes, place: int) -> bytes:
+    def _chunk(self, stream: BinaryIO, length: int) -> Iterator[bytes]:
+        """Yield the content of the chunk that begins here; nothing of a damaged one that is left out."""
+        place, body = stream.tell(), stream.read(length)
         try:
-            stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
-        except CRCValidationError:
-            raise RecordingError(
-                f"{self.path} is damaged: the check sum of the chunk at byte {place} does not hold"
-            ) from None
+            unpacked, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
+            content = unpacked.read(size)
         except Exception as error:
-            raise RecordingError(
-                f"{self.path} is damaged: the chunk at byte {place} cannot be unpacked: {error}"
-            ) from None
-        return stream.read(size)
+            if not self.salvages:
+                raise RecordingError(
+                    f"{self.path} is damaged: the check sum of the chunk at byte {place} does not hold"
+                    if isinstance(error, CRCValidationError)
+                    else f"{self.path} is damaged: the chunk at byte {place} cannot be unpacked: {error}"
+                ) from None
+            self.damaged += 1
+        else:
+            yield content
 
     def _split(self, block: bytes) -> dict[int, Span]:
         places: dict[int, list[tuple[int, int, int]]] = {}
@@ -359,7 +345,11 @@ class McapScan:
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._keep(opcode, block[place : place + length])
             place += length
-        return {channel: _span(entries) for channel, entries in places.items()}
+        spans: dict[int, Span] = {}
+        for channel, entries in places.items():
+            starts, sizes, log_times = np.array(entries, np.int64).T
+            spans[channel] = Span(starts=starts, sizes=sizes, log_times=log_times)
+        return spans
 
     def _keep(self, opcode: int, body: bytes) -> None:
         """Keep a record that is no message; others than these say nothing."""
@@ -376,11 +366,6 @@ class McapScan:
         elif opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
             self.attachments[attachment.name] = attachment.data
-
-
-def _span(entries: list[tuple[int, int, int]]) -> Span:
-    columns = np.array(entries, np.int64)
-    return Span(starts=columns[:, 0], sizes=columns[:, 1], log_times=columns[:, 2])
 
 
 Table = npt.NDArray[np.void]

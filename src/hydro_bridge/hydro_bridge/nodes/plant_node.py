@@ -34,6 +34,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
+from functools import partial
 from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
@@ -364,12 +365,10 @@ class PlantNode(Node):
             )
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self.leases = LeaseServer(self, side, lambda: bool(self._flags & Flag.TRIPPED))
-        gains = create_subscription(self, GAINS, self._on_gains)
-        reference = create_subscription(self, REFERENCE, self._on_reference)
-        law = create_subscription(self, LAW, self._on_law)
         if self._corrector is None:
             self.leases.listen(CORRECTION, subscribe(self, CORRECTION, CORRECTIONS, self._on_correction))
-        for topic, heard in ((GAINS, gains), (REFERENCE, reference), (LAW, law)):
+        for topic, take in ((GAINS, self._take_gains), (REFERENCE, self._take_reference), (LAW, self._take_law)):
+            heard = create_subscription(self, topic, partial(self._on_command, topic, take))
             self.leases.listen(topic, heard)  # no callback runs before the node is spun
         self._answers = create_subscription(self, ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -443,16 +442,15 @@ class PlantNode(Node):
         self._box_law_publisher.publish(law_to_message(law, now))
         self._box_publisher.publish(box_to_message(box, now))
 
-    def _on_gains(self, message: Gains) -> None:
-        if self.leases.admits(GAINS, message.epoch):
-            with self.side.lock:
-                self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
+    def _on_command(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+        """Take a commander's message that has the epoch of the session."""
+        if self.leases.admits(topic, message.epoch):
+            take(message)
         self.side.pace.on_command()
 
-    def _on_law(self, message: LawCommand) -> None:
-        if self.leases.admits(LAW, message.epoch):
-            self._take_law(message)
-        self.side.pace.on_command()
+    def _take_gains(self, message: Gains) -> None:
+        with self.side.lock:
+            self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
 
     def _take_law(self, message: LawCommand) -> None:
         wanted = law_command_from_message(message)
@@ -470,11 +468,6 @@ class PlantNode(Node):
             self.side.send(message.sequence)
         if not self.side.real_time:
             self.side.pace.on_correction(message.sequence)
-
-    def _on_reference(self, message: ReferenceMessage) -> None:
-        if self.leases.admits(REFERENCE, message.epoch):
-            self._take_reference(message)
-        self.side.pace.on_command()
 
     def _take_reference(self, message: ReferenceMessage) -> None:
         signal = reference_from_message(message)
