@@ -63,16 +63,24 @@ class Probe:
             if self.commands:
                 self.commander.seek(time.monotonic())
 
-    def drive(self, delta_kp: float, delta_ki: float, seconds: float) -> float:
-        """Publish gains at 100 Hz for so many seconds; the longest time [s] from one message to the next."""
+    def drive(
+        self, delta_kp: float, delta_ki: float, seconds: float, until: Callable[[], object] = lambda: False
+    ) -> float:
+        """Publish gains at 100 Hz for so many seconds, or `until`; the longest time [s] between two messages."""
         longest, last = 0.0, time.monotonic()
         end = last + seconds
-        while last < end:
+        while last < end and not until():
             self.commander.gains(delta_kp, delta_ki)
             self.spin(0.01)
             last, before = time.monotonic(), last
             longest = max(longest, last - before)
         return longest
+
+    def drive_to(self, delta_kp: float, delta_ki: float, gain: float, seconds: float = 60.0) -> None:
+        """Publish gains until the plant has this K_p: a busy machine that holds gains up gets base gains meanwhile."""
+        reached = lambda: bool(self.states) and self.last(STATE).proportional_gain == gain  # noqa: E731
+        self.drive(delta_kp, delta_ki, seconds, reached)
+        assert reached(), f"K_p {self.last(STATE).proportional_gain} in place of {gain}"
 
     def take(self, timeout: float = 30.0) -> None:
         """Take the lease over the plant, and keep it."""

@@ -24,7 +24,7 @@ from hydro_bridge.bags.recording import read_bag
 from tests.checks import ran
 from tests.graph_probe import own_domain
 
-pytestmark = [pytest.mark.graph, pytest.mark.realtime]
+pytestmark = pytest.mark.graph
 
 ROS2 = [sys.executable, str(Path(__file__).resolve().parent.parent / "setup" / "ros2.py")]
 

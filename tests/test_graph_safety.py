@@ -106,7 +106,6 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
     assert (learnt[:, -1] == 1.0).sum() == len(stops), "each stop is a lesson"
 
 
-@pytest.mark.realtime
 def test_a_filter_of_its_own_process_that_is_killed_leaves_base_gains(
     probe: Probe, start: Callable[..., Companion]
 ) -> None:
@@ -116,9 +115,10 @@ def test_a_filter_of_its_own_process_that_is_killed_leaves_base_gains(
     probe.take()
     probe.wait(lambda: all(probe.node.count_subscribers(topic) for topic in (GAINS, CORRECTION)))
     probe.arm(True)
-    probe.drive(75.0, 10.0, 1.0)
-    assert 90.0 in {state.proportional_gain for state in probe.states}
+    probe.drive_to(75.0, 10.0, 90.0)
     apart.process.kill()
+    apart.process.wait()
+    probe.drive_to(75.0, 10.0, 15.0)
     probe.drive(75.0, 10.0, 0.5)
     probe.forget()
     probe.drive(75.0, 10.0, 0.5)

@@ -23,8 +23,6 @@ from hydro_sim.emulator.realtime import RealtimeEmulator
 from hydro_sim.emulator.truth.config import profile
 from tests.checks import wait
 
-pytestmark = pytest.mark.realtime
-
 
 class Host:
     """A host at the port of a running emulator."""
@@ -44,8 +42,11 @@ class Host:
         self.port.write(encode_hello(0, 0, follows=follows))
 
     def read(self) -> list[Frame]:
-        """What has come, or comes within half a second."""
-        return list(self._decoder.feed(self.port.read(0.5)))
+        """What has come, up to a sample, however long a busy machine takes; nothing if none comes in 10 s."""
+        frames, end = list[Frame](), time.monotonic() + 10.0
+        while not any(isinstance(frame, State) for frame in frames) and time.monotonic() < end:
+            frames += self._decoder.feed(self.port.read(0.5))
+        return frames
 
     def answer(self, time_us: int) -> None:
         self._sequence += 1
@@ -88,7 +89,7 @@ def test_a_greeting_that_is_repeated_takes_no_sample(host: Host) -> None:
         host.greet()
         assert host.read()[-1].sequence == 0
     host.answer(0)
-    wait(lambda: host.running.samples == 2)
+    wait(lambda: host.running.samples == 2, 20.0)
     assert host.stands()
 
 
@@ -96,21 +97,21 @@ def test_a_host_that_does_not_say_that_it_answers_is_served_in_real_time(host: H
     host.greet(follows=False)
     host.read()
     began, before = time.monotonic(), host.running.samples
-    wait(lambda: host.running.samples >= before + 200)
+    wait(lambda: host.running.samples >= before + 200, 20.0)
     assert time.monotonic() - began > 0.19
 
 
 def test_a_silent_host_counts_as_dead_until_it_answers(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(realtime, "SILENCE_MAX", 0.3)
+    monkeypatch.setattr(realtime, "SILENCE_MAX", 2.0)
     host.greet()
     host.read()
     host.answer(0)
     (state,) = host.read()
-    for _ in range(8):  # its graph is at work
+    for _ in range(12):  # its graph is at work
         host.port.write(encode_clock(state.time_us, waits=True))
-        time.sleep(0.1)
+        time.sleep(0.2)
     assert host.running.samples == 2
-    wait(lambda: host.running.samples > 50)
+    wait(lambda: host.running.samples > 50, 20.0)
 
     def answers() -> bool:
         for frame in host.read():
@@ -118,14 +119,14 @@ def test_a_silent_host_counts_as_dead_until_it_answers(host: Host, monkeypatch: 
         return not host.running._deserted
 
     wait(answers, 20.0)
-    wait(host.stands)
+    wait(host.stands, 20.0)
 
 
 def test_without_a_host_time_goes_on(host: Host) -> None:
     host.greet()
     host.read()
     host.port.close()
-    wait(lambda: host.running.samples > 250)
+    wait(lambda: host.running.samples > 250, 20.0)
 
 
 @pytest.mark.parametrize("host", [LinkFaults(drop=1.0)], indirect=True)
@@ -135,4 +136,4 @@ def test_an_answer_that_the_line_loses_is_not_waited_for(host: Host) -> None:
     host.read()
     host.answer(0)
     host.link.set_faults(LinkFaults(drop=1.0))
-    wait(lambda: host.running.samples > 20)
+    wait(lambda: host.running.samples > 20, 20.0)

@@ -126,7 +126,6 @@ def test_under_its_own_clock_each_sample_carries_the_correction_of_the_one_befor
     assert running.stamps[:600] == [1_000_000 * k for k in range(600)]
 
 
-@pytest.mark.realtime
 def test_at_a_factor_of_real_time_nobody_is_waited_for_and_time_is_the_simulations(graph: Callable[..., Graph]) -> None:
     running, began = graph(lambda *_: None, pace="4"), time.monotonic()
     wait(lambda: len(running.samples) >= 400, 20.0)
