@@ -39,13 +39,18 @@ def pytest_configure() -> None:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Where tests are shared out, then by file: a file's fixtures are made once. Graph tests stay together."""
-    group = "graph" if item.get_closest_marker("graph") else item.path.name
-    item.add_marker(pytest.mark.xdist_group(group))
+    """Where tests are shared out, then by file: a file's fixtures are made once.
+
+    Graph tests are in two groups, the whole graph's and the packages': they wait more than they compute, and each
+    worker's nodes are in a domain of their own. A file that must not run beside a group names it as its own.
+    """
+    if item.get_closest_marker("xdist_group") is None:
+        whole = "graph" if item.path.parent.name == "tests" else "graph of packages"
+        item.add_marker(pytest.mark.xdist_group(whole if item.get_closest_marker("graph") else item.path.name))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Where tests are shared out, the graph's begin at once, on one worker, and what computes for long comes next.
+    """Where tests are shared out, the graph's begin at once, on two workers, and what computes for long comes next.
 
     Those that need the machine for themselves are the first, one after the other: nobody else has to stop for them.
     """

@@ -20,7 +20,8 @@ from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.ros.node import DISCOVERY_RANGE, FASTDDS_PROFILES, running_ros
 from hydro_core.settings import SettingsError
 
-pytestmark = pytest.mark.graph  # not beside graphs that reach the network: memberships are the machine's
+# not beside strangers that reach the network (test_graph_authority.py): memberships are the machine's
+pytestmark = [pytest.mark.graph, pytest.mark.xdist_group("graph")]
 
 
 @contextmanager

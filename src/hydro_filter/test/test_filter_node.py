@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 import yaml
@@ -102,6 +104,13 @@ class Source:
         rclpy.shutdown(context=self.context)
 
 
+def listening() -> Source:
+    """A source that the filter of this domain has met."""
+    source = Source()
+    source.wait(source.connected)
+    return source
+
+
 @pytest.fixture
 def started(start: Callable[..., Companion]) -> Iterator[Callable[..., Source]]:
     """Start a filter with some arguments; gives the source that it listens to."""
@@ -109,12 +118,30 @@ def started(start: Callable[..., Companion]) -> Iterator[Callable[..., Source]]:
 
         def begin(*arguments: str) -> Source:
             start("hydro_filter filter", *arguments)
-            source = Source()
+            source = listening()
             stack.callback(source.close)
-            source.wait(source.connected)
             return source
 
         yield begin
+
+
+@pytest.fixture(scope="module")
+def domain_of_shared() -> Iterator[str]:
+    """Domain of one filter for all tests that leave it as it was."""
+    domain = str(1 + (int(os.environ.get("ROS_DOMAIN_ID", "0")) + 50) % 100)
+    with patch.dict(os.environ, {"ROS_DOMAIN_ID": domain}):
+        companion = Companion("hydro_filter", "filter", [*PATIENT])
+    with companion:
+        yield domain
+
+
+@pytest.fixture
+def source(domain_of_shared: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Source]:
+    """A plant that has just come to the shared filter."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain_of_shared)
+    made = listening()
+    yield made
+    made.close()
 
 
 @pytest.fixture(scope="module")
@@ -279,9 +306,8 @@ def test_every_state_gets_one_correction_with_the_cores_numbers_and_a_gap_a_new_
 
 
 def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_again(
-    started: Callable[..., Source], unstable: Sample
+    source: Source, unstable: Sample
 ) -> None:
-    source = started(*PATIENT)
     told = create_publisher(source.node, BOX)
     digests = (Bench.nominal().digest, "0123456789ab", "", Bench.nominal().digest)
     wanted = (
@@ -345,8 +371,7 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     source.node.destroy_publisher(latched)
 
 
-def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source], unstable: Sample) -> None:
-    source = started(*PATIENT)
+def test_two_plants_are_an_error_and_not_answered(source: Source, unstable: Sample) -> None:
     rival = create_publisher(source.node, STATE)
     source.wait(lambda: "2 nodes publish /hydro/state" in source.diagnostics[-1].message)
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
@@ -362,9 +387,9 @@ def dict_of(status: DiagnosticStatus) -> dict[str, str]:
     return {pair.key: pair.value for pair in status.values}
 
 
-def test_outside_of_the_proved_region_is_said_beside_the_status(started: Callable[..., Source]) -> None:
+def test_outside_of_the_proved_region_is_said_beside_the_status(source: Source) -> None:
     """The shipped statement of the paper's law is of sines of 100 N, 1 Hz, and of gains that change slowly."""
-    bench, source, number = Bench.nominal(), started(*PATIENT), itertools.count()
+    bench, number = Bench.nominal(), itertools.count()
 
     def outside(amplitude: float, proportional_gain: float) -> list[bool]:
         signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=1.0)
