@@ -315,14 +315,22 @@ def test_a_box_that_does_not_read_never_blocks_a_write_and_frames_stay_whole(cab
     assert received == b"".join(written)[: len(received)]
 
 
-def test_what_the_box_sends_after_the_last_command_is_passed_on_no_more(bench):
-    it = bench().connected()
+def test_what_the_box_sends_after_the_last_command_is_passed_on_no_more(bench, monkeypatch):
+    it, may_send = bench().connected(), threading.Event()
+    send = it.link._send
+
+    def send_when_told(corrects: int | None = None) -> None:
+        if threading.current_thread() is ending:  # outside of the lock: the sample that was under way goes through
+            assert may_send.wait(30.0)
+        send(corrects)
+
+    monkeypatch.setattr(it.link, "_send", send_when_told)
     ending = threading.Thread(target=it.link.stop)
-    with it.link.lock:  # held: the end has begun, and cannot send its last command
-        ending.start()
-        wait(lambda: it.link._ending)
-        passed_on, frames = len(it.states), it.link.counts.frames
-        wait(lambda: it.link.counts.frames > frames + 20)
-        assert len(it.states) <= passed_on + 1, "but for the one that was under way"
+    ending.start()
+    wait(lambda: it.link._ending)
+    passed_on, frames = len(it.states), it.link.counts.frames
+    wait(lambda: it.link.counts.frames > frames + 20)
+    assert len(it.states) <= passed_on + 1, "but for the one that was under way"
+    may_send.set()
     ending.join(5.0)
-    assert not it.box.commands[-1].command.arm
+    wait(lambda: not it.box.commands[-1].command.arm)
