@@ -68,7 +68,7 @@ def simulated_recording(
 
 SECONDS = 10.0
 """Length of a rehearsal; the proposal is for `PROPOSED`."""
-PROPOSED = 2.0 * SECONDS
+PROPOSED = 20.0
 NOMINAL = Bench.nominal()
 
 

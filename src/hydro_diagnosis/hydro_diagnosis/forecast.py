@@ -47,6 +47,8 @@ from hydro_sim.simulation.offline import Schedule, simulate
 
 SETTLE = 2.0
 """s after which a loop that began at rest is where the recorded one is: a run that is entered late differs by 0.1 %."""
+LEAST = 1.0
+"""s that are compared at least."""
 SECONDS = 18.0
 """s of each recording that are compared at most: 50 ms of computing for a simulation."""
 MISSED = 0.2
@@ -173,8 +175,8 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     spacing = segment.spacing
     begin += (segment.phase - begin) % spacing
     end = min(end, begin + round((SETTLE + SECONDS) / SAMPLE_PERIOD))
-    if end - begin < round(1.5 * SETTLE / SAMPLE_PERIOD):
-        raise NoForecastError(f"its box is armed for less than {1.5 * SETTLE:g} s without a gap")
+    if end - begin < round((SETTLE + LEAST) / SAMPLE_PERIOD):
+        raise NoForecastError(f"its box is armed for less than {SETTLE + LEAST:g} s without a gap")
     part = segment.cut(begin, end).channels
     belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, bag), spacing)
     schedule = Schedule(

@@ -17,9 +17,10 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import FORM_ERROR, QUANTILE, SHORTEST, Fit, fit, orthogonal
+from hydro_diagnosis.estimation.fit import FORM_ERROR, SHORTEST, Fit, fit, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
+from hydro_diagnosis.significance import QUANTILE
 
 EDGE = 1e-3
 """Distance to a bound, as a share of a parameter's size or range, below which it counts as at the bound."""

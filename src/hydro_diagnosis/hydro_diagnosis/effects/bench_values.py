@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import ClassVar
 
 from hydro_diagnosis.effects.base import HYDRAULIC, MOTION, PRESSURE, Effect, FitParameter, Values, changed
-from hydro_diagnosis.effects.fluid import MEETING_POINT
 from hydro_sim.model.bench import Bench
 
 RATIO = FitParameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
@@ -82,6 +81,10 @@ EFFECTS: tuple[Effect, ...] = (
 )  # fmt: skip
 
 
+_PRESSURE = 5e6
+"""Typical pressure [Pa] of the chambers: over the bulk modulus, the additional oil that a wider hose holds."""
+
+
 class WideningHoses(Effect):
     """Both chambers grow by the same volume per pressure: V_dead plus compliance (beta + p).
 
@@ -98,7 +101,7 @@ class WideningHoses(Effect):
     parameters = (FitParameter(name="compliance", unit="m3/Pa", low=0.0, high=1e-12, probes=(1e-14,), smallest=6e-16),)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        more = values["compliance"] * (bench.bulk_modulus + MEETING_POINT)
+        more = values["compliance"] * (bench.bulk_modulus + _PRESSURE)
         return changed(bench, dead_volume_a=bench.dead_volume_a + more, dead_volume_b=bench.dead_volume_b + more)
 
 

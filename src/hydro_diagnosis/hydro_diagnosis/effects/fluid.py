@@ -11,9 +11,7 @@ from hydro_sim.model.bench import Bench
 
 _COEFFICIENT = FitParameter(name="coefficient", unit="m3/s/Pa", low=0.0, high=1e-10, probes=(1e-13,), smallest=1e-15)
 MEETING_POINT = 5e6
-"""Pressure drop [Pa] at which leaks of all forms pass as much as the laminar one: the middle of a seal's range, and a
-chamber's typical pressure.
-"""
+"""Pressure drop [Pa] at which leaks of all forms pass as much as the laminar one: the middle of a seal's range."""
 
 
 class LeakageInternal(Effect):

@@ -17,9 +17,9 @@ from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.closure import NamedLaw
 
 SMALLEST = 0.01
-"""Smallest coefficient worth claiming, as a share of what was seen, and relative error of a law's further number that
-the residuals' own discretisation may cause.
-"""
+"""Smallest coefficient worth claiming, as a share of what was seen."""
+SYSTEMATIC = 0.01
+"""Relative error of a law's further number that the residuals' own discretisation may cause."""
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
 _DELEGATED = ("equations", "blocks", "nonlinear_channel", "places", "memoryless", "uses_acceleration")
 """Properties of the closure of a law that are the effect's."""
@@ -48,7 +48,7 @@ class Grown(Effect):
         bounds, seen = self._law.bounds, self._law.typical_parameters
         return tuple(
             replace(
-                one, low=bounds[one.name][0], high=bounds[one.name][1], probes=(seen[one.name],), systematic=SMALLEST,
+                one, low=bounds[one.name][0], high=bounds[one.name][1], probes=(seen[one.name],), systematic=SYSTEMATIC,
                 smallest=SMALLEST * abs(seen[one.name]) if one.smallest > 0.0 else 0.0,
             )
             for one in self.term.parameters

@@ -18,7 +18,6 @@ import numpy.typing as npt
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray, Values
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.significance import ITERATIONS
-from hydro_diagnosis.significance import QUANTILE as QUANTILE
 
 Part = TypeVar("Part")
 

@@ -88,11 +88,14 @@ class Layout:
         return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
-COST = {PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9, "evaluation": 8e-4, "segment": 2e-4}
-"""CPU [s] that a sample of each block takes on an AMD EPYC core, without claims that are of another kind, and what does
-not grow with the samples: of an `evaluation` and its part in a fit, and of a `segment`, however short, in a block;
+COST = {PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9}
+"""CPU [s] that a sample of each block takes on an AMD EPYC core, without claims that are of another kind;
 `benchmarks.real_recordings` has the CPU of each rig beside its work.
 """
+EVALUATION_COST = 8e-4
+"""CPU [s] of an evaluation and of its part in a fit that does not grow with the samples of a block."""
+SEGMENT_COST = 2e-4
+"""CPU [s] of a segment, however short, in a block."""
 COLUMN = 5e-8
 """CPU [s] of a sample's response to one column of a screen."""
 LEAST = 24.0
@@ -293,7 +296,7 @@ class Problem:
     def count(self, evaluations: int) -> None:
         """Count evaluations, also those that a cache has spared: a search's effort is the same."""
         self.budget.evaluations += evaluations
-        self.budget.spend(evaluations * COST["evaluation"])
+        self.budget.spend(evaluations * EVALUATION_COST)
 
     def joined(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
         """By channel: responses of its residuals, over their deviation, to so many terms; shape (terms, residuals).
@@ -330,7 +333,7 @@ class Problem:
         def computed(some: Sequence[Claim]) -> list[dict[str, FloatArray]]:
             late = block == PRESSURE and any(claim.effect.lagged for claim in some)
             times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "unmeasure"))
-            self.budget.spend(times * (COST[block] * self.samples + COST["segment"] * len(self.models)))
+            self.budget.spend(times * (COST[block] * self.samples + SEGMENT_COST * len(self.models)))
             return [one.residuals(block, some) for one in self.models]
 
         return self._cache.under(block, there, computed)

@@ -27,20 +27,20 @@ from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
-from hydro_diagnosis.significance import MATTERS, OUTLYING
+from hydro_diagnosis.significance import OUTLYING
 from hydro_sim.model.bench import Bench
 
 Rows = npt.NDArray[np.int64]
 SHAKEN = 0.02
-"""Deviation of a stamp, as a share of the sampling time, that counts as jitter where one of twenty has it."""
+"""Deviation of a stamp, as a share of the sampling time, that counts as jitter."""
+OFTEN = 0.05
+"""Share of the stamps that must have jitter."""
 FOLLOWS = 0.01
 """Gain of the clock that counts rows: the share of a stamp's error that it follows."""
 SMOOTHER = 0.9
 """Ratio to the roughness of evenly taken samples below which samples lie at their stamps."""
 _LOOKS = ((32, 0.03), (512, 3e-3), (8192, 2e-4))
 """Rows in which a rhythm is sought, and how far around the guess: finer as more of them are in step."""
-
-
 _BEGIN = 21
 """Stamps that initialise that clock."""
 
@@ -51,7 +51,7 @@ def uneven(time: FloatArray) -> bool:
     if not np.all(np.isfinite(steps)) or np.any(steps < 0.0) or not np.any(steps > 0.0):
         return False
     steps = steps / float(np.median(steps[steps > 0.0]))
-    return bool(np.mean(np.abs(steps - np.rint(steps)) > SHAKEN) > MATTERS)
+    return bool(np.mean(np.abs(steps - np.rint(steps)) > SHAKEN) > OFTEN)
 
 
 def counted(time: FloatArray) -> tuple[float, Rows]:

@@ -217,7 +217,7 @@ TRIAL = SearchSettings(effort=1500)
 """Search by which two readings of the same recordings are compared."""
 LAGS = frozenset({"sensor_lag", "transport_delay", "valve_lag"})
 """Causes that a delay of a channel found too short or too long would pass for."""
-MOST_READINGS = 2 * MOST_REPAIRS
+MOST_READINGS = 8
 """Ways of reading that are tried where numbers cannot be what they are named."""
 Repaired = tuple[tuple[Repair, ...], Case]
 """Repairs, and the recordings after them."""

@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, display_unit
-from hydro_diagnosis.estimation.fit import QUANTILE, Fit, allowed, cause, orthogonal, pack
+from hydro_diagnosis.estimation.fit import Fit, allowed, cause, orthogonal, pack
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.report_json import NumberEstimate
+from hydro_diagnosis.significance import QUANTILE
 from hydro_sim.model.bench import Bench
 
 ALIKE = 0.999
