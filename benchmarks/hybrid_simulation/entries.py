@@ -14,6 +14,8 @@ amb                    adaptive model-based (Galmez, Fermandois), gains found by
 least_squares_3, _4    sliding least squares on three or four terms, without limits
 compensated            our law as it ships (`hydro_policy.compensation`), with f = `FORCE_PER_METRE` x
 compensated_residual   the same with the shipped learned residual
+oracle                 knows actuator and specimen: the series of the plant's inverse, and what its yielding spring, whose
+                       force f_h along the target it computes, takes beside it
 """
 
 from __future__ import annotations
@@ -22,18 +24,20 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from scipy.signal import butter
 
 from benchmarks.hybrid_simulation.motions import SAMPLING, STEP
+from benchmarks.hybrid_simulation.plant import Actuator, Specimen, hysteresis_rate, transfer_function
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_sim.jit import njit
 
 ENTRIES = (
     "none", "pi_p", "ats", "ats_fast", "amb", "least_squares_3", "least_squares_4", "compensated",
-    "compensated_residual",
+    "compensated_residual", "oracle",
 )  # fmt: skip
-FIXED, PI_P, LEAST_SQUARES, GRADIENT, BOX = range(5)
+FIXED, PI_P, LEAST_SQUARES, GRADIENT, BOX, ORACLE = range(6)
 """Kinds of entries."""
 TERMS = 4
 """Of the series."""
@@ -111,6 +115,17 @@ class Box(NamedTuple):
     """f_c, f [N], f_r' [N/s], f_r [N] of the policy step, shape (4, 10)."""
 
 
+class Oracle(NamedTuple):
+    """The plant as the oracle knows it."""
+
+    actuator: Actuator
+    specimen: Specimen
+    flows: FloatArray
+    """q that f_h takes [N/s], at this sample and the two before, the newest first, shape (3,)."""
+    hysteresis: FloatArray
+    """f_h along the target [N], shape (1,)."""
+
+
 class Entry(NamedTuple):
     """An entry and what it remembers."""
 
@@ -119,10 +134,11 @@ class Entry(NamedTuple):
     pi: FloatArray
     """Last target, lead, error [m] and integral [m], shape (4,)."""
     box: Box
+    oracle: Oracle
 
 
-def entry(name: str) -> Entry:
-    """Return one of `ENTRIES` at the beginning of a run."""
+def entry(name: str, actuator: Actuator, specimen: Specimen) -> Entry:
+    """Return one of `ENTRIES` at the beginning of a run; the plant is for the oracle."""
     kind, series = FIXED, _series((1.0, 0.0, 0.0, 0.0))
     if name == "pi_p":
         kind = PI_P
@@ -143,10 +159,24 @@ def entry(name: str) -> Entry:
         )  # fmt: skip
     elif name in ("compensated", "compensated_residual"):
         kind = BOX
+    elif name == "oracle":
+        kind = ORACLE
+        elastic = specimen._replace(stiffness=specimen.after_yield * specimen.stiffness)
+        numerator, denominator = transfer_function(actuator, elastic)
+        series = _series(_held(denominator[: -TERMS - 1 : -1] / numerator))
     law, samples = BoxLaw(), np.zeros((4, SAMPLES_PER_STEP))
     box = Box(np.array(NEUTRAL), np.array(NEUTRAL), np.array(law.coefficient_rate), law.reference_max, np.zeros(2),
               samples)  # fmt: skip
-    return Entry(kind, series, np.zeros(4), box)
+    oracle = Oracle(actuator, specimen, np.zeros(3), np.zeros(1))
+    return Entry(kind, series, np.zeros(4), box, oracle)
+
+
+def _held(derivatives: FloatArray) -> tuple[float, ...]:
+    """Coefficients on backward differences for those on derivatives, of a command that is held for a sample."""
+    s = Polynomial((0.0, 1.0, STEP / 2.0, STEP**2 / 3.0))  # of the difference: -ln(1 - STEP d) / STEP
+    hold = Polynomial((1.0, STEP / 2.0, 3.0 / 8.0 * STEP**2, 5.0 / 16.0 * STEP**3))  # exp(s STEP / 2)
+    found = hold * Polynomial(derivatives)(s)
+    return tuple(found.coef[:TERMS].tolist())
 
 
 def _series(
@@ -186,7 +216,9 @@ def command(entry, k, target, measured):
     u = 0.0
     for i in range(TERMS):
         u += series.coefficients[i] * derivatives[i]
-    if entry.kind != FIXED:
+    if entry.kind == ORACLE:
+        u += _known(entry.oracle, derivatives[1])
+    elif entry.kind != FIXED:
         filtered = _low_pass(series.sections, series.memory[0], u)
         _push(series.filtered, _low_pass(series.sections, series.memory[1], converted(measured)))
         _differences(series.filtered, derivatives)
@@ -195,6 +227,19 @@ def command(entry, k, target, measured):
         elif k % EVERY == 0:
             _fit(series, k // EVERY, derivatives, filtered)
     return converted(u)
+
+
+@njit
+def _known(oracle, velocity):
+    """Command [m] that the yielding spring takes at this velocity of the target [m/s]: its part of the inverse."""
+    actuator, q = oracle.actuator, oracle.flows
+    rate = hysteresis_rate(oracle.specimen, oracle.hysteresis[0], velocity)
+    oracle.hysteresis[0] += STEP * rate
+    _push(q, rate + actuator.a3 * oracle.hysteresis[0])
+    second = (q[0] - 2.0 * q[1] + q[2]) / STEP**2
+    first = (q[0] - q[1]) / STEP + 1.5 * STEP * second  # in the middle of the sample for which the command is held
+    valve = actuator.beta2 * (q[0] + STEP * first) + actuator.beta1 * first + second
+    return valve / (actuator.a1_beta0 * actuator.gain)
 
 
 @njit

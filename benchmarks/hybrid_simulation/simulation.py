@@ -73,7 +73,7 @@ def run(
     rng
         Of the sensors' noise.
     """
-    entry, structure = entries.entry(name), numerical_substructure(number, specimen)
+    entry, structure = entries.entry(name, actuator, specimen), numerical_substructure(number, specimen)
     count = len(ground) // 2
     noise = rng.standard_normal((count, 2)) * NOISE
     state, records = np.zeros(STATES), np.zeros((count, FLOORS + 3))
