@@ -12,7 +12,7 @@ valve, air. They are the range in which a lab's bench is likely to lie, not the 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,3 +116,14 @@ def drawn_truths(count: int, seed: int) -> dict[str, dict[str, Any]]:
     """Contents of so many truth files, by their names."""
     generator = np.random.default_rng(seed)
     return {f"truth_{number:03d}": drawn(generator) for number in range(count)}
+
+
+def yielding(truths: Mapping[str, Mapping[str, Any]], seed: int) -> dict[str, dict[str, Any]]:
+    """The same truths with a Bouc-Wen element beside each spring: 30 to 300 N, which yields at 1 to 10 mm."""
+    generator = np.random.default_rng((seed, 1))
+    made = {}
+    for name, truth in truths.items():
+        force, deflection = np.exp(generator.uniform(np.log((30.0, 1e-3)), np.log((300.0, 1e-2)))).tolist()
+        element = {"force": force, "deflection": deflection, "exponent": float(generator.uniform(1.0, 3.0))}
+        made[name] = {**truth, "outside": {**truth.get("outside", {}), "spring_hysteresis": element}}
+    return made

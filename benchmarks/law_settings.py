@@ -4,6 +4,7 @@
     python -m benchmarks.law_settings --draw 8 --seed 5501 --set bandwidth=10
     python -m benchmarks.law_settings --draw 8 --seed 5501 --without b_2 b_3
     python -m benchmarks.law_settings --draw 8 --seed 5501 --commit 7b7d4691      the law as it was, from git
+    python -m benchmarks.law_settings --yielding --without c_0 c_1 c_2             benches with loads that yield
 
 The six references of `evaluate`, no filter, both laws on the same benches and noise. A trip counts as the reference's
 RMS. Needs 4 s a bench, and half a minute to compile.
@@ -25,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._report import parser
-from benchmarks._truths import drawn_truths
+from benchmarks._truths import drawn_truths, yielding
 from benchmarks.controllers import SETTINGS, interquartile_mean, measure
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import Table, command, progress
@@ -34,7 +35,7 @@ from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.envs import vector_runs
 from hydro_sim.emulator.truth.config import truth_from_mapping
 
-TERMS = ("a_0", "a_1", "a_2", "a_3", "b_0", "b_1", "b_2", "b_3")
+TERMS = ("a_0", "a_1", "a_2", "a_3", "b_0", "b_1", "b_2", "b_3", "c_0", "c_1", "c_2")
 PINNED = 1e6
 """Weight in the fit with which a term stays at what it begins with."""
 PACKAGE = "hydro_policy.compensation"
@@ -81,9 +82,10 @@ def law_of(commit: str, folder: Path) -> Maker:
     return Law
 
 
-def run(makers: dict[str, Maker], count: int, seed: int) -> dict[str, list[Row]]:
-    """Rows of `controllers.measure` by law, one for each bench and reference."""
-    truths = [truth_from_mapping(contents) for contents in drawn_truths(count, seed).values()]
+def run(makers: dict[str, Maker], count: int, seed: int, *, yields: bool = False) -> dict[str, list[Row]]:
+    """Rows of `controllers.measure` by law, one for each bench and reference; `yields`: the benches' loads do."""
+    drawn = drawn_truths(count, seed)
+    truths = [truth_from_mapping(contents) for contents in (yielding(drawn, seed) if yields else drawn).values()]
     rows: dict[str, list[Row]] = {name: [] for name in makers}
     for config in progress(truths, label="benches", unit="bench"):
         for name, make in makers.items():
@@ -130,7 +132,8 @@ def parse() -> argparse.Namespace:
     options.add_argument("--draw", type=int, default=8, metavar="COUNT", help="drawn benches; default: %(default)s")
     options.add_argument("--seed", type=int, default=5501, help="of the draw; default: %(default)s")
     options.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="settings of the variant")
-    options.add_argument("--without", nargs="+", default=[], choices=TERMS, metavar="TERM", help="of a_0 to b_3")
+    options.add_argument("--without", nargs="+", default=[], choices=TERMS, metavar="TERM", help="of a_0 to c_2")
+    options.add_argument("--yielding", action="store_true", help="benches whose loads yield, with hysteresis")
     options.add_argument("--commit", metavar="COMMIT", help="the variant is the law of that commit")
     return options.parse_args()
 
@@ -144,7 +147,7 @@ def main() -> None:
         raise SettingsError("say what the variant is: --set and --without, or --commit")
     with tempfile.TemporaryDirectory() as folder:
         other = law_of(asked.commit, Path(folder)) if asked.commit else variant(changed(asked.set), asked.without)
-        table(run({"as it is": Compensator, told: other}, asked.draw, asked.seed)).show(asked.json)
+        table(run({"as it is": Compensator, told: other}, asked.draw, asked.seed, yields=asked.yielding)).show(asked.json)
 
 
 if __name__ == "__main__":

@@ -7,12 +7,15 @@ the closed loop from f_c to the measured force f is nearly the inverse of such a
     f_c = a_0 f + a_1 f' + a_2 f'' + a_3
 
 so the a of a least-squares fit of the f_c that acted on [f, f', f'', 1] make f follow f_r, whatever the bench is.
-Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Four terms more are
+Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Seven terms more are
 
     b_0 tanh(f_r' / r)           the valve's overlap, which wants a step of the current where the force turns
     b_1 |f_r'|                   a_1 where it differs between the directions, a lopsided valve
     b_2 f_r f_r', b_3 f_r |f_r'| and along the force: the chambers' volumes, and the valve's gain, which goes with the
                                  square root of what the load leaves of the supply on its own side
+    c_j p_j'                     a_1 where it differs behind a reversal, as a load has it that yields: p_j is f_r behind
+                                 a play of half-width S_j (Prandtl-Ishlinskii model; Visintin 1994, Differential Models
+                                 of Hysteresis, III.2)
 
 and go out as part of a_3, for the f_r and f_r' of the middle of the policy step in which they act. Here::
 
@@ -64,8 +67,13 @@ SETTLED = 0.2
 LEAD = 0.01
 """Time [s] from the last sample to that whose f_r' the valve's terms take."""
 
-START = np.array((1.0, 0.02, 1e-4, 0.0, 0.0, 0.0, 0.0, 0.0))
-"""a_0 to a_3 and b_0 to b_3 to begin with: half of the usual lag, so wrong by no more than that on either side."""
+PLAYS = (0.25, 0.5, 0.75)
+"""S_j over the usual amplitude of the force."""
+
+START = np.array((1.0, 0.02, 1e-4, 0.0, *[0.0] * (4 + len(PLAYS))))
+"""a_0 to a_3, b_0 to b_3 and c_0 to c_2 to begin with: half of the usual lag, so wrong by no more than that on either
+side.
+"""
 
 BOX_SHARE = 0.75
 """Of a_2: with 1 two of 20 perturbed plants of `benchmarks.hybrid_simulation` are unstable, with 0.85 nearly so."""
@@ -94,7 +102,7 @@ class CompensatorSettings:
     weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-4
     """Of `START` in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
     valve_weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-2
-    """Of the absence of the terms of b: smooth steps tell them badly from f'."""
+    """Of the absence of the terms of b and c: smooth steps tell them badly from f'."""
     force_scale: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
     """Usual amplitude of the force."""
     good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
@@ -152,28 +160,32 @@ class _Constants(NamedTuple):
     regressors: FloatArray
     """From the filtered force and its derivatives to regressors, shape (3, `ORDER`)."""
     scale: FloatArray
-    """Of each regressor, shape (8,)."""
+    """Of each regressor, shape (11,)."""
     weights: FloatArray
-    """Of `START`, shape (8,)."""
+    """Of `START`, shape (11,)."""
     least: FloatArray
     most: FloatArray
-    """Bounds of the fit, shape (8,)."""
+    """Bounds of the fit, shape (11,)."""
+    plays: FloatArray
+    """S_j [N], shape (3,)."""
 
 
 class _Memory(NamedTuple):
     """What is known of n benches."""
 
     found: FloatArray
-    """a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], shape (n, 8)."""
+    """a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 11)."""
     states: FloatArray
-    """f_c, f and the terms of b, filtered, with their derivatives, shape (n, 6, `ORDER`)."""
+    """f_c, f and the terms of b and c, filtered, with their derivatives, shape (n, 9, `ORDER`)."""
     last: FloatArray
-    """The same six of the last sample, shape (n, 6)."""
+    """The same nine of the last sample, shape (n, 9)."""
+    within: FloatArray
+    """f_r - p_j, where f_r is within each play [N], shape (n, 3)."""
     rates: FloatArray
     """Last f_r' [N/s], the newest last, shape (n, `PAST`); NaN: none yet."""
     matrix: FloatArray
     vector: FloatArray
-    """Of the fit, shapes (n, 8, 8) and (n, 8)."""
+    """Of the fit, shapes (n, 11, 11) and (n, 11)."""
     steps: npt.NDArray[np.int64]
     """Since the last gap, shape (n,)."""
     excitation: FloatArray
@@ -210,15 +222,17 @@ class Compensator:
         self._take = kernel.take
         self.settings, self.law = settings or CompensatorSettings(), law or BoxLaw()
         omega, force = 2.0 * math.pi, self.settings.force_scale  # 1 Hz
-        scale = np.array((1.0, omega, omega**2, 1.0 / force, 1.0 / force, omega, omega * force, omega * force))
+        valve = 1.0 / force, omega, omega * force, omega * force
+        scale = np.array((1.0, omega, omega**2, 1.0 / force, *valve, *[omega] * len(PLAYS)))
         least, most, share = self.law.coefficient_min, self.law.coefficient_max, -self.law.coefficient_min[1]
         self._constants = _Constants(
             *_filter(self.settings.bandwidth),
             regressors=_regressors(cell) / scale[:3, np.newaxis] / force,
             scale=scale,
-            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * 4),
-            least=np.array((*least, least[3], -share, -share / force, -share / force)),
-            most=np.array((*most, most[3], share, share / force, share / force)),
+            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * (len(START) - 4)),
+            least=np.array((*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAYS))),
+            most=np.array((*most, most[3], share, share / force, share / force, *[share] * len(PLAYS))),
+            plays=np.multiply(PLAYS, force),
         )
         self._numbers = np.array([astuple(self.settings)], _SETTINGS)
         self.coefficients: FloatArray = np.empty((count, 4))
@@ -229,8 +243,9 @@ class Compensator:
         """Benches whose coefficients hold on request, shape (n,)."""
         self._memory = _Memory(
             found=np.empty((count, *START.shape)),
-            states=np.empty((count, 6, ORDER)),
-            last=np.empty((count, 6)),
+            states=np.empty((count, len(START) - 2, ORDER)),
+            last=np.empty((count, len(START) - 2)),
+            within=np.empty((count, len(PLAYS))),
             rates=np.empty((count, PAST)),
             matrix=np.empty((count, *2 * START.shape)),
             vector=np.empty((count, *START.shape)),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
-from hydro_policy.compensation.estimator import BOX_SHARE, LEAD, SECOND, SETTLED, START, STEP
+from hydro_policy.compensation.estimator import BOX_SHARE, LEAD, ORDER, SECOND, SETTLED, START, STEP
 from hydro_sim.jit import njit
 
 
@@ -23,12 +23,13 @@ def take(settings, constants, memory, samples, active, frozen, counted, coeffici
             signals[:2] = samples[i, :2]
             for k in range(SAMPLES_PER_STEP):
                 _terms(settings[0], samples[i, 3, k], samples[i, 2, k], signals[2:, k])
+                _play(constants.plays, memory.within[i], samples[i, 2, k], SAMPLE_PERIOD, signals[6:, k])
             _run_filter(constants, memory, signals, i)
             memory.steps[i] += 1
             if memory.steps[i] * STEP > SETTLED and not frozen[i]:
                 _learn(settings[0], constants, memory, i)
         else:
-            memory.steps[i] = 0
+            memory.steps[i], memory.within[i] = 0, 0.0
         _command(settings[0], constants, memory, samples[i, 2], samples[i, 3, -1], coefficients[i], i)
 
 
@@ -40,28 +41,46 @@ def _terms(settings, reference, rate, into):
 
 
 @njit
+def _play(plays, within, rate, seconds, into):
+    """p_j' [N/s] while f_r changes with `rate` for so many `seconds`; `within` follows."""
+    for j in range(len(plays)):
+        free = within[j] + rate * seconds
+        within[j] = min(max(free, -plays[j]), plays[j])
+        into[j] = (free - within[j]) / seconds
+
+
+@njit
 def _run_filter(constants, memory, signals, i):
+    transition, inputs, before = constants.transition, constants.inputs, np.empty(ORDER)
     for channel in range(len(signals)):
         state, now = memory.states[i, channel], signals[channel]
         if memory.steps[i] == 0:
             state[:], memory.last[i, channel] = 0.0, now[0]
             state[0] = now[0]
-        state[:] = constants.transition @ state + constants.inputs[0] * memory.last[i, channel]
-        for k in range(SAMPLES_PER_STEP):
-            state += constants.inputs[k + 1] * now[k]
+        before[:] = state
+        for j in range(ORDER):
+            total = inputs[0, j] * memory.last[i, channel]
+            for k in range(ORDER):
+                total += transition[j, k] * before[k]
+            for k in range(SAMPLES_PER_STEP):
+                total += inputs[k + 1, j] * now[k]
+            state[j] = total
         memory.last[i, channel] = now[-1]
 
 
 @njit
 def _command(settings, constants, memory, rate, reference, coefficients, i):
     """Coefficients for the next policy step; a_3 holds where f_r' is missing."""
-    found, past, b = memory.found[i], memory.rates[i], np.empty(len(START) - 4)
+    found, past, added = memory.found[i], memory.rates[i], np.empty(len(START) - 4)
     if np.isnan(past).any():
         past[:] = rate[0]
     past[:-SAMPLES_PER_STEP], past[-SAMPLES_PER_STEP:] = past[SAMPLES_PER_STEP:].copy(), rate
     ahead = rate[-1] + (rate[-1] - rate[0]) * LEAD / (STEP - SAMPLE_PERIOD)
-    _terms(settings, reference + LEAD * ahead, ahead, b)
-    level = found[3] + np.sum(found[4:] * b) + (1.0 - BOX_SHARE) * found[2] * np.sum(SECOND * past)
+    _terms(settings, reference + LEAD * ahead, ahead, added)
+    within = memory.within[i].copy()
+    _play(constants.plays, within, 0.5 * (rate[-1] + ahead), LEAD, added[4:])
+    _play(constants.plays, within, ahead, SAMPLE_PERIOD, added[4:])
+    level = found[3] + np.sum(found[4:] * added) + (1.0 - BOX_SHARE) * found[2] * np.sum(SECOND * past)
     coefficients[:3] = found[:3]
     coefficients[2] *= BOX_SHARE
     if np.isfinite(level):
