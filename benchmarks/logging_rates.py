@@ -146,7 +146,7 @@ def main() -> None:
     """Run the conditions that are asked for, and print a row for each diagnosis."""
     options = parser("logging_rates", __doc__)
     options.add_argument("--conditions", nargs="+", choices=list(CONDITIONS), default=list(CONDITIONS), metavar="NAME",
-                         help="; ".join(CONDITIONS))  # fmt: skip
+                         help="; ".join(CONDITIONS).replace("%", "%%"))  # fmt: skip
     options.add_argument("--benches", nargs="+", choices=list(BENCHES), default=list(BENCHES))
     options.add_argument("--seeds", type=int, default=3, help="benches of each kind per condition (default: 3)")
     chosen = options.parse_args()

@@ -9,7 +9,7 @@ Each truth tracks each of nine references, none of them among those of the train
 alone and once with the residual. What was run by this version is kept in the .rows beside the file of --json, and not
 run again.
 
-Training runs new benches and references under the network of the round before, and fits the corrections that turn out
+Training runs new benches, every second with a load that yields, and references under the network of the round before, and fits the corrections that turn out
 to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
 
 Interquartile means over all pairs, with 95 % bootstrap intervals over the truths; u' is the current's rate.
@@ -32,7 +32,7 @@ import numpy.typing as npt
 import torch
 
 from benchmarks._report import parser
-from benchmarks._truths import drawn_truths, truth_fleet
+from benchmarks._truths import drawn_truths, truth_fleet, yielding
 from benchmarks.controllers import interquartile_mean
 from hydro_bridge.bags.writer import code_version
 from hydro_core.cli import jobs
@@ -203,7 +203,9 @@ def train(path: Path, steps: int, seed: int, rounds: int = 5) -> None:
     runs: list[Run] = []
     network: Network | None = None
     for number in progress(range(rounds), total=rounds, label="rounds", unit="round"):
-        contents = list(drawn_truths(BENCHES * (2 if number == 0 else 1), seed + 100 * (number + 1)).values())
+        truths = drawn_truths(BENCHES * (2 if number == 0 else 1), seed + 100 * (number + 1))
+        contents = list(truths.values())
+        contents[1::2] = list(yielding(truths, seed + number).values())[1::2]
         contents[::EVERY] = [{"profile": "default"}] * len(contents[::EVERY])
         configs = [truth_from_mapping(content) for content in contents]
         signals = drawn_signals(len(configs), generator)

@@ -229,6 +229,9 @@ def _false_state(graph: Any) -> BenchState:
     return state
 
 
+DISARMS = "/hydro/arm false"
+"""Done by anybody, after which a person has to arm again."""
+
 ATTACKS: dict[str, Strike] = {
     "gains, no epoch": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0)),
     "gains, epoch copied": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0, epoch=graph.epoch)),
@@ -238,7 +241,7 @@ ATTACKS: dict[str, Strike] = {
     "states": _publishing(STATE, _false_state),
     "authority": _publishing(AUTHORITY, lambda graph: Authority(holder="stranger", claim=1, epoch=1)),
     "/hydro/arm true": _calling(SetBool, ARM_SERVICE, SetBool.Request(data=True)),
-    "/hydro/arm false": _calling(SetBool, ARM_SERVICE, SetBool.Request(data=False)),
+    DISARMS: _calling(SetBool, ARM_SERVICE, SetBool.Request(data=False)),
     "/hydro/claim take": _calling(Claim, CLAIM_SERVICE, Claim.Request(act=Claim.Request.TAKE, name="stranger")),
 }
 """What strangers do, by name."""

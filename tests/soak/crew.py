@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import secrets
 import signal
+import subprocess
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ PACKAGES = {
 }  # fmt: skip
 """In the order in which they are started."""
 _SETTLED = 60.0  # s after a start from which memory counts: on a loaded machine a learner imports for half a minute
+
+_PATIENCE = 60.0  # s for a command on a loaded machine
 
 
 @dataclass
@@ -89,6 +92,10 @@ class Crew:
                 os.kill(pid, number)
         if (name, number) == ("emulator", signal.SIGKILL):  # its terminal's number is the next one's who asks for one
             (self.folder / "box").unlink(missing_ok=True)
+
+    def arm(self) -> None:
+        """Arm the plant for the trainer, as a person does; where nobody commands it now, whoever comes arms it."""
+        subprocess.run(["ros2", "run", "hydro_bridge", "arm", "--for", "trainer"], timeout=_PATIENCE, check=False)
 
     def look(self) -> None:
         """Take note of the memory of each; call it while all of them work, for one that imports still grows."""

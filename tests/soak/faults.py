@@ -19,7 +19,7 @@ from typing import Any
 from rclpy.executors import SingleThreadedExecutor
 
 from hydro_bridge.ros.topics import AUTHORITY, create_subscription
-from tests.attacks import ATTACKS, STAYS_ARMED, stranger
+from tests.attacks import ATTACKS, DISARMS, STAYS_ARMED, stranger
 from tests.soak.crew import LEARNER
 
 _WATCHDOG = 0.35
@@ -100,7 +100,7 @@ _PERIOD = 0.005  # s
 
 @contextmanager
 def _stranger(name: str, soak: Any) -> Iterator[Callable[[], None]]:
-    """One of `ATTACKS`, once more each time."""
+    """One of `ATTACKS`, once more each time; a person arms again what was disarmed by hand."""
     with stranger() as node:
         executor = SingleThreadedExecutor(context=node.context)
         executor.add_node(node)
@@ -115,6 +115,8 @@ def _stranger(name: str, soak: Any) -> Iterator[Callable[[], None]]:
 
         yield once
         executor.shutdown()
+    if name == DISARMS:
+        soak.crew.arm()
 
 
 _SAFE_WITHIN = {
