@@ -122,8 +122,8 @@ def yielding(truths: Mapping[str, Mapping[str, Any]], seed: int) -> dict[str, di
     """The same truths with a Bouc-Wen element beside each spring: 30 to 300 N, which yields at 1 to 10 mm."""
     generator = np.random.default_rng((seed, 1))
     made = {}
-    for name, truth in truths.items():
+    for name, contents in truths.items():
         force, deflection = np.exp(generator.uniform(np.log((30.0, 1e-3)), np.log((300.0, 1e-2)))).tolist()
         element = {"force": force, "deflection": deflection, "exponent": float(generator.uniform(1.0, 3.0))}
-        made[name] = {**truth, "outside": {**truth.get("outside", {}), "spring_hysteresis": element}}
+        made[name] = {**contents, "outside": {**contents.get("outside", {}), "spring_hysteresis": element}}
     return made

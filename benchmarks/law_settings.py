@@ -147,7 +147,8 @@ def main() -> None:
         raise SettingsError("say what the variant is: --set and --without, or --commit")
     with tempfile.TemporaryDirectory() as folder:
         other = law_of(asked.commit, Path(folder)) if asked.commit else variant(changed(asked.set), asked.without)
-        table(run({"as it is": Compensator, told: other}, asked.draw, asked.seed, yields=asked.yielding)).show(asked.json)
+        found = run({"as it is": Compensator, told: other}, asked.draw, asked.seed, yields=asked.yielding)
+        table(found).show(asked.json)
 
 
 if __name__ == "__main__":

@@ -9,8 +9,8 @@ Each truth tracks each of nine references, none of them among those of the train
 alone and once with the residual. What was run by this version is kept in the .rows beside the file of --json, and not
 run again.
 
-Training runs new benches, every second with a load that yields, and references under the network of the round before, and fits the corrections that turn out
-to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
+Training runs new benches, every second with a load that yields, and references under the network of the round before,
+and fits the corrections that turn out to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
 
 Interquartile means over all pairs, with 95 % bootstrap intervals over the truths; u' is the current's rate.
 """
