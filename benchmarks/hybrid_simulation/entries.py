@@ -14,8 +14,7 @@ amb                    adaptive model-based (Galmez, Fermandois), gains found by
 least_squares_3, _4    sliding least squares on three or four terms, without limits
 compensated            our law as it ships (`hydro_policy.compensation`), with f = `FORCE_PER_METRE` x
 compensated_residual   the same with the shipped learned residual
-oracle                 knows actuator and specimen: the series of the plant's inverse, and what f_h takes beside it, which
-                       it integrates along the target
+oracle                 knows actuator and specimen: the series of the plant's inverse, and what f_h takes beside it
 """
 
 from __future__ import annotations
