@@ -9,8 +9,8 @@ Each truth tracks each of nine references, none of them among those of the train
 alone and once with the residual. What was run by this version is kept in the .rows beside the file of --json, and not
 run again.
 
-Training runs new benches, every second with a load that yields, and references under the network of the round before,
-and fits the corrections that turn out to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
+Training runs new benches and references under the network of the round before, and fits the corrections that turn out
+to have been needed (dataset aggregation: Ross, Gordon, Bagnell 2011, AISTATS).
 
 Interquartile means over all pairs, with 95 % bootstrap intervals over the truths; u' is the current's rate.
 """
@@ -197,15 +197,16 @@ def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
     return Network(mean.astype(float), spread.astype(float), layers)
 
 
-def train(path: Path, steps: int, seed: int, rounds: int = 5) -> None:
-    """Train in rounds, each on the benches of all rounds so far; write the weights."""
+def train(path: Path, steps: int, seed: int, rounds: int = 5, *, yields: bool = False) -> None:
+    """Train in rounds, each on the benches of all rounds so far; `yields`: every second bench's load does."""
     generator = np.random.default_rng(seed)
     runs: list[Run] = []
     network: Network | None = None
     for number in progress(range(rounds), total=rounds, label="rounds", unit="round"):
         truths = drawn_truths(BENCHES * (2 if number == 0 else 1), seed + 100 * (number + 1))
         contents = list(truths.values())
-        contents[1::2] = list(yielding(truths, seed + number).values())[1::2]
+        if yields:
+            contents[1::2] = list(yielding(truths, seed + number).values())[1::2]
         contents[::EVERY] = [{"profile": "default"}] * len(contents[::EVERY])
         configs = [truth_from_mapping(content) for content in contents]
         signals = drawn_signals(len(configs), generator)
@@ -336,12 +337,13 @@ def main(arguments: list[str] | None = None) -> None:
     options.add_argument(
         "--steps", type=int, default=30000, metavar="N", help="of fitting in each of five rounds, default %(default)s"
     )
+    options.add_argument("--yielding", action="store_true", help="train on loads that yield, too: every second bench")
     options.add_argument("--changes", action="store_true", help="the default truth that changes in mid-run, instead")
     options.add_argument("--settle", type=float, default=2.0, metavar="S", help="not scored, default %(default)s s")
     jobs.add_arguments(options)
     asked = options.parse_args(arguments)
     if asked.train:
-        train(asked.train, asked.steps, asked.seed)
+        train(asked.train, asked.steps, asked.seed, yields=asked.yielding)
     elif asked.changes:
         changed(asked.weights, asked.seed).show(asked.json)
     else:
