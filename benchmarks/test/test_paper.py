@@ -61,7 +61,7 @@ def test_fixed_gains_have_the_papers_row_on_a_bench_of_its_own(tmp_path: Path) -
     np.testing.assert_allclose(found["rmse"], PRINTED["rmse"]["III"], rtol=0.1)
     believed, own = Bench.load(OWN_BENCH), truth("own").bench
     assert all(getattr(own, name) == value for name, value in believed.to_mapping().items())
-    assert own.load_cell_bandwidth is None and truth("default").bench != own
+    assert own.load_cell_bandwidth == 22.0 and truth("default").bench != own
 
 
 def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:

@@ -81,6 +81,6 @@ def test_claims_are_held_against_the_answer() -> None:
 )
 def test_emps_is_told_as_its_authors_published_it() -> None:
     score = real.carried_out("emps", DATA / "emps")
-    assert score.verdict == "partly_explained"  # a real drive is more than its equation
+    assert score.verdict == "explained"
     assert score.agree == ["friction_coulomb", "friction_viscous"] and not score.contradict
     assert all(one[-1] for one in score.curve) and score.left["motion"] < 15.0
