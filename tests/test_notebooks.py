@@ -18,10 +18,21 @@ import pytest
 from tests import checks
 
 ROOT = Path(__file__).resolve().parent.parent
-RECORDINGS_ONLY = ("hydro_bridge", "hydro_sim", "hydro_diagnosis")
+RECORDINGS_ONLY = ("hydro_core", "hydro_bridge", "hydro_sim", "hydro_diagnosis")
 WITHOUT_ROS = """
 import sys
 sys.modules.update(dict.fromkeys(("rclpy", "hydro_msgs", "torch", "ament_index_python"), None))
+"""
+DIAGNOSE = """
+from hydro_diagnosis import diagnose
+from hydro_sim.model.bench import Bench
+found = diagnose({runs}, holdout=[{unseen!r}], bench=Bench.nominal(), columns={columns})
+print(*found.table.value, found.report.verdict, found._repr_html_().startswith('<iframe'))
+"""
+SIMULATE = """
+from hydro_core.process.start import main_of
+sys.argv = ["emulator", "--offline", "--seconds", "1", "--out", "run"]
+sys.exit(main_of.hydro_sim.emulator.command())
 """
 START_A_NODE = """
 from hydro_core.process.start import main_of
@@ -43,7 +54,8 @@ def ran(code: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 @pytest.mark.study
-def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path) -> None:
+def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recordings, that is: what simulates the box needs its C library, and says so."""
     ignored = shutil.ignore_patterns("__pycache__", "*.egg-info", "build")
     sources = [shutil.copytree(ROOT / "src" / name, tmp_path / name, ignore=ignored) for name in RECORDINGS_ONLY]
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation"]
@@ -53,16 +65,17 @@ def test_wheels_diagnose_without_ros_torch_and_checkout(tmp_path: Path) -> None:
     clean |= {"PYTHONPATH": str(tmp_path / "site"), "TMPDIR": str(tmp_path)}
 
     run = partial(checks.ran, sys.executable, "-c", env=clean, cwd=tmp_path)
-    shown = "print(found.table.value.to_json()); print(again.report.verdict, found._repr_html_().startswith('<iframe'))"
-    notebook = run(f"{WITHOUT_ROS}{code_of('diagnose')}\n{shown}")
+    made = ran(code_of("diagnose").partition("found = diagnose")[0], monkeypatch)
+    asked = {"runs": [str(path) for path in made["runs"]], "unseen": str(made["unseen"]), "columns": made["COLUMNS"]}
+    notebook = run(WITHOUT_ROS + DIAGNOSE.format(**asked))
     assert not notebook.returncode, notebook.stderr
-    values, last = notebook.stdout.splitlines()[-2:]
-    assert last == "no_mismatch True"
-    leak, friction = json.loads(values).values()
-    assert leak == pytest.approx(2e-13, rel=0.01) and friction == pytest.approx(8.0, rel=0.01)
-    refused = run(WITHOUT_ROS + START_A_NODE)
-    assert refused.returncode == 2
-    assert "ROS 2" in refused.stderr and "Traceback" not in refused.stderr
+    leak, friction, *last = notebook.stdout.split()[-4:]
+    assert last == ["explained", "True"]
+    assert float(leak) == pytest.approx(2e-13, rel=0.01) and float(friction) == pytest.approx(8.0, rel=0.01)
+    for code, missing in ((SIMULATE, "make setup"), (START_A_NODE, "ROS 2")):
+        refused = run(WITHOUT_ROS + code)
+        assert refused.returncode == 2
+        assert missing in refused.stderr and "Traceback" not in refused.stderr
 
 
 @pytest.mark.slow
