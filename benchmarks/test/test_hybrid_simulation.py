@@ -93,7 +93,7 @@ def test_sample_controller_has_the_criteria_that_another_port_measured() -> None
 
 @recorded
 def test_entries_have_the_errors_that_another_port_measured() -> None:
-    rows = benchmark.measured(DATA, [*ENTRIES[:7], "compensated"], [1], ["El Centro"], 0, 1)
+    rows = benchmark.measured(DATA, [*ENTRIES[:7], "compensated", "oracle"], [1], ["El Centro"], 0, 1)
     errors = {(row["specimen"], row["entry"]): row["j2_true"] for row in rows}
     assert errors["linear", "none"] is None
     published = {"pi_p": 10.16, "ats": 0.69, "ats_fast": 0.32, "amb": 0.38, "least_squares_3": 0.25,
@@ -105,6 +105,8 @@ def test_entries_have_the_errors_that_another_port_measured() -> None:
     for entry, error in yielding.items():
         assert errors["yielding", entry] == pytest.approx(error, rel=0.02), entry
     assert errors["linear", "compensated"] < errors["linear", "pi_p"]
+    assert errors["yielding", "compensated"] < 0.7 * min(errors["yielding", entry] for entry in yielding)
+    assert max(errors[specimen, "oracle"] for specimen in ("linear", "yielding")) < 0.1
 
 
 def test_command_writes_a_row_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
