@@ -11,6 +11,7 @@ from math import inf
 from typing import Any
 
 from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.service import Service
@@ -38,6 +39,7 @@ from hydro_msgs.srv import Claim
 _RENEWAL_PERIOD = 0.5  # s between two requests; a lease lapses after 3 s of silence
 _ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
 _DISARMED_WITHIN = 2.0  # s, for the last request to the plant
+_HEARD_WITHIN = Duration(seconds=0.1)  # for the last reference: what is on its way goes with its publisher
 LEASE_WAIT_MAX = 600.0
 """s that a node waits for the present holder of the plant."""
 LEASE_ANSWER_MAX = 30.0
@@ -250,7 +252,9 @@ class Commander:
         self._claim = self.epoch = self._sent = 0
         self._collected = {}
         self._answer = self._reference = None
-        for publisher in self._publishers.values():
+        for topic, publisher in self._publishers.items():
+            if topic == REFERENCE:
+                publisher.wait_for_all_acked(_HEARD_WITHIN)
             self._node.destroy_publisher(publisher)
         self._publishers = {}
         if self._end_service is not None:
