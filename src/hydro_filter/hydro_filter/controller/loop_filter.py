@@ -129,8 +129,9 @@ class LoopFilter:
         """Of the last sample, with a, b, low, high of its QP."""
         self._sample = np.zeros(1, SAMPLE)
         self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
-        self._every = [(float(each["velocity_compensation"][0]), each) for each in (parts, *others)]
-        self._unknown = [not any((c_1 == 1.0) is paper for c_1, _ in self._every) for paper in (True, False)]
+        self._every = [(float(each["velocity_compensation"][0]), address_of(each), each) for each in (parts, *others)]
+        """C_1 of each record, its address, and the record, which has to live as long."""
+        self._unknown = [not any((c_1 == 1.0) is paper for c_1, *_ in self._every) for paper in (True, False)]
         self._at = tuple(map(address_of, (self.memory, self.monitor, self._sample, self.decision)))
 
     @property
@@ -161,15 +162,15 @@ class LoopFilter:
         if self._unknown[sample.compensated]:
             self.reset_history()
             return Result(0.0, math.nan, math.nan, CorrectionStatus.BYPASSED)
-        law, parts = sample.law_inputs, self.parts
-        for c_1, each in self._every[1:]:
+        law, parts = sample.law_inputs, self._every[0][1]
+        for c_1, address, _ in self._every[1:]:
             if abs(law[2] - law[3] * c_1) <= C1_TOLERANCE * law[3]:
-                parts = each
+                parts = address
         _PACK(
             self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
         )  # fmt: skip
-        self._judge(address_of(parts), self.settings.innovation_limit, *self._at)
+        self._judge(parts, self.settings.innovation_limit, *self._at)
         delta_u, before, after, _, _, _, _, status, _ = (
             self.decision.item()
         )  # also of an old sample: the memory moves on
