@@ -34,7 +34,8 @@ from hydro_bridge.ros.topics import (
 from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from hydro_msgs.srv import Claim
-from hydro_policy.nodes.plants import PlantOptions, start_companions
+from hydro_policy.nodes.plant_options import PlantOptions
+from hydro_policy.nodes.plants import start_companions
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import Probe
 

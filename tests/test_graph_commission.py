@@ -24,7 +24,7 @@ from hydro_core.files import site
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
 from hydro_policy.nodes.commission import NAMES, comparison
-from hydro_policy.nodes.plants import apply_site, box_mismatch, expected_box
+from hydro_policy.nodes.plant_options import apply_site, box_mismatch, expected_box
 from hydro_policy.nodes.site_runs import Site
 from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench

@@ -19,7 +19,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from hydro_bridge.ros.messages import seconds
 from hydro_bridge.ros.topics import CORRECTION, DIAGNOSTICS, GAINS, REFERENCE, STATE, create_subscription
 from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
-from hydro_policy.nodes.plants import PlantOptions, start_companions
+from hydro_policy.nodes.plant_options import PlantOptions
+from hydro_policy.nodes.plants import start_companions
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import Probe, own_domain
 

@@ -24,7 +24,8 @@ from hydro_bridge.ros.topics import CORRECTION, DIAGNOSTICS, GAINS, LAW_STATE, S
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
-from hydro_policy.nodes.plants import PlantOptions, start_companions
+from hydro_policy.nodes.plant_options import PlantOptions
+from hydro_policy.nodes.plants import start_companions
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.supervision.plant_supervisor import HOW_TO_ARM, TOO_EARLY
 from hydro_policy.task.mdp import GainRange

@@ -33,7 +33,8 @@ from hydro_core.signals import STATE_DTYPE
 from hydro_filter.metric import shipped_metric as shipped_metric
 from hydro_msgs.msg import BoxInfo
 from hydro_policy.envs.simulation import SimulationSetup
-from hydro_policy.nodes.plants import requested_filter, require_matching_agent, require_matching_policy
+from hydro_policy.nodes.plant_options import require_matching_agent, require_matching_policy
+from hydro_policy.nodes.plants import requested_filter
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, MadeFor, with_provenance

@@ -30,7 +30,8 @@ from hydro_filter.controller.factory import LEARNED
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plants import NO_FILTER, PlantOptions, box_mismatch, commands
+from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions, box_mismatch
+from hydro_policy.nodes.plants import commands
 from hydro_policy.runs.run import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.settings import SacSettings

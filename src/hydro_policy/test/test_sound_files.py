@@ -115,7 +115,7 @@ def test_a_checkpoint_that_is_cut_short_or_damaged_is_refused_in_a_sentence_with
 
 
 def test_a_resumed_run_gets_its_own_plant_back(tmp_path: Path) -> None:
-    from hydro_policy.nodes.plants import plant_options_as_yaml
+    from hydro_policy.nodes.plant_options import plant_options_as_yaml
     from hydro_policy.nodes.trainer import parse_options, parser
 
     truth = tmp_path / "truth.yaml"

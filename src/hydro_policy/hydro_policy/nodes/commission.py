@@ -43,7 +43,7 @@ from hydro_policy.commissioning.record import (
     scored,
 )
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
-from hydro_policy.nodes.plants import require_matching_policy
+from hydro_policy.nodes.plant_options import require_matching_policy
 from hydro_policy.nodes.site_runs import EMULATED, TRUTH, Site, read_json
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.files.pairing import BoxIdentity, PairingError

@@ -16,7 +16,7 @@ from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import command, make_parser, writable_file, writable_folder
-from hydro_policy.nodes.plants import LAWS, add_plant_options, apply_site
+from hydro_policy.nodes.plant_options import LAWS, add_plant_options, apply_site
 
 
 def parser() -> argparse.ArgumentParser:

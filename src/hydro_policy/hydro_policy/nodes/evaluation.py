@@ -38,19 +38,17 @@ from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plants import (
+from hydro_policy.nodes.parameters import keep_overridden
+from hydro_policy.nodes.plant_options import (
     NO_FILTER,
     box_mismatch,
-    describe_policy,
     expected_box,
-    guard_range,
-    keep_overridden,
     load_cell,
     may_rearm,
     plant_options,
     require_matching_policy,
-    start_plant,
 )
+from hydro_policy.nodes.plants import describe_policy, guard_range, start_plant
 from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run import RunDirectory, RunRecord

@@ -32,14 +32,8 @@ from hydro_policy.evaluation.runner import Rest
 from hydro_policy.nodes.announcements import CompanionWatch, companion_output
 from hydro_policy.nodes.evaluation import evaluate_on, report_results, required_gain_range
 from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plants import (
-    NO_FILTER,
-    PlantOptions,
-    box_mismatch,
-    commands,
-    guard_range,
-    recorder_arguments,
-)
+from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions, box_mismatch
+from hydro_policy.nodes.plants import commands, guard_range, recorder_arguments
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride

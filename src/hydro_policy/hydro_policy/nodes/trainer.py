@@ -14,7 +14,7 @@ from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import FIXED_ON_RESUME, command, explicit_options, make_parser, reject_changed_options
-from hydro_policy.nodes.plants import SCRATCH, add_plant_options, apply_site, restore_plant_options
+from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_site, restore_plant_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run import RunDirectory
 

@@ -27,22 +27,18 @@ from hydro_policy.learner_process.learner import write_run
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluation import conditions, evaluate_on, remove_rejected, report_results, search_on
 from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plants import (
+from hydro_policy.nodes.parameters import declare_settings, keep_overridden
+from hydro_policy.nodes.plant_options import (
     SCRATCH,
     box_mismatch,
-    declare_settings,
-    describe_policy,
     expected_box,
-    guard_range,
-    keep_overridden,
     load_cell,
     may_rearm,
     plant_options,
     plant_options_as_yaml,
-    requested_filter,
     require_matching_agent,
-    start_plant,
 )
+from hydro_policy.nodes.plants import describe_policy, guard_range, requested_filter, start_plant
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs import report as curves
