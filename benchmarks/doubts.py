@@ -58,6 +58,14 @@ DOUBTS: dict[str, tuple[str, dict[str, Change]]] = {
         "search: a claim below its smallest size, or the error of its signal, is not taken",
         {f"{_SEARCH}:all_significant": _answer(True)},
     ),
+    "form errors": (
+        "search: a claim that explains no more than an error in the form of its kin, and what others explain beside it",
+        {f"{_SEARCH}:form_error": _answer(False)},
+    ),
+    "little": (
+        "search: two claims one after the other that remove little of what remains end it",
+        {f"{_SEARCH}:removes_little": _answer(False)},
+    ),
     "nearly all": (
         "judge: where names leave something, those that act there need 98 % of the squares",
         {f"{_JUDGE}:NEARLY_ALL": _constant(0.0)},
