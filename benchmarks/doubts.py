@@ -2,7 +2,7 @@
 """Each doubt of the diagnosis switched off, one at a time: what sealed cases, slow loggers and real rigs then say.
 
     python -m benchmarks.doubts --cases 40 --seed S --data FOLDER --json FILE
-    python -m benchmarks.doubts --only insignificant reversals
+    python -m benchmarks.doubts --only insignificant "searched+smallest" --parts clean=20 faint=24 outside=24
 
 A doubt withholds a name or a law that the search has found, or widens what is known of it. One that changes no figure
 here has no measured case. After Ctrl-C the same command goes on where it was.
@@ -134,9 +134,9 @@ DOUBTS: dict[str, tuple[str, dict[str, Change]]] = {
 """By name: what it does; and what leaves it out, by `module:attribute` of hydro_diagnosis."""
 
 
-def leave_out(name: str) -> None:
-    """Leave a doubt out of every diagnosis of this process."""
-    for place, change in DOUBTS[name][1].items():
+def leave_out(names: str) -> None:
+    """Leave a doubt, or several joined by `+`, out of every diagnosis of this process."""
+    for place, change in [item for name in names.split("+") for item in DOUBTS[name][1].items()]:
         module, _, attribute = place.partition(":")
         *owners, last = attribute.split(".")
         owner: Any = import_module(f"hydro_diagnosis.{module}")
@@ -145,14 +145,14 @@ def leave_out(name: str) -> None:
         setattr(owner, last, change(getattr(owner, last)))
 
 
-def proof(folder: Path, cases: int, seed: int, doubt: str) -> dict[str, Any]:
+def proof(folder: Path, drawn: Sequence[str], doubt: str) -> dict[str, Any]:
     """Return proof.json of the sealed cases without a doubt; their recordings are those of `NONE`."""
     out, first = folder / doubt.replace(" ", "_"), folder / NONE
     if doubt != NONE and not out.exists():
         answers = shutil.ignore_patterns("answer.json", "corrected.yaml")
         shutil.copytree(first / "blind", out / "blind", copy_function=os.link, ignore=answers)
     if not (out / "proof.json").exists():
-        _run(doubt, "benchmarks.prove", "--cases", str(cases), "--seed", str(seed), "--out", str(out))
+        _run(doubt, "benchmarks.prove", *drawn, "--out", str(out))
     found: dict[str, Any] = json.loads((out / "proof.json").read_text())
     return found
 
@@ -220,6 +220,7 @@ def main() -> None:
     """Leave out one after the other, and print the table."""
     options = parser("doubts", __doc__)
     options.add_argument("--cases", type=int, default=40, help="sealed cases (default: 40)")
+    options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
     options.add_argument("--seed", type=int, default=1, help="of the cases (default: 1)")
     options.add_argument("--data", type=Path, default=Path("runs/real_recordings"), metavar="FOLDER",
                          help="recordings of real rigs (default: %(default)s)")  # fmt: skip
@@ -227,12 +228,21 @@ def main() -> None:
     options.add_argument("--conditions", nargs="*", default=("100 Hz", "200 Hz", "1 kHz, 5 % lost"), metavar="NAME",
                          help="of benchmarks.logging_rates (default: three)")  # fmt: skip
     each = "; ".join(f"{name}: {words}" for name, (words, _) in DOUBTS.items()).replace("%", "%%")
-    options.add_argument("--only", nargs="+", choices=list(DOUBTS), default=list(DOUBTS), metavar="DOUBT", help=each)
+    options.add_argument(
+        "--only", nargs="+", default=list(DOUBTS), metavar="DOUBT", help=f"or several joined by +: {each}"
+    )
     options.add_argument("--out", type=Path, default=Path("runs/doubts"), metavar="DIR", help="default: %(default)s")
     chosen = options.parse_args()
+    if unknown := {name for word in chosen.only for name in word.split("+")} - set(DOUBTS):
+        raise UserError(f"no doubt {min(unknown)!r}; there are {', '.join(DOUBTS)}")
     table, usual, folder = Table(COLUMNS), None, chosen.out.absolute()
+    drawn = (
+        "--seed",
+        str(chosen.seed),
+        *(["--parts", *chosen.parts] if chosen.parts else ["--cases", str(chosen.cases)]),
+    )
     for doubt in progress([NONE, *chosen.only], label="doubts", unit="doubt"):
-        told = proof(folder, chosen.cases, chosen.seed, doubt)
+        told = proof(folder, drawn, doubt)
         usual = usual or told
         with ThreadPoolExecutor(2) as both:  # each is one process
             words = "--seeds", "2", "--conditions", *chosen.conditions
