@@ -10,6 +10,7 @@ here has no measured case. After Ctrl-C the same command goes on where it was.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -24,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._report import parser
+from benchmarks.prove.blind import ENGINE
 from hydro_core.cli.console import Table, UserError, command, progress
 
 SWITCH = "HYDRO_WITHOUT_DOUBT"
@@ -70,7 +72,10 @@ DOUBTS: dict[str, tuple[str, dict[str, Change]]] = {
         "judge: where names leave something, those that act there need 98 % of the squares",
         {f"{_JUDGE}:NEARLY_ALL": _constant(0.0)},
     ),
-    "insignificant": ("judge: an interval that includes absence", {f"{_INTERVALS}:_includes_neutral": _answer(False)}),
+    "insignificant": (
+        "judge, and `sure laws`: an interval that includes absence",
+        {f"{_INTERVALS}:_includes_neutral": _answer(False)},
+    ),
     "smallest": ("judge: a size below the smallest that matters", {f"{_JUDGE}:is_significant": _answer(True)}),
     "harmful": (
         "judge: a name that makes what was held out worse",
@@ -151,8 +156,7 @@ def proof(folder: Path, drawn: Sequence[str], doubt: str) -> dict[str, Any]:
     if doubt != NONE and not out.exists():
         answers = shutil.ignore_patterns("answer.json", "corrected.yaml")
         shutil.copytree(first / "blind", out / "blind", copy_function=os.link, ignore=answers)
-    if not (out / "proof.json").exists():
-        _run(doubt, "benchmarks.prove", *drawn, "--out", str(out))
+    _run(doubt, "benchmarks.prove", *drawn, "--out", str(out))  # leaves alone what this version has answered
     found: dict[str, Any] = json.loads((out / "proof.json").read_text())
     return found
 
@@ -168,11 +172,15 @@ def _run(doubt: str, module: str, *words: str) -> None:
 
 
 def written(folder: Path, doubt: str, name: str, module: str, *words: str) -> list[dict[str, Any]]:
-    """Return the rows that a benchmark writes without a doubt."""
-    file = folder / doubt.replace(" ", "_") / f"{name}.json"
+    """Return the rows that a benchmark writes without a doubt, once for each version and `words`; none without data."""
+    key = hashlib.sha256(json.dumps([ENGINE, words]).encode()).hexdigest()[:12]
+    file = folder / doubt.replace(" ", "_") / f"{name}-{key}.json"
     if not file.exists():
         part = file.with_suffix(".part")
+        part.unlink(missing_ok=True)
         _run(doubt, module, *words, "--json", str(part))
+        if not part.exists():
+            return []
         part.rename(file)
     held = json.loads(file.read_text())
     rows: list[dict[str, Any]] = held if isinstance(held, list) else held.get("scores", held.get("rows", []))
@@ -236,11 +244,8 @@ def main() -> None:
     if unknown := {name for word in chosen.only for name in word.split("+")} - set(DOUBTS):
         raise UserError(f"no doubt {min(unknown)!r}; there are {', '.join(DOUBTS)}")
     table, usual, folder = Table(COLUMNS), None, chosen.out.absolute()
-    drawn = (
-        "--seed",
-        str(chosen.seed),
-        *(["--parts", *chosen.parts] if chosen.parts else ["--cases", str(chosen.cases)]),
-    )
+    cases = ["--parts", *chosen.parts] if chosen.parts else ["--cases", str(chosen.cases)]
+    drawn = ["--seed", str(chosen.seed), *cases]
     for doubt in progress([NONE, *chosen.only], label="doubts", unit="doubt"):
         told = proof(folder, drawn, doubt)
         usual = usual or told

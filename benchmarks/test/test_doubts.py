@@ -7,14 +7,13 @@ import subprocess
 import sys
 from typing import Any
 
-from benchmarks.doubts import DOUBTS, row
+from benchmarks.doubts import row
 
 LEAVE_OUT = "from benchmarks.doubts import DOUBTS, leave_out\nfor one in DOUBTS: leave_out(one)"
 
 
 def test_each_doubt_is_where_the_table_says() -> None:
     subprocess.run([sys.executable, "-c", LEAVE_OUT], check=True, timeout=60)
-    assert len(DOUBTS) == 21
 
 
 def told(**passed: bool) -> dict[str, Any]:

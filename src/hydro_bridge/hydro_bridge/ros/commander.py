@@ -7,6 +7,7 @@ Without the lease nothing is published, and not even a publisher exists.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from math import inf
 from typing import Any
 
@@ -254,7 +255,8 @@ class Commander:
         self._answer = self._reference = None
         for topic, publisher in self._publishers.items():
             if topic == REFERENCE:
-                publisher.wait_for_all_acked(_HEARD_WITHIN)
+                with suppress(RuntimeError):  # a middleware that cannot tell
+                    publisher.wait_for_all_acked(_HEARD_WITHIN)
             self._node.destroy_publisher(publisher)
         self._publishers = {}
         if self._end_service is not None:
