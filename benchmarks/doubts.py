@@ -116,7 +116,7 @@ DOUBTS: dict[str, tuple[str, dict[str, Change]]] = {
     ),
     "forms": (
         "interval: another form of a law that fits as well",
-        {"effects.friction:FrictionStribeck.other_forms": _constant(())},
+        {"effects.dynamics:Stribeck.other_forms": _constant(())},
     ),
     "sure laws": ("laws: an interval that includes absence", {f"{_NAMING}:all_exclude_neutral": _answer(True)}),
     "names beside laws": (

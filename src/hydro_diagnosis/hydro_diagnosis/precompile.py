@@ -7,11 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import PRESSURE, Claim
-from hydro_diagnosis.effects.fluid import LeakageInternal
 from hydro_diagnosis.effects.kernels import opened, splined
 from hydro_diagnosis.effects.memory import Memory
-from hydro_diagnosis.effects.valve import ValveGain
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.recording import MEASURED, Segment
@@ -32,7 +31,9 @@ def _equations() -> None:
     rest = {name: np.full(200, 1e6 if name.startswith("pressure") else 0.0) for name in MEASURED}
     model = SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), Bench.nominal())
     begins = np.arange(20, 40, 10)
-    for claims in ((), (Claim(LeakageInternal(), {"coefficient": 0.0}),), (Claim(ValveGain(), {"ratio": 1.0}),)):
+    causes = {effect.label: effect for effect in LIBRARY}
+    leak, gain = Claim(causes["leakage_internal"], {"coefficient": 0.0}), Claim(causes["valve_gain"], {"ratio": 1.0})
+    for claims in ((), (leak,), (gain,)):
         model.residuals(PRESSURE, claims), model.motion_residual(claims)
         plant = Plant.of(model, claims)
         plant.run(plant.start(begins), begins, 3)

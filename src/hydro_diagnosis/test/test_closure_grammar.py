@@ -101,17 +101,19 @@ def test_a_gauge_that_saturates_or_is_curved_is_undone() -> None:
         ("pressure_a", "even quadratic reading of pressure_a", {"coefficient": 4e-9}, 1.0),
     ):
         effect = closure(law("sensor", form), BENCH)
-        reading = effect.measure(sensor, pressure, memory, values)
-        np.testing.assert_allclose(effect.unmeasure(sensor, reading, memory, values), pressure, rtol=0, atol=allowed)
-        assert effect.unmeasure("piston_position", reading, memory, values) is reading
+        reading = effect.read_sensor(sensor, pressure, memory, values)
+        np.testing.assert_allclose(
+            effect.invert_reading(sensor, reading, memory, values), pressure, rtol=0, atol=allowed
+        )
+        assert effect.invert_reading("piston_position", reading, memory, values) is reading
 
 
 def test_a_position_with_play_is_undone() -> None:
     effect = closure(law("sensor", "hysteresis of piston_position"), BENCH)
     position = 0.04 + 5e-3 * np.sin(np.arange(3000) / 200.0)
     values = {"coefficient": -8e-5, "path": 3e-4}
-    reading = effect.measure("piston_position", position, Memory(1e-3), values)
-    found = effect.unmeasure("piston_position", reading, Memory(1e-3), values)
+    reading = effect.read_sensor("piston_position", position, Memory(1e-3), values)
+    found = effect.invert_reading("piston_position", reading, Memory(1e-3), values)
     assert np.max(np.abs(found - position)) < 1e-6 < 5e-5 < np.max(np.abs(reading - position))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects against closed forms; simulation and diagnosis, written apart, mean the same; a bench file carries them."""
+"""Effects against closed forms; simulated, and along a record, they mean the same; a bench file carries them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ import yaml
 from hydro_core.files import bench_file
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import Machine, sized
-from hydro_diagnosis.effects.bench_values import TankPressure
 from hydro_diagnosis.effects.closure import Closure, closure
-from hydro_diagnosis.effects.fluid import EntrainedAir
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
@@ -77,7 +75,7 @@ def test_air_in_rigid_oil_is_a_polytropic_gas() -> None:
     pressure = np.array([2e5, 1e6, 1e7])
     share, absolute = 0.01, pressure + 101325.0
     gas = share * (101325.0 / absolute) ** (1.0 / 1.4)
-    soft = EntrainedAir().stiffness(np.full(3, 1e15), pressure, {"volume_fraction": share})
+    soft = claim("entrained_air").effect.modulus(np.full(3, 1e15), pressure, {"volume_fraction": share})
     assert np.allclose(soft, 1.4 * absolute * (1.0 - share + gas) / gas, rtol=1e-4)
 
 
@@ -85,9 +83,11 @@ def test_effects_stay_within_what_a_bench_allows() -> None:
     light = replace(Bench.nominal(), spring_stiffness=1.0, viscous_friction=0.0, moving_mass=0.01, area_ratio=1.0)
     for effect in (one.adapted(light) for one in LIBRARY):
         for bound in ("low", "high"):
-            effect.bench(light, {one.name: getattr(one, bound) for one in effect.parameters})
-    weak = claim("supply_pressure").effect.bench(replace(light, supply_pressure=1e7, tank_pressure=2e5), {"ratio": 0.3})
-    assert TankPressure().bench(weak, {"pressure": 5e6}).tank_pressure < weak.supply_pressure
+            effect.correct(light, {one.name: getattr(one, bound) for one in effect.parameters})
+    weak = claim("supply_pressure").effect.correct(
+        replace(light, supply_pressure=1e7, tank_pressure=2e5), {"ratio": 0.3}
+    )
+    assert claim("tank_pressure").effect.correct(weak, {"pressure": 5e6}).tank_pressure < weak.supply_pressure
 
 
 STEP = 1e-3

@@ -1,47 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of effects: named causes with parameters that act on command, flows, forces or measurements.
+"""Effects as causes: an effect of the bench model (`hydro_sim.model.effects`) with the bounds and starts of its fit.
 
-Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same hooks
-serve the regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes
-through `Memory`, which either filters a whole record or advances one step.
+The equations are the model's own: a hook binds an effect to values and to what was recorded, and calls the term of the
+same name on arrays. Every hook returns what it was given if the effect does not act there. The same hooks serve the
+regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes through
+`Memory`, which either filters a whole record or advances one step (`effects.dynamics`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from math import nan
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
+from hydro_diagnosis.effects.kernels import substep_mean
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects import base as physics
+from hydro_sim.model.effects.base import FitParameter as FitParameter
+from hydro_sim.model.effects.base import display_unit as display_unit
+from hydro_sim.model.effects.catalogue import Kind
+from hydro_sim.model.effects.sensing import Sensor, SensorLag
 
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
 """Of chamber A and of chamber B."""
 Values = Mapping[str, float]
 Kept = TypeVar("Kept")
-_DISPLAY_UNITS = {
-    "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
-    "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
-}  # fmt: skip
-"""Units in which sentences tell numbers, and the factor from SI."""
-_IN_SENTENCES = {"1/s": 100.0, "Pa s/m3": 1e-12}
-"""Factors from SI to % per second and to MPa per ml/s."""
-
-
-def display_unit(unit: str) -> tuple[str, float]:
-    """Return the unit in which sentences tell numbers, and the factor from SI."""
-    return _DISPLAY_UNITS.get(unit, (unit, 1.0))
-
-
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """The blocks of residuals that an effect can touch; only those are recomputed when its parameters change."""
+_BLOCKS = {"motion": {MOTION}, "load": {MOTION, LOAD}}
+_SENSED = {
+    "hydraulic_force": {MOTION, HYDRAULIC}, "load_force": {LOAD}, "pressure_a": {PRESSURE, HYDRAULIC},
+    "pressure_b": {PRESSURE, HYDRAULIC}, "piston_position": {PRESSURE, MOTION, LOAD},
+}  # fmt: skip
+"""Blocks of residuals in which a sensor shows, by its channel."""
 TANK_MAX = 0.99
 """Largest pressure of the tank over that of the supply."""
+
+
+def blocks_of(equation: str, channel: str = "") -> frozenset[str]:
+    """Return the blocks of residuals in which an equation shows, or the error of a channel's sensor."""
+    return frozenset(_SENSED[channel] if equation == "sensor" else _BLOCKS.get(equation, {PRESSURE}))
 
 
 def changed(bench: Bench, **values: float | None) -> Bench:
@@ -54,41 +58,6 @@ def changed(bench: Bench, **values: float | None) -> Bench:
     supply = inside.get("supply_pressure", bench.supply_pressure)
     tank = min(inside.get("tank_pressure", bench.tank_pressure), TANK_MAX * supply)
     return replace(bench, **{**inside, "tank_pressure": tank})
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitParameter:
-    """Parameter of an effect: bounds, neutral value, and smallest size worth claiming."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    neutral: float = 0.0
-    """Value at which the effect vanishes (for shape parameters: the usual value)."""
-    probes: tuple[float, ...]
-    """Start values of the search, within the bounds."""
-    smallest: float = 0.0
-    """Distance from `neutral` below which a difference is not worth claiming; 0 for shape parameters."""
-    systematic: float = 0.003
-    """For a shape parameter: relative error that the residuals' own discretisation may cause."""
-    reported: bool = True
-    """False for shape parameters that are fitted but not part of the contract."""
-
-    @property
-    def span(self) -> float:
-        """The natural step of this parameter."""
-        return max(abs(probe - self.neutral) for probe in self.probes) or abs(self.neutral)
-
-
-@dataclass
-class Openings:
-    """Valve edges as conductances, mean over the interval [m3/s/sqrt(Pa)]."""
-
-    supply_a: FloatArray
-    a_tank: FloatArray
-    supply_b: FloatArray
-    b_tank: FloatArray
 
 
 @dataclass(frozen=True)
@@ -117,46 +86,36 @@ class Kinematics:
     """m/s2; None where it is not known."""
 
 
+class _Corrected:
+    """The numbers of a bench, which a correction sets."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.__dict__["bench"] = bench
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.bench, name)
+
+
 @dataclass(frozen=True)
 class Effect:
-    """A cause that the baseline leaves out.
+    """A cause that the baseline leaves out. What has memory overrides the hook in which it acts."""
 
-    Subclasses set `id`, `equation`, `parameters`, `blocks` and override the hooks in which they act.
-    """
-
-    options: Mapping[str, str] = field(default_factory=dict)
-    """Chamber, sensor or form; part of the report, except `form`."""
-    reference: float = nan
-    """The bench file's value of `refers`."""
+    kind: Kind
+    """Effect of the model, with its options."""
+    parameters: tuple[FitParameter, ...] = ()
+    """As they are fitted, relative to the bench to which it is adapted."""
     estimated: bool = False
     """Whether it stands for a number that is estimated (`estimation.unknown_numbers`): in every fit, never a claim."""
 
-    id: ClassVar[str] = ""
     named: ClassVar[bool] = True
     """Whether it is in the table; other effects are tried, but never claimed."""
-    equations: ClassVar[tuple[str, ...]] = ()
-    """Equations in which it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
-    blocks: ClassVar[frozenset[str]] = frozenset()
-    parameters: ClassVar[tuple[FitParameter, ...]] = ()
-    refers: ClassVar[str] = ""
-    """Number of the bench file on which the parameters depend; empty if none."""
-    says: ClassVar[str] = ""
-    """`sentence`: with its parameters by name, in the units of `display_unit`, and the `effect`; `size` of the first
-    parameter, and whether that is `more` or less than nothing.
-    """
     stage: ClassVar[int] = 1
     """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
-    family: ClassVar[str] = ""
-    """Effects of one family can mimic errors in each other's form."""
-    needs: ClassVar[tuple[str, ...]] = ()
-    """Ids of effects without which this one does nothing."""
     other_forms: ClassVar[tuple[Effect, ...]] = ()
     """The same cause and parameters in forms that are not claimed: intervals hold for them too where they fit as well.
     """
     bristles: ClassVar[bool] = False
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
-    lagged: ClassVar[str] = ""
-    """Channel whose readings it low-passes; empty if none."""
     memoryless: ClassVar[bool] = False
     """Whether a reading depends on the present signal, on a path or on slow states alone."""
     uses_acceleration: ClassVar[bool] = False
@@ -165,6 +124,47 @@ class Effect:
     """Whether the recorded position differs from the piston's by this effect."""
     nonlinear_channel: ClassVar[str] = ""
     """Channel whose reading is a nonlinear function of its signal by this effect; empty if none."""
+
+    @cached_property
+    def physics(self) -> physics.Effect:
+        """The effect of the model; its values are bound in each hook."""
+        return self.kind.make()
+
+    @property
+    def id(self) -> str:
+        """Of the table."""
+        return self.kind.effect.id
+
+    @cached_property
+    def options(self) -> dict[str, str]:
+        """Chamber, sensor or form; part of the report, except `form`."""
+        return dict(self.kind.chosen)
+
+    @property
+    def equations(self) -> tuple[str, ...]:
+        """Equations in which it acts, the main one first."""
+        return self.physics.equations
+
+    @property
+    def family(self) -> str:
+        """Effects of one family can mimic errors in each other's form."""
+        return self.physics.family
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Ids of effects without which this one does nothing."""
+        return self.physics.needs
+
+    @cached_property
+    def blocks(self) -> frozenset[str]:
+        """Blocks of residuals in which it shows."""
+        channel = self.physics.channel if isinstance(self.physics, Sensor) else ""
+        return self.physics.balances or frozenset().union(*(blocks_of(one, channel) for one in self.equations))
+
+    @property
+    def lagged(self) -> str:
+        """Channel whose readings it low-passes; empty if none."""
+        return self.physics.channel if isinstance(self.physics, SensorLag) else ""
 
     @property
     def label(self) -> str:
@@ -183,62 +183,84 @@ class Effect:
 
     def sentence(self, values: Values) -> str:
         """Description of the effect for a person at the bench."""
-        units = {one.name: one.unit for one in self.parameters}
-        shown = {name: values[name] * _IN_SENTENCES.get(unit, display_unit(unit)[1]) for name, unit in units.items()}
-        first = next(iter(shown.values()))
-        said = self.says.format(effect=self, size=abs(first), more="more" if first > 0.0 else "less", **shown)
-        return said[0].upper() + said[1:]
+        return self.physics.sentence(values)
 
     def adapted(self, bench: Bench) -> Effect:
         """The effect relative to this bench."""
-        return replace(self, reference=getattr(bench, self.refers)) if self.refers else self
+        return replace(self, parameters=self.physics.fit_parameters(bench))
+
+    def acts_in(self, *hooks: str) -> bool:
+        """Return whether the effect acts in any of these hooks."""
+        own: Any = type(self)
+        physical: Any = self.kind.effect
+        return any(_acts_in(own, physical, hook) for hook in hooks)
+
+    def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
+        """The effect of the model at these values; `context`: fields of `EffectContext` that its terms read."""
+        return self.kind.bound(values, **context)
 
     # -- hooks, in the order in which the model calls them ------------------------------------------------------------
 
-    def bench(self, bench: Bench, values: Values) -> Bench:
-        """The bench with a value replaced."""
-        return bench
+    def correct(self, bench: Bench, values: Values) -> Bench:
+        """The bench with a number corrected."""
+        numbers = _Corrected(bench)
+        self._bound(values).correct(numbers)
+        return changed(bench, **{name: one for name, one in vars(numbers).items() if name != "bench"})
 
     def settled(self, bench: Bench, values: Values) -> Bench:
         """The bench file with this effect written into its numbers, exact where no earlier effect meets its hooks."""
-        return self.bench(bench, values)
+        if self.id in _FACTORS and "ratio" in values:
+            number = _FACTORS[self.id]
+            return changed(bench, **{number: getattr(bench, number) * values["ratio"]})
+        return self.correct(bench, values)
 
-    def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
-        """Spool position [A] from the valve current, shape (n, substeps); `substep` in s. The record starts at rest."""
-        return current
+    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+        """Spool position [A] from the command, shape (n, substeps); `substep` in s. The record starts at rest."""
+        path = np.ascontiguousarray(spool).ravel()
+        return np.asarray(self._bound(values, Memory(substep)).command(path)).reshape(spool.shape)
 
-    def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
-        """Conductance of the valve's edges; `spool` [A] has shape (..., substeps), the edges (...)."""
-        return edges
+    def openings(self, edges: Pair, spool: FloatArray, time: FloatArray, values: Values) -> Pair:
+        """Conductances [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
+
+        `spool` [A] and conductances have shape (..., substeps); `time` [s], since the recording began, shape (...).
+        """
+        bound = self._bound(values, step=0.0)
+        bound.time = time[..., None] if np.ndim(time) else time
+        out, back = bound.openings(*edges, spool)
+        return np.asarray(out), np.asarray(back)
 
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
         """Supply pressure [Pa] under the `demand` [m3/s]."""
         return supply
 
-    def flows(self, flows: Pair, pressures: Pair, tank: float, values: Values) -> Pair:
-        """Net flows [m3/s] into chamber A and into chamber B."""
-        return flows
+    def leaks(self, flows: Pair, oil: Oil, bench: Bench, memory: Memory, values: Values) -> Pair:
+        """Flow [m3/s] into chamber A and into chamber B."""
+        bound = self._bound(
+            values, memory, numbers=bench, position=oil.position, velocity=oil.velocity, pressures=oil.pressures,
+            spool=substep_mean(oil.spool),
+        )  # fmt: skip
+        from_a, from_b = bound.leaks(*oil.pressures)
+        return flows[0] - from_a, flows[1] - from_b
 
-    def stiffness(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
-        """Bulk modulus [Pa] at an absolute pressure [Pa]."""
-        return modulus
+    def modulus(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
+        """Bulk modulus [Pa] of a chamber at its pressure [Pa]."""
+        return np.asarray(self._bound(values).modulus(modulus, pressure))
 
-    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
-        """Flow [m3/s] into chamber A and into chamber B, where it depends on more than the pressures."""
-        return flows
-
-    def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+    def dry_level(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
         """Level [N, >= 0] of dry friction while sliding; the model gives it the sign of the velocity."""
-        return level
+        return np.asarray(self._bound(values).dry_level(level, motion.velocity))
 
-    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
-                   values: Values) -> FloatArray:  # fmt: skip
+    def opposing_force(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                       values: Values) -> FloatArray:  # fmt: skip
         """Force [N] against the motion beyond viscous friction; `level` is the dry friction's level while sliding."""
-        return force
+        bound = self._bound(values, memory, pressures=motion.pressures or (0.0, 0.0))
+        return np.asarray(force + bound.opposing_force(motion.position, motion.velocity))
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         """Force [N] of the load."""
-        return force
+        return np.asarray(
+            self._bound(values, memory, numbers=bench, velocity=motion.velocity).load(force, motion.position)
+        )
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
         """Leave in a record's memory the states in which simulations begin at its samples, where hooks pass others."""
@@ -247,13 +269,27 @@ class Effect:
         """Mass [kg] that the load drags along, where the acceleration is not known yet; `load` has its force, too."""
         return np.zeros_like(motion.position)
 
-    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         """Reading of a sensor for its true signal."""
-        return signal
+        beside = {name: memory.beside.get(name, 0.0) for name in ("position", "velocity", "acceleration", "current")}
+        pressures = tuple(memory.beside.get(f"pressure_{chamber}", 0.0) for chamber in "ab")
+        bound = self._bound(values, memory, pressures=pressures, **beside)
+        bound.held = beside["current"]
+        return np.asarray(bound.read_sensor(channel, signal))
 
-    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         """True signal from a reading, as far as the sensor can be inverted."""
         return reading
+
+
+_FACTORS = {"bulk_modulus": "bulk_modulus", "valve_gain": "valve_nominal_flow"}
+"""Numbers of the bench file to which an effect that is no correction amounts."""
+
+
+@cache
+def _acts_in(kind: Any, effect: Any, hook: str) -> bool:
+    own = getattr(kind, hook) is not getattr(Effect, hook)
+    return own or (hasattr(physics.Effect, hook) and effect.acts_in(hook))
 
 
 FADED = 3.0**-0.5
@@ -283,13 +319,7 @@ class Machine:
 
 def sized(effect: Effect, machine: Machine) -> Effect:
     """The effect with bounds that hold what the machine may show; never narrower than its own."""
-    changed_ = [_sized(one, machine) for one in effect.parameters]
-    if all(one is two for one, two in zip(changed_, effect.parameters, strict=True)):
-        return effect
-    kind = type(effect)
-    made = type(kind.__name__, (kind,), {"parameters": tuple(changed_), "__module__": kind.__module__})
-    found: Effect = made(**{one.name: getattr(effect, one.name) for one in fields(effect)})
-    return found
+    return replace(effect, parameters=tuple(_sized(one, machine) for one in effect.parameters))
 
 
 def _sized(one: FitParameter, machine: Machine) -> FitParameter:
@@ -342,11 +372,6 @@ def values_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
     return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
-def changes(claim: Claim, *hooks: str) -> bool:
-    """Whether a claim's effect acts in any of these hooks of `Effect`."""
-    return any(getattr(type(claim.effect), hook) is not getattr(Effect, hook) for hook in hooks)
-
-
 def acting(claims: Iterable[Claim], *hooks: str) -> list[Claim]:
     """The claims whose effects act in any of these hooks of `Effect`, in their order."""
-    return [claim for claim in claims if changes(claim, *hooks)]
+    return [claim for claim in claims if claim.effect.acts_in(*hooks)]

@@ -1,54 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws and tables of `hydro_sim.model.grammar` as effects, each of the class that acts in its equation.
+"""Laws and tables of `hydro_sim.model.grammar` as effects: terms without a name, and grown effects, laws that have one.
 
-They are fitted and simulated like named causes, but never named. Those of sensors say what a reading shows more than
-its signal, and how that is undone.
+They are fitted and simulated like named causes. Their terms are the model's; here is what they remember of a record
+that passes at once, and how a sensor's error is undone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects import kernels
-from hydro_diagnosis.effects.base import (
-    LOAD,
-    MOTION,
-    PRESSURE,
-    Effect,
-    FitParameter,
-    FloatArray,
-    Kinematics,
-    Oil,
-    Pair,
-    Values,
-)
-from hydro_diagnosis.effects.kernels import splined
+from hydro_diagnosis.effects.base import Effect, FitParameter, FloatArray, Kinematics, Oil, Pair, Values, blocks_of
+from hydro_diagnosis.effects.kernels import splined, substep_mean
 from hydro_diagnosis.effects.memory import Memory
-from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import (
-    REVERSAL_VELOCITY,
-    Element,
-    Law,
-    Number,
-    Signals,
-    edge_losses,
-    sensor_signals,
-    spool_shift_losses,
-)
+from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
+from hydro_sim.model.effects.closure import NamedLaw, closure_class
+from hydro_sim.model.laws import REVERSAL_VELOCITY, Element, Law, Number, Signals, edge_losses, sensor_signals
 from hydro_sim.model.tables import Table
 
-_TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
+_SMALLEST = 0.01
+"""Smallest coefficient of a grown effect worth claiming, as a share of what was seen."""
+_FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
+"""Families of grown effects: those of the effects of the table which act in the same equation."""
+_HOOKS = {"motion": {"opposing_force"}, "load": {"load"}, "sensor": {"read_sensor"}}
+"""Hooks in which terms of an equation act; those of flows in `leaks`, of the spool in `command`."""
+
+
+@cache
+def _kind(law: Law | Table) -> Kind:
+    return Kind(closure_class(law), (("equation", law.equation), ("form", law.form)))
 
 
 @dataclass(frozen=True)
@@ -62,27 +52,39 @@ class Closure(Effect):
     """Start values of a threshold, within the limits."""
     numbers: Bench | None = None
     """The bench, once it is adapted."""
-
-    id = "closure"
-    named = False
-
-    @property
-    def blocks(self) -> frozenset[str]:  # type: ignore[override]
-        if self.law.equation == "sensor":
-            return TOUCHES[self.law.where]
-        return _TOUCHES.get(self.law.equation, frozenset({PRESSURE}))
+    name: NamedLaw | None = None
+    """Of a grown effect."""
 
     @property
-    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
+    def named(self) -> bool:  # type: ignore[override]
+        return self.name is not None
+
+    @property
+    def stage(self) -> int:  # type: ignore[override]
+        return 2
+
+    @property
+    def blocks(self) -> frozenset[str]:
+        return blocks_of(self.law.equation, self.law.where)
+
+    @property
+    def equations(self) -> tuple[str, ...]:
         return _EQUATIONS.get(self.law.equation, (self.law.equation,))
 
     @property
-    def family(self) -> str:  # type: ignore[override]
+    def family(self) -> str:
         """Laws of flows cannot pass for an error in the form of a law of forces."""
+        if self.named:
+            return _FAMILIES.get(self.law.equation, "leak")
         flows = self.law.equation in ("actuation", "pressure", "pressure_a", "pressure_b")
         if self.law.equation == "sensor":
             flows = self.law.where.startswith("pressure")
         return "closure of flows" if flows else "closure of forces"
+
+    @property
+    def moves_spool(self) -> bool:
+        """Whether it is a term of the spool's position; other terms of the valve are flows."""
+        return self.law.equation == "actuation" and not self.law.where
 
     @property
     def memoryless(self) -> bool:  # type: ignore[override]
@@ -97,8 +99,16 @@ class Closure(Effect):
         """Memory element of the term."""
         return self.law.element
 
-    @cached_property
-    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
+    def acts_in(self, *hooks: str) -> bool:
+        acting = {"command"} if self.moves_spool else _HOOKS.get(self.law.equation, {"leaks"})
+        own = {hook for hook in ("inertia", "invert_reading") if getattr(type(self), hook) is not getattr(Effect, hook)}
+        return not (acting | own).isdisjoint(hooks)
+
+    def adapted(self, bench: Bench) -> Effect:
+        return replace(self, numbers=bench, parameters=self.fitted())
+
+    def fitted(self) -> tuple[FitParameter, ...]:
+        """Parameters of the law as they are fitted: its amplitudes, then its further numbers."""
         law, size = self.law, self.law.typical
         names = ("coefficient",) if isinstance(law, Law) else law.names[2:]
         reach = _REACH * size
@@ -106,12 +116,18 @@ class Closure(Effect):
             FitParameter(name=name, unit=law.unit, low=-reach, high=reach, probes=(size,), smallest=1e-3 * size)
             for name in names
         )
-        return (*amplitudes, *(self._number(one) for one in self._numbers))
-
-    @property
-    def _numbers(self) -> tuple[Number, ...]:
-        """The law's further numbers."""
-        return self.law.numbers if isinstance(self.law, Law) else ()
+        further = law.numbers if isinstance(law, Law) else ()
+        parameters = (*amplitudes, *(self._number(one) for one in further))
+        if self.name is None:
+            return parameters
+        bounds, seen = self.name.bounds, self.name.typical_parameters
+        return tuple(
+            replace(
+                one, low=bounds[one.name][0], high=bounds[one.name][1], probes=(seen[one.name],), systematic=0.01,
+                smallest=_SMALLEST * abs(seen[one.name]) if one.smallest > 0.0 else 0.0,
+            )
+            for one in parameters
+        )  # fmt: skip
 
     def _number(self, number: Number) -> FitParameter:
         probes = self.probes if number.over and self.probes else number.probes
@@ -120,9 +136,6 @@ class Closure(Effect):
             name=number.name, unit=number.unit, low=low, high=high, neutral=probes[len(probes) // 2], probes=probes,
             systematic=0.6 if number.name == REVERSAL_VELOCITY.name else 0.01,  # the recorded velocity is smoothed
         )  # fmt: skip
-
-    def adapted(self, bench: Bench) -> Effect:
-        return replace(self, numbers=bench)
 
     def nothing(self) -> list[dict[str, float]]:
         """Values at which the term vanishes: one set for each choice of start values of its further numbers."""
@@ -136,9 +149,13 @@ class Closure(Effect):
         return {"equation": self.law.equation, "form": self.law.form, "parameters": {**bounds, **values}}
 
     def sentence(self, values: Values) -> str:
-        if isinstance(self.law, Law):
-            return self.law.sentence
-        over, factor = self.law.variable.replace("_", " "), self.law.factor
+        law = self.law
+        if self.named and isinstance(law, Law):
+            further = "".join(f", {one.name} {values[one.name]:.3g} {one.unit}" for one in law.numbers)
+            return f"{law.sentence} It is {values['coefficient']:.3g} {law.unit} times {law.text}{further}."
+        if isinstance(law, Law):
+            return law.sentence
+        over, factor = law.variable.replace("_", " "), law.factor
         what = f"A coefficient of the {factor.name} that follows" if factor else "A smooth function of"
         return f"{what} the {over}, for which no law was found."
 
@@ -168,64 +185,43 @@ class Closure(Effect):
         given = splined(np.asarray(self.law.variable_value(at)), *self.limits, np.array([*values.values()]))
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
+    def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
+        """The model's term, whose value and memory are those of a record or of windows."""
+        bound = super()._bound(values, memory, **context)
+        bench = context.get("numbers")
 
-class MotionClosure(Closure):
-    """A force against the motion."""
+        def value(at: Signals) -> FloatArray:
+            return self.given(self._remembering(at, memory, values) if memory else at, values, bench)
 
-    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
-                   values: Values) -> FloatArray:  # fmt: skip
-        nothing = np.zeros_like(motion.position)
-        at = Signals(motion.position, motion.velocity, *(motion.pressures or (nothing, nothing)))
-        return force + self.given(self._remembering(at, memory, values), values)
+        bound.__dict__ |= {"_value": value, "_past": lambda: 0.0, "_remembered": lambda signal: 0.0}
+        return bound
 
-
-class FlowClosure(Closure):
-    """A flow out of the chambers beside the valve."""
+    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+        path = np.ascontiguousarray(spool).ravel()
+        at = self._remembering(Signals(current=path), Memory(substep), values)
+        return spool + self.given(at, values).reshape(spool.shape)
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
         """Flows are computed in the middle of each sample."""
-        if self.element is not None and self.element.kind == "path":
+        if self.acts_in("leaks") and self.element is not None and self.element.kind == "path":
             self._remembering(Signals(motion.position, motion.velocity), memory, values)
-
-    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
-        at = Signals(oil.position, oil.velocity, *oil.pressures, kernels.substep_mean(oil.spool))
-        out = self.given(self._remembering(at, memory, values), values, self.numbers)
-        by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
-        return flows[0] + by_a * out, flows[1] + by_b * out
 
 
 class EdgeClosure(Closure):
-    """A share of the flow through the valve's edges that does not pass."""
+    """A share of the flow through the valve's edges that does not pass; it remembers the spool's mean position."""
 
-    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
-        bench = self.numbers
-        assert bench is not None
-        opened, closed = (kernels.substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
+    def leaks(self, flows: Pair, oil: Oil, bench: Bench, memory: Memory, values: Values) -> Pair:
+        opened, closed = (substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
+        past = self._remembering(Signals(current=substep_mean(oil.spool)), memory, values).memory
         openings = bench.valve_gain * opened, bench.valve_gain * closed
-        past = self._remembering(Signals(current=kernels.substep_mean(oil.spool)), memory, values).memory
         lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at.replace(memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
-
-class AcrossClosure(Closure):
-    """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
-
-    def inflows(self, flows: Pair, oil: Oil, memory: Memory, values: Values) -> Pair:
-        spool = kernels.substep_mean(oil.spool)
-        at = Signals(oil.position, oil.velocity, *oil.pressures, spool)
-        lost = spool_shift_losses(self.numbers, spool, self.given(at, values), oil.pressures)
-        return flows[0] - lost[0], flows[1] - lost[1]
+    def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
+        """What it remembers is the current's."""
 
 
-class LoadClosure(Closure):
-    """A force of the load."""
-
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
-        at = Signals(motion.position, motion.velocity)
-        return force + self.given(self._remembering(at, memory, values), values, bench)
-
-
-class DraggedClosure(LoadClosure):
+class DraggedClosure(Closure):
     """A mass that the load drags along."""
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
@@ -235,18 +231,6 @@ class DraggedClosure(LoadClosure):
 
     def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
         return self.given(Signals(motion.position, motion.velocity, acceleration=1.0), values, bench)
-
-
-class ValveClosure(Closure):
-    """A term of the spool's position."""
-
-    stage = 2
-
-    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
-        path = np.ascontiguousarray(spool).ravel()
-        at = Signals(current=path)
-        at = self._remembering(at, Memory(substep), values)
-        return spool + self.given(at, values).reshape(spool.shape)
 
 
 _INVERSIONS = 6
@@ -259,17 +243,7 @@ _BEYOND = 0.5
 """Share of its range by which a signal may lie outside what its curved reading spans."""
 
 
-class SensorClosure(Closure):
-    """Error of a sensor's reading."""
-
-    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel != self.law.where:
-            return signal
-        at = sensor_signals(channel, signal, memory.beside)
-        return signal + self.given(self._remembering(at, memory, values), values)
-
-
-class GaugeClosure(SensorClosure):
+class GaugeClosure(Closure):
     """Error of a pressure sensor, whose pressure the flows follow."""
 
     @property
@@ -282,7 +256,7 @@ class GaugeClosure(SensorClosure):
         """Whether its own signal's past counts."""
         return self.element is not None and self.element.signal == self.law.where
 
-    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel == self.law.where and self.element is None and self.nonlinear_channel and self.law.uses <= {channel}:
             return self._straightened(reading, values)
         signal = reading
@@ -304,12 +278,12 @@ class GaugeClosure(SensorClosure):
         return np.asarray(np.interp(reading, rising[risen], signal[risen]))
 
 
-class PlaceClosure(SensorClosure):
+class PlaceClosure(Closure):
     """Error of the position sensor, on whose position all equations depend."""
 
     places = True
 
-    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
             at = sensor_signals(channel, signal, memory.beside)
@@ -326,13 +300,21 @@ def closure(
 
     `limits`: of a table's variable or of a law's threshold, SI unit; `probes`: start values of that threshold.
     """
-    acting = {"motion": MotionClosure, "load": LoadClosure, "actuation": ValveClosure, "sensor": SensorClosure}
-    placed = {"edges": EdgeClosure, "across": AcrossClosure, "piston_position": PlaceClosure}
-    kind = placed.get(law.where) or acting.get(law.equation, FlowClosure)
-    kind = GaugeClosure if law.where.startswith("pressure") else kind
-    kind = DraggedClosure if kind is LoadClosure and "acceleration" in law.uses else kind
-    options = {"equation": law.equation, "form": law.form}
-    return kind(options, law=law, limits=limits, probes=probes, numbers=bench)
+    made = _class(law)(_kind(law), law=law, limits=limits, probes=probes, numbers=bench)
+    return replace(made, parameters=made.fitted())
+
+
+def grown_cause(named: NamedLaw) -> Closure:
+    """A grown effect as a cause; what it remembers is kept under its own name."""
+    made = _class(named.law)(CATALOGUE[named.id], law=named.law, numbers=Bench.nominal(), name=named)
+    return replace(made, parameters=made.fitted())
+
+
+def _class(law: Law | Table) -> type[Closure]:
+    if law.where.startswith("pressure"):
+        return GaugeClosure
+    dragged = DraggedClosure if law.equation == "load" and "acceleration" in law.uses else Closure
+    return {"edges": EdgeClosure, "piston_position": PlaceClosure}.get(law.where, dragged)
 
 
 def from_mapping(entry: Mapping[str, Any], bench: Bench) -> tuple[Closure, dict[str, float]]:

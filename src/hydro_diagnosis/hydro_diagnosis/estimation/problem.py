@@ -332,7 +332,7 @@ class Problem:
 
         def computed(some: Sequence[Claim]) -> list[dict[str, FloatArray]]:
             late = block == PRESSURE and any(claim.effect.lagged for claim in some)
-            times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "unmeasure"))
+            times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "invert_reading"))
             self.budget.spend(times * (COST[block] * self.samples + SEGMENT_COST * len(self.models)))
             return [one.residuals(block, some) for one in self.models]
 

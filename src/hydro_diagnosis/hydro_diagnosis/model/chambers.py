@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Openings, Pair, acting
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Pair, acting
+from hydro_diagnosis.effects.kernels import substep_mean
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
@@ -26,12 +27,15 @@ from hydro_sim.model.hydraulics import pressure_rates
 
 
 @njit
-def edge_flows(into_a, into_b, supply_a, a_tank, supply_b, b_tank, p_a, p_b, supply, tank):
-    """Write the flows [m3/s] through the edges into both chambers; `tank` [Pa] is a number, all else (n,)."""
+def edge_flows(into_a, into_b, opened, closing, p_a, p_b, supply, tank):
+    """Write the flows [m3/s] through the edges into both chambers; `tank` [Pa] is a number, all else (n,).
+
+    `opened`, `closing`: conductances [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
+    """
     for k in range(len(p_a)):
         out, back = compiled.edge_drops(supply[k], tank, p_a[k], p_b[k])
-        into_a[k] = supply_a[k] * compiled.signed_root(out[0]) - a_tank[k] * compiled.signed_root(back[0])
-        into_b[k] = supply_b[k] * compiled.signed_root(back[1]) - b_tank[k] * compiled.signed_root(out[1])
+        into_a[k] = opened[k] * compiled.signed_root(out[0]) - closing[k] * compiled.signed_root(back[0])
+        into_b[k] = closing[k] * compiled.signed_root(back[1]) - opened[k] * compiled.signed_root(out[1])
 
 
 @njit
@@ -147,14 +151,6 @@ SUBSTEPS = 4
 _FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
 
 
-def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
-    """Zero-lapped valve: conductances from the spool position [A], shape (..., substeps)."""
-    mean = np.full(spool.shape[-1], bench.valve_gain / spool.shape[-1])
-    positive = np.maximum(spool, 0.0) @ mean
-    negative = positive - spool @ mean
-    return Openings(positive, negative, negative, positive)
-
-
 def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim]) -> FloatArray:
     """Spool position [A], shape (n, substeps), from the recorded current of shape (n,).
 
@@ -174,37 +170,36 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
     if acting(claims, "openings", "supply"):
-        edges, supply = _fed(bench, oil, claims, memory)
-        openings = edges.supply_a, edges.a_tank, edges.supply_b, edges.b_tank
-        edge_flows(*flows, *openings, p_a, p_b, supply, tank)
+        (out, back), supply = _fed(bench, oil, claims, memory)
+        edge_flows(*flows, out, back, p_a, p_b, supply, tank)
     else:
         nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, tank)
-    for claim in acting(claims, "flows", "inflows"):
-        flows = claim.effect.flows(flows, oil.pressures, tank, claim.values)
-        flows = claim.effect.inflows(flows, oil, memory, claim.values)
+    for claim in acting(claims, "leaks"):
+        flows = claim.effect.leaks(flows, oil, bench, memory, claim.values)
     return flows
 
 
-def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[Openings, FloatArray]:
-    """The valve's edges and the supply pressure [Pa] under the claims."""
-    edges = nominal_openings(bench, oil.spool)
+def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[Pair, FloatArray]:
+    """Conductances [m3/s/sqrt(Pa)] of the edges that drive the piston out and back, and the supply pressure [Pa]."""
+    edges: Pair = (np.maximum(oil.spool, 0.0) * bench.valve_gain, np.maximum(-oil.spool, 0.0) * bench.valve_gain)
     for claim in acting(claims, "openings"):
         edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
+    out, back = (substep_mean(one) for one in edges)
     p_a, p_b = oil.pressures
     supply = np.full_like(p_a, bench.supply_pressure)
     sagging = acting(claims, "supply")
     for _ in range(3 if sagging else 0):
         (drop_a, _), (_, drop_b) = eq.edge_drops(supply, bench.tank_pressure, p_a, p_b)
-        demand = edges.supply_a * eq.signed_root(drop_a) + edges.supply_b * eq.signed_root(drop_b)
+        demand = out * eq.signed_root(drop_a) + back * eq.signed_root(drop_b)
         supply = np.full_like(p_a, bench.supply_pressure)
         for claim in sagging:
             supply = claim.effect.supply(supply, demand, memory, claim.values)
-    return edges, supply
+    return (out, back), supply
 
 
 def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> Pair:
     """beta/V [Pa/m3] of both chambers."""
-    softer = acting(claims, "stiffness")
+    softer = acting(claims, "modulus")
     moduli: list[FloatArray | float] = [bench.bulk_modulus, bench.bulk_modulus]
     if softer:
         moduli = [_modulus(bench, pressure, softer) for pressure in oil.pressures]
@@ -215,7 +210,7 @@ def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> Pair:
 def _modulus(bench: Bench, pressure: FloatArray, claims: Sequence[Claim]) -> FloatArray:
     modulus = np.full_like(pressure, bench.bulk_modulus)
     for claim in claims:
-        modulus = claim.effect.stiffness(modulus, pressure, claim.values)
+        modulus = claim.effect.modulus(modulus, pressure, claim.values)
     return modulus
 
 

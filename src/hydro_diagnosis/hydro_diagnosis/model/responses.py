@@ -15,24 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from hydro_diagnosis.effects import kernels
-from hydro_diagnosis.effects.base import (
-    Claim,
-    FloatArray,
-    Kinematics,
-    Oil,
-    Pair,
-)
-from hydro_diagnosis.effects.closure import (
-    AcrossClosure,
-    Closure,
-    EdgeClosure,
-    FlowClosure,
-    GaugeClosure,
-    LoadClosure,
-    MotionClosure,
-    PlaceClosure,
-    ValveClosure,
-)
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, Pair
+from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import BLOCKS, OBSERVER_MEMORY, SLOPE_STEP, SegmentModel
@@ -74,22 +58,22 @@ class Responses:
         """Responses to terms of one law."""
         effect, model = terms[0].effect, self.model
         assert isinstance(effect, Closure)
-        if isinstance(effect, MotionClosure):
+        if effect.acts_in("opposing_force"):
             nothing, motion = self._nothing, model.kinematics
-            return self.to_force(np.stack([one.effect.resistance(nothing, nothing, motion, self._memory, one.values)
+            return self.to_force(np.stack([one.effect.opposing_force(nothing, nothing, motion, self._memory, one.values)
                                            for one in terms]))  # fmt: skip
-        if isinstance(effect, LoadClosure):
+        if effect.acts_in("load"):
             return self.to_load(*(np.stack([self._loading(one, motion) for one in terms])
                                   for motion in (model.kinematics, model.recorded)))  # fmt: skip
-        if isinstance(effect, ValveClosure):
+        if effect.acts_in("command"):
             return self.to_spool(np.stack([self._commanding(one) for one in terms]))
-        if isinstance(effect, FlowClosure | EdgeClosure | AcrossClosure):
+        if effect.acts_in("leaks"):
             still = self._nothing, self._nothing
-            flows = [one.effect.inflows(still, self._oil, self._memory, one.values) for one in terms]
+            flows = [one.effect.leaks(still, self._oil, self.bench, self._memory, one.values) for one in terms]
             return self.to_flows(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
-        if isinstance(effect, PlaceClosure):
+        if effect.places:
             return self._displaced(terms)
-        if isinstance(effect, GaugeClosure):
+        if effect.acts_in("invert_reading"):
             return self._misread(terms, effect.law.where)
         return self._read(terms, effect.law.where)
 
@@ -155,7 +139,7 @@ class Responses:
     def _displaced(self, terms: Sequence[Claim]) -> Shown:
         """Return the responses to an error of the position, but not by friction near standstill and the oil."""
         model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
-        errors = np.stack([one.effect.unmeasure("piston_position", recorded, self._memory, one.values) - recorded
+        errors = np.stack([one.effect.invert_reading("piston_position", recorded, self._memory, one.values) - recorded
                            for one in terms])  # fmt: skip
         moved = [kinematics(one, model.step, model.spacing) for one in errors]
         x, v, a = (np.stack([one[k] for one in moved]) for k in range(3))

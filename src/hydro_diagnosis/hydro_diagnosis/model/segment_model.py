@@ -36,7 +36,6 @@ from hydro_diagnosis.effects.base import (
     Pair,
     acting,
 )
-from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import ChamberRun
@@ -56,6 +55,8 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
+SLIP_VELOCITY = 3e-4
+"""Velocity [m/s] over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
 BLOCK = 0.1
 """Averaging time [s] of the hydraulic balance."""
 TAIL = 20
@@ -130,8 +131,8 @@ class SegmentModel:
     def bench(self, claims: Sequence[Claim]) -> Bench:
         """The bench with the values that the claims replace."""
         bench = self.base
-        for claim in acting(claims, "bench"):
-            bench = claim.effect.bench(bench, claim.values)
+        for claim in acting(claims, "correct"):
+            bench = claim.effect.correct(bench, claim.values)
         return bench
 
     @cached_property
@@ -148,15 +149,15 @@ class SegmentModel:
     def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
         """A channel with the sensors' gains and biases taken out."""
         signal = self.channels[channel]
-        for claim in acting(claims, "unmeasure"):
-            signal = claim.effect.unmeasure(channel, signal, self.memory, claim.values)
+        for claim in acting(claims, "invert_reading"):
+            signal = claim.effect.invert_reading(channel, signal, self.memory, claim.values)
         return signal
 
     def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim], smoothed: bool = False) -> FloatArray:
         """Return the reading of a channel's sensor for a true signal; `smoothed`: through the test function."""
         self.memory.beside = self._smooth_beside if smoothed else self.beside
-        for claim in acting(claims, "measure"):
-            signal = claim.effect.measure(channel, signal, self.memory, claim.values)
+        for claim in acting(claims, "read_sensor"):
+            signal = claim.effect.read_sensor(channel, signal, self.memory, claim.values)
         self.memory.beside = self.beside
         return signal
 
@@ -212,7 +213,7 @@ class SegmentModel:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
         moving = sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage)
         spool = self._cache.under("spool", moving, self._spool)
-        p_a, p_b = self._cache.under("pressures", acting(claims, "unmeasure"), self._middle_pressures)
+        p_a, p_b = self._cache.under("pressures", acting(claims, "invert_reading"), self._middle_pressures)
         position = self._cache.under("position", (), lambda claims: chambers.middle(self.channels["piston_position"]))
         velocity = self._cache.under("velocity", (), lambda claims: chambers.middle(self.v))
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
@@ -281,7 +282,7 @@ class SegmentModel:
             built = built * self._slope(channel, claims, curved)
             claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
         gain = self.step / OBSERVER_MEMORY
-        if not acting(claims, "measure"):
+        if not acting(claims, "read_sensor"):
             return np.asarray(chambers.innovations(self.channels[channel], built, gain))
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
         unexplained = self.channels[channel] - self.reading(channel, integral, claims)
@@ -301,8 +302,8 @@ class SegmentModel:
         """Level [N] of dry friction while sliding."""
         motion = self.kinematics if velocity is None else Kinematics(self.time, self.x, velocity)
         level = np.zeros_like(self.x)
-        for claim in acting(claims, "drag"):
-            level = claim.effect.drag(level, motion, claim.values)
+        for claim in acting(claims, "dry_level"):
+            level = claim.effect.dry_level(level, motion, claim.values)
         return level
 
     def spring_force(self, bench: Bench, claims: Sequence[Claim], motion: Kinematics) -> FloatArray:
@@ -319,7 +320,7 @@ class SegmentModel:
         piston passes within milliseconds would read a quarter too small.
         """
         force = np.zeros_like(self.x)
-        if not acting(claims, "drag") or any(claim.effect.bristles for claim in claims):
+        if not acting(claims, "dry_level") or any(claim.effect.bristles for claim in claims):
             return force
         for weight, velocity, sign in self._seen_velocities:
             force += weight * self.dry_friction_level(claims, velocity) * sign
@@ -339,10 +340,10 @@ class SegmentModel:
         """Hydraulic force [N] that the recorded motion needs, as the first Gaussian sees it."""
         bench = self.bench(claims)
         force = self.dry_friction(claims)
-        resisting = acting(claims, "resistance")
+        resisting = acting(claims, "opposing_force")
         level = self.dry_friction_level(claims) if resisting else force
         for claim in resisting:
-            force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
+            force = claim.effect.opposing_force(force, level, self.kinematics, self.memory, claim.values)
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
         return inertia + force + self.spring_force(bench, claims, self.kinematics)
 
@@ -392,7 +393,7 @@ class SegmentModel:
     def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated, without the arc."""
         required = self.required_force(claims)
-        if "hydraulic_force" not in self.channels or not acting(claims, "measure"):
+        if "hydraulic_force" not in self.channels or not acting(claims, "read_sensor"):
             return self.measured_force(claims) - self.kept_finish(required)
         shown = self.reading("hydraulic_force", self.finish(required), claims, smoothed=True)
         return self.measured_force(claims) - self.kept(shown)
@@ -443,7 +444,7 @@ class SegmentModel:
         def delayed(signal: FloatArray, but: str) -> FloatArray:
             for claim in late:
                 if claim.effect.lagged != but:
-                    signal = claim.effect.measure(claim.effect.lagged, signal, self.memory, claim.values)
+                    signal = claim.effect.read_sensor(claim.effect.lagged, signal, self.memory, claim.values)
             return signal
 
         channels = ("pressure_a", "pressure_b")

@@ -90,16 +90,17 @@ def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, aside: dict
         cell = plant.bench.load_cell_bandwidth, LOAD_CELL_DAMPING
         proxy, apart = record.low_pass(name, proxy, *cell), memory.low_pass(name, apart, *cell)
     for claim in plant.claims:
-        shown = claim.effect.measure(name, proxy, record, claim.values)
+        shown = claim.effect.read_sensor(name, proxy, record, claim.values)
         if shown is proxy:
             continue
         if claim.effect.memoryless:
             both = {key: plant.model.beside[key][at] + aside.get(key, 0.0) for key in plant.model.beside}
             there = WindowMemory(plant.model.step, both, record.traces, at)
-            apart = claim.effect.measure(name, proxy[at] + apart, there, claim.values) - shown[at]
+            apart = claim.effect.read_sensor(name, proxy[at] + apart, there, claim.values) - shown[at]
         else:
             with_it, without = (
-                claim.effect.measure(name, one, past, claim.values) for one, past in ((apart, memory), (nothing, still))
+                claim.effect.read_sensor(name, one, past, claim.values)
+                for one, past in ((apart, memory), (nothing, still))
             )
             apart = with_it - without
         proxy = shown
@@ -179,9 +180,9 @@ class Plant:
         stiff_a, stiff_b = chambers.compliances(bench, oil, self.acting["hydraulic"])
         motion = Kinematics(time, x, v, (p_a, p_b))
         against = self._dry(motion, grip)
-        level = self.level(motion) if self.acting["resistance"] else against
-        for claim in self.acting["resistance"]:
-            against = claim.effect.resistance(against, level, motion, memory, claim.values)
+        level = self.level(motion) if self.acting["opposing_force"] else against
+        for claim in self.acting["opposing_force"]:
+            against = claim.effect.opposing_force(against, level, motion, memory, claim.values)
         load = eq.spring_force(bench, x)
         for claim in self.acting["load"]:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
@@ -194,8 +195,11 @@ class Plant:
     @cached_property
     def acting(self) -> dict[str, tuple[Claim, ...]]:
         """Claims by the hook of `Effect` that they change, and those that act in the chambers."""
-        hydraulic = "openings", "supply", "flows", "inflows", "stiffness"  # the spool's path is computed beforehand
-        groups = {"hydraulic": hydraulic, **{hook: (hook,) for hook in ("drag", "resistance", "load", "inertia")}}
+        hydraulic = "openings", "supply", "leaks", "modulus"  # the spool's path is computed beforehand
+        groups = {
+            "hydraulic": hydraulic,
+            **{hook: (hook,) for hook in ("dry_level", "opposing_force", "load", "inertia")},
+        }
         return {name: tuple(acting(self.claims, *hooks))
                 for name, hooks in groups.items()}  # fmt: skip
 
@@ -225,8 +229,8 @@ class Plant:
     def level(self, motion: Kinematics) -> FloatArray:
         """Force [N] that dry friction may have at most."""
         level = np.zeros_like(motion.position)
-        for claim in self.acting["drag"]:
-            level = claim.effect.drag(level, motion, claim.values)
+        for claim in self.acting["dry_level"]:
+            level = claim.effect.dry_level(level, motion, claim.values)
         return level
 
     @cached_property
@@ -298,4 +302,4 @@ class Plant:
 def _sticks(claims: Sequence[Claim]) -> bool:
     """Return whether there is dry friction that no bristles carry."""
     bristled = any(claim.effect.bristles for claim in claims)
-    return not bristled and bool(acting(claims, "drag"))
+    return not bristled and bool(acting(claims, "dry_level"))

@@ -16,7 +16,7 @@ import yaml
 
 from hydro_core.files.atomic import write_whole
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import Claim, acting, changes
+from hydro_diagnosis.effects.base import Claim, acting
 from hydro_diagnosis.effects.closure import Closure, from_mapping
 from hydro_sim.model.bench import Bench
 
@@ -50,7 +50,7 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
 
 def _meets(claim: Claim, before: Sequence[Claim]) -> bool:
     """Return whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
-    hooks = [hook for hook in ("stiffness", "openings") if changes(claim, hook)]
+    hooks = [hook for hook in ("modulus", "openings") if claim.effect.acts_in(hook)]
     return bool(acting(before, *hooks))
 
 

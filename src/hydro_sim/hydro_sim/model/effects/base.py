@@ -5,15 +5,18 @@
 
     class CoulombFriction(Effect):
         id = "friction_coulomb"
-        force = parameter("N", 0.0, 1e8, scale=10.0)
+        equations = ("motion",)
+        says = "Dry friction of {force:.3g} N works against the motion at every speed."
+        force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=5e3))
 
         def dry_level(self, level, velocity):
             return level + self.force
 
-Everything else follows from these lines: simulation, C source, exact derivatives by state and parameters. A method is
-called once, while a model is assembled; parameters and states are CasADi's symbols then. A term changes what it is
-given and returns it, so that effects of one kind add up in the order of the bench file. Hidden states are of two kinds:
-integrated ones have a rate (`rates`); the others are moved on where an integration step ends, by `self.next[...]`.
+Everything else follows from these lines: simulation, C source, exact derivatives by state and parameters, and the cause
+that the diagnosis looks for. While a model is assembled, a term is called once, and parameters and states are CasADi's
+symbols; the diagnosis and the filter call it with numbers and arrays. A term changes what it is given and returns it,
+so that effects of one kind add up in the order of the bench file. Hidden states are of two kinds: integrated ones have
+a rate (`rates`); the others are moved on where an integration step ends, by `self.next[...]`.
 """
 
 from __future__ import annotations
@@ -24,6 +27,31 @@ from math import isfinite
 from typing import Any, ClassVar
 
 from hydro_sim.model.equations import Symbol
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitParameter:
+    """A parameter as a fit sees it: bounds, start values, and the smallest size worth claiming."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    neutral: float = 0.0
+    """Value at which the effect vanishes (for shape parameters: the usual value)."""
+    probes: tuple[float, ...]
+    """Start values, within the bounds."""
+    smallest: float = 0.0
+    """Distance from `neutral` below which a difference is not worth claiming; 0 for shape parameters."""
+    systematic: float = 0.003
+    """For a shape parameter: relative error that the residuals' own discretisation may cause."""
+    reported: bool = True
+    """False for shape parameters that are fitted but not part of the contract."""
+
+    @property
+    def span(self) -> float:
+        """The natural step of this parameter."""
+        return max(abs(probe - self.neutral) for probe in self.probes) or abs(self.neutral)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +66,8 @@ class Parameter:
     """Value at which the effect vanishes."""
     scale: float
     """A typical size: the standard deviation of the prior."""
+    fit: FitParameter | None = None
+    """As the diagnosis fits it; None: the effect is not one of its causes."""
 
     def read(self, effect: str, parameters: Mapping[str, Any]) -> float:
         """Return its value in an entry's parameters. Raises ValueError if it is missing or not a number in range."""
@@ -65,9 +95,35 @@ class Hidden:
     """Whether it has a rate; else it is moved on at the end of a step."""
 
 
-def parameter(unit: str, low: float, high: float, *, scale: float, neutral: float = 0.0) -> Any:
-    """Declare a parameter; its name is the attribute's."""
-    return {"unit": unit, "low": low, "high": high, "scale": scale, "neutral": neutral}
+def parameter(
+    unit: str, low: float, high: float, *, scale: float, neutral: float = 0.0, fit: Mapping[str, Any] | None = None
+) -> Any:
+    """Declare a parameter; its name is the attribute's. `fit`: by `fit`, of a cause that the diagnosis looks for."""
+    return {"unit": unit, "low": low, "high": high, "scale": scale, "neutral": neutral, "fit": fit}
+
+
+def fit(*probes: float, smallest: float = 0.0, **more: Any) -> dict[str, Any]:
+    """Declare how a parameter is fitted (`FitParameter`); bounds and neutral value are the parameter's by default."""
+    return {"probes": probes, "smallest": smallest, **more}
+
+
+def _parameter(name: str, declared: Mapping[str, Any]) -> Parameter:
+    about = {key: declared[key] for key in ("unit", "low", "high", "neutral")}
+    fitted = FitParameter(**{"name": name, **about, **declared["fit"]}) if declared["fit"] else None
+    return Parameter(name=name, scale=declared["scale"], fit=fitted, **about)
+
+
+_DISPLAY_UNITS = {
+    "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
+    "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
+}  # fmt: skip
+_IN_SENTENCES = {"1/s": 100.0, "Pa s/m3": 1e-12}
+"""Factors from SI to % per second and to MPa per ml/s."""
+
+
+def display_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which sentences state values, and the factor from SI."""
+    return _DISPLAY_UNITS.get(unit, (unit, 1.0))
 
 
 def hidden(unit: str, *, scale: float, integrated: bool = False) -> Any:
@@ -109,6 +165,17 @@ class Effect:
     """A physical effect beyond the textbook equations. Subclasses override the terms in which they act."""
 
     id: ClassVar[str]
+    equations: ClassVar[tuple[str, ...]] = ()
+    """Equations in which it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
+    balances: ClassVar[frozenset[str]] = frozenset()
+    """Balances in which it shows (pressure, motion, load, hydraulic), if not those of its equations."""
+    family: ClassVar[str] = ""
+    """Effects of one family can mimic errors in each other's form."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Ids of effects without which this one does nothing."""
+    says: ClassVar[str] = ""
+    """`sentence`, with the parameters by name in the units of `display_unit`, and the `effect`; `size` of the first
+    parameter, and whether that is `more` or less than nothing."""
     options: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Keys of an entry beside its parameters (chamber, cell, sensor, form), and their possible values."""
     single: ClassVar[bool] = False
@@ -128,9 +195,10 @@ class Effect:
             if hasattr(Effect, name):
                 raise TypeError(f"{cls.__name__}: {name} is the name of a term, not of a parameter or a state")
             delattr(cls, name)
-        numbers = [Parameter(name=name, **value) for name, value in own.items() if "neutral" in value]
+        numbers = [_parameter(name, value) for name, value in own.items() if "neutral" in value]
         hiddens = [Hidden(name=name, **value) for name, value in own.items() if "integrated" in value]
-        cls.parameters, cls.states = cls.parameters + tuple(numbers), cls.states + tuple(hiddens)
+        parameters = {one.name: one for one in (*cls.parameters, *numbers)}  # declared again: in the place of the first
+        cls.parameters, cls.states = tuple(parameters.values()), cls.states + tuple(hiddens)
 
     def __init__(self, **chosen: str) -> None:
         self.at: Any = None
@@ -148,6 +216,21 @@ class Effect:
     def acts_in(cls, term: str) -> bool:
         """Return whether the class overrides a term."""
         return getattr(cls, term) is not getattr(Effect, term)
+
+    # --- what the diagnosis asks of a cause --------------------------------------------------------------------------
+
+    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        """Return the parameters as they are fitted relative to a bench file; empty: it is no cause."""
+        fitted = [one.fit for one in self.parameters if one.fit]
+        return tuple(fitted) if len(fitted) == len(self.parameters) else ()
+
+    def sentence(self, values: Mapping[str, float]) -> str:
+        """Return a description of the effect for a person at the bench."""
+        factors = {one.name: _IN_SENTENCES.get(one.unit, display_unit(one.unit)[1]) for one in self.parameters}
+        shown = {name: factor * values[name] for name, factor in factors.items()}
+        first = next(iter(shown.values()))
+        said = self.says.format(effect=self, size=abs(first), more="more" if first > 0.0 else "less", **shown)
+        return said[0].upper() + said[1:]
 
     # --- terms, on the way from the bench file to the reading -------------------------------------------------------
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cached_property
 from itertools import product
 from types import SimpleNamespace
 from typing import Any
@@ -44,6 +45,16 @@ class Kind:
     def make(self) -> Effect:
         """Create an instance for the assembly of a model."""
         return self.effect(**dict(self.chosen))
+
+    def bound(self, values: Mapping[str, Any], **context: Any) -> Any:
+        """Create an instance whose terms are called with numbers: its parameters' values, and fields of `at`."""
+        made = object.__new__(self.effect)
+        made.__dict__ = {**self._unbound, **values, "next": {}, "at": SimpleNamespace(**context)}
+        return made
+
+    @cached_property
+    def _unbound(self) -> dict[str, Any]:
+        return vars(self.make())
 
 
 def label(effect: Mapping[str, Any]) -> str:
@@ -112,11 +123,8 @@ def correct_numbers(
     n = SimpleNamespace(**numbers)
     for effect in effects:
         kind, values = parse_entry(effect)
-        made = kind.make()
-        for parameter, value in zip(kind.parameters, values, strict=True):
-            setattr(made, parameter.name, value)
         before = dict(vars(n))
-        made.correct(n)
+        kind.bound(dict(zip((one.name for one in kind.parameters), values, strict=True))).correct(n)
         for name, (low, high) in limits.items():
             value = getattr(n, name)
             if value is not None and value != before[name]:

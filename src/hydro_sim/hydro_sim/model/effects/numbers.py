@@ -3,58 +3,163 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from operator import add, mul
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
 
-from hydro_sim.model.effects.base import Effect, parameter
-from hydro_sim.model.equations import Symbol
-
-
-def correction_effect(
-    identifier: str, number: str, name: str, quantity: Any, corrected: Callable[[Symbol, Symbol], Symbol]
-) -> type[Effect]:
-    """Return the effect class that replaces a number of the bench file by `corrected(file value, parameter)`."""
-
-    def correct(self: Any, n: Any) -> None:
-        setattr(n, number, corrected(getattr(n, number), getattr(self, name)))
-
-    return type(identifier, (Effect,), {"id": identifier, name: quantity, "correct": correct})
+from hydro_sim.model.effects.base import Effect, FitParameter, fit, parameter
+from hydro_sim.model.effects.motion import HEAVIEST, above_zero
 
 
-def ratio_effect(number: str, scale: float) -> type[Effect]:
-    """Return the effect class of a wrong number, whose parameter is the ratio of true value to the file's."""
-    return correction_effect(number, number, "ratio", parameter("-", 0.01, 100.0, scale=scale, neutral=1.0), mul)
+class Correction(Effect):
+    """A number of the bench file is wrong."""
+
+    number: ClassVar[str]
+    """Its name in bench.yaml."""
 
 
-def _replaced(filed: Symbol, true: Symbol) -> Symbol:
-    return true
+class Change(Correction):
+    """What a number has more than the bench file says; the number stays above zero."""
+
+    least: ClassVar[float] = 1.0
+    """Share of the file's value that may be missing."""
+
+    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        (change,) = super().fit_parameters(bench)
+        return (replace(change, low=self.least * above_zero(change.low, getattr(bench, self.number))),)
+
+    def correct(self, n: Any) -> None:
+        setattr(n, self.number, getattr(n, self.number) + getattr(self, self.parameters[0].name))
 
 
-class DeadVolume(Effect):
+class TrueValue(Correction):
+    """The true value; its probe is the distance from the file's."""
+
+    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        (true,) = super().fit_parameters(bench)
+        filed = getattr(bench, self.number)
+        return (replace(true, neutral=filed, probes=(filed + true.probes[0],)),)
+
+    def correct(self, n: Any) -> None:
+        setattr(n, self.number, getattr(self, self.parameters[0].name))
+
+
+class Ratio(Correction):
+    """The true value over the file's."""
+
+    words: ClassVar[str]
+    """The number in words."""
+    says = "The {effect.words} is {ratio:.4g} times what the bench file says."
+
+    def correct(self, n: Any) -> None:
+        setattr(n, self.number, getattr(n, self.number) * self.ratio)
+
+
+def ratio_parameter(scale: float, *, smallest: float = 0.003, low: float = 0.3, high: float = 3.0) -> Any:
+    """Declare the ratio of a number's true value to the file's."""
+    return parameter("-", 0.01, 100.0, scale=scale, neutral=1.0, fit=fit(0.95, smallest=smallest, low=low, high=high))
+
+
+class FrictionViscous(Change):
+    """b + db instead of b."""
+
+    id, number = "friction_viscous", "viscous_friction"
+    equations = ("motion",)
+    family = "friction"
+    says = "The viscous friction is {size:.3g} N s/m {more} than the bench file says."
+    coefficient = parameter("N s/m", -1e9, 1e9, scale=30.0,
+                            fit=fit(30.0, smallest=1.5, low=-HEAVIEST, high=HEAVIEST))  # fmt: skip
+
+
+class MovingMass(Change):
+    """m + dm instead of m."""
+
+    id, number = "moving_mass", "moving_mass"
+    equations = ("motion",)
+    family = "friction"
+    says = "The moving mass is {size:.3g} kg {more} than the bench file says."
+    least = 0.95
+    mass = parameter("kg", -1e7, 1e7, scale=0.3, fit=fit(0.3, smallest=0.05, low=-1e3, high=1e3))
+
+
+class SpringStiffness(Ratio):
+    """Wrong k_s in the bench file."""
+
+    id, number = "spring_stiffness", "spring_stiffness"
+    equations = ("load",)
+    family = "spring"
+    says = "The spring is {ratio:.4g} times as stiff as the bench file says."
+    ratio = ratio_parameter(0.1, smallest=0.002, low=0.05, high=20.0)
+
+
+class SpringRest(TrueValue):
+    """Wrong rest position of the spring in the bench file."""
+
+    id, number = "spring_rest", "spring_rest_position"
+    equations = ("load",)
+    family = "spring"
+    says = "The spring rests at {position:.5g} mm, not where the bench file says."
+    position = parameter("m", -5.0, 5.0, scale=1e-3, fit=fit(1e-3, smallest=2e-5))
+
+
+class SupplyPressure(Ratio):
+    """Wrong p_s in the bench file."""
+
+    id, number, words = "supply_pressure", "supply_pressure", "supply pressure"
+    equations = ("actuation",)
+    ratio = ratio_parameter(0.05)
+
+
+class TankPressure(TrueValue):
+    """Wrong p_t in the bench file."""
+
+    id, number = "tank_pressure", "tank_pressure"
+    equations = ("actuation",)
+    pressure = parameter("Pa", 0.0, 1e7, scale=1e5, fit=fit(2e5, smallest=1e4, high=5e6))
+
+    def sentence(self, values: Mapping[str, float]) -> str:
+        return f"The tank stands at {values['pressure'] * 1e-6:.3g} MPa, not at what the bench file says."
+
+
+class PistonArea(Ratio):
+    """Wrong A_p in the bench file, and with it A_b = alpha A_p."""
+
+    id, number, words = "piston_area", "piston_area", "piston area"
+    equations = ("pressure_a", "pressure_b")
+    balances = frozenset({"pressure", "motion", "hydraulic"})
+    ratio = ratio_parameter(0.02)
+
+
+class AreaRatio(Ratio):
+    """Wrong alpha in the bench file."""
+
+    id, number, words = "area_ratio", "area_ratio", "ratio of the piston areas"
+    equations = ("pressure_b",)
+    balances = PistonArea.balances
+    ratio = ratio_parameter(0.02)
+
+
+class DeadVolume(Ratio):
     """Wrong V_dead of a chamber in the bench file."""
 
     id = "dead_volume"
     options = {"chamber": ("a", "b")}
-    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
+    ratio = ratio_parameter(0.1, smallest=0.004, low=0.1, high=10.0)
 
-    def correct(self, n: Any) -> None:
-        name = f"dead_volume_{self.chamber}"
-        setattr(n, name, getattr(n, name) * self.ratio)
+    @property
+    def number(self) -> str:  # type: ignore[override]
+        return f"dead_volume_{self.chamber}"
+
+    @property
+    def words(self) -> str:  # type: ignore[override]
+        return f"dead volume of chamber {self.chamber.upper()}"
+
+    @property
+    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
+        return (f"pressure_{self.chamber}",)
 
 
 EFFECTS = (
-    correction_effect(
-        "friction_viscous", "viscous_friction", "coefficient", parameter("N s/m", -1e9, 1e9, scale=30.0), add
-    ),
-    correction_effect("moving_mass", "moving_mass", "mass", parameter("kg", -1e7, 1e7, scale=0.3), add),
-    ratio_effect("spring_stiffness", 0.1),
-    correction_effect(
-        "spring_rest", "spring_rest_position", "position", parameter("m", -5.0, 5.0, scale=1e-3), _replaced
-    ),
-    ratio_effect("supply_pressure", 0.05),
-    correction_effect("tank_pressure", "tank_pressure", "pressure", parameter("Pa", 0.0, 1e7, scale=1e5), _replaced),
-    ratio_effect("piston_area", 0.02),
-    ratio_effect("area_ratio", 0.02),
+    FrictionViscous, MovingMass, SpringStiffness, SpringRest, SupplyPressure, TankPressure, PistonArea, AreaRatio,
     DeadVolume,
-)
+)  # fmt: skip

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.effects.base import Effect, fit, hidden, parameter
 from hydro_sim.model.equations import Symbol, orifice
 
 ORIFICE_REFERENCE_DROP = 5e6
@@ -15,13 +17,22 @@ ATMOSPHERE = 101325.0
 """Pressure [Pa] at which the free air's volume fraction is stated."""
 
 
+_CHAMBERS = "pressure_a", "pressure_b"
+_LAMINAR = fit(1e-13, smallest=1e-15, high=1e-10)
+
+
 class SupplyDroop(Effect):
-    """The supply falls with the flow that leaves it, after a lag of first order."""
+    """The supply falls with the flow that leaves it, after a lag of first order: T p_d' + p_d = R q_s."""
 
     id = "supply_droop"
+    equations = ("actuation",)
+    says = (
+        "The supply pressure falls with the flow drawn, by {resistance:.3g} MPa per ml/s, and recovers with a "
+        "time constant of {time_constant:.3g} ms."
+    )
     single = True
-    resistance = parameter("Pa s/m3", 0.0, 1e12, scale=1e9)
-    time_constant = parameter("s", 1e-3, 100.0, scale=0.05, neutral=0.05)
+    resistance = parameter("Pa s/m3", 0.0, 1e12, scale=1e9, fit=fit(3e10, smallest=1e9))
+    time_constant = parameter("s", 1e-3, 100.0, scale=0.05, neutral=0.05, fit=fit(0.01, 0.05, 0.3, high=3.0))
     demand = hidden("m3/s", scale=1e-5, integrated=True)
 
     def supply(self, pressure: Symbol) -> Symbol:
@@ -35,7 +46,10 @@ class LeakageInternal(Effect):
     """Laminar flow between the chambers."""
 
     id = "leakage_internal"
-    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13)
+    equations = _CHAMBERS
+    family = "leak"
+    says = "Oil leaks past the piston between the chambers, {coefficient:.3g} ml/s per MPa."
+    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13, fit=_LAMINAR)
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         across = self.coefficient * (pressure_a - pressure_b)
@@ -47,6 +61,10 @@ class LeakageInternalOrifice(LeakageInternal):
 
     options = {"form": ("orifice",)}
 
+    def sentence(self, values: Mapping[str, float]) -> str:
+        flow = 1e6 * ORIFICE_REFERENCE_DROP * values["coefficient"]
+        return f"Oil leaks between the chambers as through a sharp edge, {flow:.3g} ml/s at 5 MPa between them."
+
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         across = orifice(self.coefficient * np.sqrt(ORIFICE_REFERENCE_DROP), pressure_a - pressure_b)
         return across, -across
@@ -57,7 +75,16 @@ class LeakageExternal(Effect):
 
     id = "leakage_external"
     options = {"chamber": ("a", "b")}
-    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13)
+    family = "leak"
+    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13, fit=_LAMINAR)
+
+    @property
+    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
+        return (f"pressure_{self.chamber}",)
+
+    @property
+    def says(self) -> str:  # type: ignore[override]
+        return f"Chamber {self.chamber.upper()} leaks to the tank, {{coefficient:.3g}} ml/s per MPa."
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         tank = self.at.numbers.tank_pressure
@@ -70,7 +97,10 @@ class BulkModulus(Effect):
     """Wrong beta in the bench file, at all pressures."""
 
     id = "bulk_modulus"
-    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
+    equations = _CHAMBERS
+    family = "oil"
+    says = "The bulk modulus is {ratio:.4g} times what the bench file says, at every pressure."
+    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=fit(0.9, smallest=0.004, low=0.2, high=5.0))
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
         return modulus * self.ratio
@@ -80,8 +110,14 @@ class EntrainedAir(Effect):
     """Volumes o of oil and g of polytropic air, compressed in parallel: (o + g) / (o / beta + g / (n p))."""
 
     id = "entrained_air"
+    equations = _CHAMBERS
+    family = "oil"
     exponent = 1.4
-    volume_fraction = parameter("-", 0.0, 0.5, scale=0.005)
+    volume_fraction = parameter("-", 0.0, 0.5, scale=0.005, fit=fit(0.003, 0.02, smallest=1e-4, high=0.3))
+
+    def sentence(self, values: Mapping[str, float]) -> str:
+        share = 100.0 * values["volume_fraction"]
+        return f"{share:.3g} % of free air (at atmospheric pressure) softens the oil where its pressure is low."
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
         gauge = np.fmax(pressure, 0.0)

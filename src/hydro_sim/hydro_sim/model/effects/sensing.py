@@ -8,22 +8,58 @@ places with both.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from hydro_sim.model.effects import lags
-from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.effects.base import Effect, FitParameter, fit, hidden, parameter
 from hydro_sim.model.equations import Symbol
 
+SENSORS = {
+    "hydraulic_force": "the load cell at the piston rod",
+    "load_force": "the load cell at the spring",
+    "pressure_a": "the pressure sensor of chamber A",
+    "pressure_b": "the pressure sensor of chamber B",
+}
+"""Sensors in words, by channel."""
 
-class SensorLag(Effect):
-    """A low-pass of second order, exact for a signal that is straight within a step."""
+
+class Sensor(Effect):
+    """An error of one sensor."""
+
+    equations = ("sensor",)
+
+    @property
+    def channel(self) -> str:
+        """The channel that the sensor fills."""
+        chosen = self.chosen.get("sensor") or self.chosen.get("cell")
+        return chosen or f"pressure_{self.chosen['chamber']}"
+
+    @property
+    def words(self) -> str:
+        """The sensor in words."""
+        return SENSORS[self.channel]
+
+
+class SensorLag(Sensor):
+    """A low-pass of second order, exact for a signal that is straight within a step.
+
+    At the load it replaces the one that the bench file states. Of a pressure sensor bandwidth and damping trade off:
+    only 2 D/w is known better.
+    """
 
     id = "sensor_lag"
     options = {"sensor": ("hydraulic_force", "load_force", "pressure_a", "pressure_b")}
-    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0)
-    damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=0.7071)
+    says = "The amplifier of {effect.words} is a low-pass near {bandwidth:.3g} Hz."
+    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0,
+                          fit=fit(15.0, 40.0, 120.0, low=2.0, high=400.0, neutral=400.0, systematic=0.01))  # fmt: skip
+    damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=0.7071, fit=fit(0.7071, low=0.3, high=1.5, reported=False))
     signal = hidden("N or Pa", scale=10.0)
     rate = hidden("N/s or Pa/s", scale=1e3)
+
+    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        bandwidth, damping = super().fit_parameters(bench)
+        return replace(bandwidth, systematic=0.03 if self.channel.startswith("pressure") else 0.01), damping
 
     def correct(self, n: Any) -> None:
         if self.sensor == "load_force":  # takes the place of the amplifier that the bench file states
@@ -46,37 +82,40 @@ class SensorLag(Effect):
         return self.signal, {"signal": self.rate, **lags.lag_rates(self.bandwidth, self.damping, state, signal)}
 
 
-class LoadCellGain(Effect):
+class LoadCellGain(Sensor):
     """A load cell's scale is wrong."""
 
     id = "load_cell_gain"
     options = {"cell": ("hydraulic_force", "load_force")}
-    ratio = parameter("-", 0.01, 100.0, scale=0.05, neutral=1.0)
+    says = "{effect.words} reads {ratio:.4g} times the true force."
+    ratio = parameter("-", 0.01, 100.0, scale=0.05, neutral=1.0, fit=fit(0.95, smallest=0.002, low=0.2, high=5.0))
 
     def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
-        return signal * self.ratio if channel == self.cell else signal
+        return signal * self.ratio if channel == self.channel else signal
 
 
-class LoadCellBias(Effect):
+class LoadCellBias(Sensor):
     """A load cell's zero is wrong."""
 
     id = "load_cell_bias"
     options = {"cell": ("hydraulic_force", "load_force")}
-    force = parameter("N", -1e8, 1e8, scale=5.0)
+    says = "A reading of {effect.words} is off by {force:.3g} N."
+    force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(5.0, smallest=0.3, low=-5e3, high=5e3))
 
     def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
-        return signal + self.force if channel == self.cell else signal
+        return signal + self.force if channel == self.channel else signal
 
 
-class PressureSensorBias(Effect):
+class PressureSensorBias(Sensor):
     """A pressure sensor's zero is wrong."""
 
     id = "pressure_sensor_bias"
     options = {"chamber": ("a", "b")}
-    pressure = parameter("Pa", -1e7, 1e7, scale=5e4)
+    says = "A reading of {effect.words} is off by {pressure:.4g} kPa."
+    pressure = parameter("Pa", -1e7, 1e7, scale=5e4, fit=fit(5e4, smallest=2.5e3, low=-3e6, high=3e6))
 
     def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
-        return signal + self.pressure if channel == f"pressure_{self.chamber}" else signal
+        return signal + self.pressure if channel == self.channel else signal
 
 
 EFFECTS = (SensorLag, LoadCellGain, LoadCellBias, PressureSensorBias)

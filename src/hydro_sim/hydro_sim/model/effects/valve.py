@@ -2,7 +2,7 @@
 """From the valve current to the four edges: dead time, spool, overlap, gain, wear.
 
 A step sees the spool's mean over the step: currents are held for a sample, so dead times and linear lags are exact on
-average. Sources: Merritt 1967, sections 5-3 to 5-6; the diagnosis' `effects.valve`, `.valve_dynamics`.
+average. Source: Merritt 1967, sections 5-3 to 5-6.
 """
 
 from __future__ import annotations
@@ -12,36 +12,49 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydro_sim.model.effects import lags
-from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.effects.base import Effect, fit, hidden, parameter
 from hydro_sim.model.equations import Symbol, clip
 
 DRIFT_LOW, DRIFT_HIGH = 0.2, 5.0
 """Bounds of a gain that drifts with time: a simulation may run for hours."""
 
 
-class TransportDelay(Effect):
+_OVERLAP = fit(1e-4, 5e-4, smallest=5e-6, high=0.02)
+_RATIO = fit(0.9, smallest=0.004, low=0.2, high=5.0)
+_BANDWIDTH = fit(40.0, 120.0, 250.0, low=8.0, high=600.0, neutral=600.0)
+
+
+class _Valve(Effect):
+    equations = ("actuation",)
+    family = "valve"
+
+
+class TransportDelay(_Valve):
     """Pure dead time on the command; the model keeps the past currents (`model.assembly`)."""
 
     id = "transport_delay"
-    time = parameter("s", 0.0, 0.03, scale=2e-3)
+    says = "The valve answers the current {time:.3g} ms late, a pure dead time."
+    time = parameter("s", 0.0, 0.03, scale=2e-3, fit=fit(5e-4, 2e-3, 5e-3, smallest=2e-5))
 
 
-class ValveOffset(Effect):
-    """Null shift."""
+class ValveOffset(_Valve):
+    """Null shift: the spool stands at u + u_0."""
 
     id = "valve_offset"
-    current = parameter("A", -0.1, 0.1, scale=5e-4)
+    says = "The valve's null is shifted: it acts as if {current:.3g} mA were added to the current."
+    current = parameter("A", -0.1, 0.1, scale=5e-4, fit=fit(2e-4, smallest=4e-6, low=-0.02, high=0.02))
 
     def command(self, spool: Symbol) -> Symbol:
         return spool + self.current
 
 
-class ValveLag(Effect):
-    """Spool of second order, exact for a held current."""
+class ValveLag(_Valve):
+    """Spool of second order, exact for a held current: s'' + 2 D w s' + w^2 s = w^2 u."""
 
     id = "valve_lag"
-    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0)
-    damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=1.0)
+    says = "The spool follows the current with a lag: bandwidth {bandwidth:.4g} Hz, damping {damping:.3g}."
+    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0, fit=_BANDWIDTH)
+    damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=1.0, fit=fit(0.8, low=0.2, high=3.0, neutral=0.8))
     spool = hidden("A", scale=1e-3)
     rate = hidden("A/s", scale=0.1)
 
@@ -58,12 +71,13 @@ class ValveLag(Effect):
         return self.spool, {"spool": self.rate, **lags.lag_rates(self.bandwidth, self.damping, state, signal)}
 
 
-class ValveLagFirstOrder(Effect):
-    """Spool of first order, exact for a held current."""
+class ValveLagFirstOrder(_Valve):
+    """Spool of first order, exact for a held current: s' = w (u - s)."""
 
     id = "valve_lag"
     options = {"form": ("first_order",)}
-    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0)
+    says = "The spool follows the current with a first-order lag of {bandwidth:.4g} Hz."
+    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0, fit=_BANDWIDTH)
     spool = hidden("A", scale=1e-3)
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
@@ -79,22 +93,25 @@ class ValveLagFirstOrder(Effect):
         return self.spool, {"spool": 2.0 * np.pi * self.bandwidth * (signal - self.spool)}
 
 
-class ValveDeadband(Effect):
+class ValveDeadband(_Valve):
     """Overlap, the same on both sides: nothing flows while the spool is within it."""
 
     id = "valve_deadband"
+    says = "The valve does not open below {half_width:.3g} mA: its edges overlap."
     late = True
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4)
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(1e-4, 5e-4, 2e-3, smallest=5e-6, high=0.02))
 
     def command(self, spool: Symbol) -> Symbol:
         return spool - clip(spool, -self.half_width, self.half_width)
 
 
 class ValveDeadbandLopsided(ValveDeadband):
-    """Overlap, another on each side."""
+    """Overlap, another on each side: the same as an even overlap and a shifted null, in one cause."""
 
     options = {"form": ("lopsided",)}
-    half_width_negative = parameter("A", 0.0, 0.1, scale=5e-4)
+    says = "The valve does not open between -{half_width_negative:.3g} mA and {half_width:.3g} mA: its edges overlap."
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=_OVERLAP)
+    half_width_negative = parameter("A", 0.0, 0.1, scale=5e-4, fit=_OVERLAP)
 
     def command(self, spool: Symbol) -> Symbol:
         return spool - clip(spool, -self.half_width_negative, self.half_width)
@@ -104,38 +121,44 @@ class ValveDeadbandSoft(ValveDeadband):
     """Overlap whose edges open gradually: each side is a softplus of what exceeds the half width."""
 
     options = {"form": ("soft",)}
-    softness = parameter("A", 1e-7, 0.1, scale=1e-4, neutral=1e-7)
+    says = "The valve hardly opens below {half_width:.3g} mA: its edges overlap and open gradually."
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(2e-4, 1e-3, smallest=5e-6, high=0.02))
+    softness = parameter("A", 1e-7, 0.1, scale=1e-4, neutral=1e-7,
+                         fit=fit(5e-5, 2e-4, low=5e-6, high=5e-3, neutral=1e-4, reported=False))  # fmt: skip
 
     def command(self, spool: Symbol) -> Symbol:
         beyond, below = spool - self.half_width, -spool - self.half_width
         return self.softness * (_softplus(beyond / self.softness) - _softplus(below / self.softness))
 
 
-class ValveGain(Effect):
+class ValveGain(_Valve):
     """Wrong K_v in the bench file."""
 
     id = "valve_gain"
-    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
+    says = "The valve passes {ratio:.4g} times the flow that the bench file says."
+    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=_RATIO)
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
         return out * self.ratio, back * self.ratio
 
 
-class ValveGainAsymmetry(Effect):
+class ValveGainAsymmetry(_Valve):
     """Another K_v where the piston is driven back."""
 
     id = "valve_gain_asymmetry"
-    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
+    says = "On its negative side the valve passes {ratio:.4g} times the flow of its positive side."
+    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=_RATIO)
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
         return out, back * self.ratio
 
 
-class ValveGainDrift(Effect):
-    """K_v changes with time since reset."""
+class ValveGainDrift(_Valve):
+    """K_v (1 + r t), t since reset or since a recording began."""
 
     id = "valve_gain_drift"
-    rate = parameter("1/s", -1.0, 1.0, scale=0.01)
+    says = "The valve's gain changes while recording, by {rate:.3g} % per second."
+    rate = parameter("1/s", -1.0, 1.0, scale=0.01, fit=fit(-0.005, smallest=3e-4, low=-0.2, high=0.2))
     time = hidden("s", scale=10.0)
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
@@ -144,14 +167,18 @@ class ValveGainDrift(Effect):
         return out * ratio, back * ratio
 
 
-class ValveNullLeakage(Effect):
-    """Worn edges leak around null, all four."""
+class ValveNullLeakage(_Valve):
+    """Worn edges leak around null, all four by c f(|u|/w); the form is the profile f."""
 
     id = "valve_null_leakage"
     options = {"form": ("exponential", "gaussian", "hyperbolic", "lorentzian")}
+    says = (
+        "Worn edges leak around the valve's null: {coefficient:.3g} ml/s from supply to tank at 1 MPa over each edge."
+    )
     all_edges = True
-    coefficient = parameter("m3/s/sqrt(Pa)", 0.0, 1e-6, scale=1e-10)
-    width = parameter("A", 1e-6, 0.1, scale=1e-3, neutral=1e-3)
+    coefficient = parameter("m3/s/sqrt(Pa)", 0.0, 1e-6, scale=1e-10, fit=fit(3e-10, smallest=2e-12, high=1e-7))
+    width = parameter("A", 1e-6, 0.1, scale=1e-3, neutral=1e-3,
+                      fit=fit(2e-4, 1e-3, 4e-3, low=2e-5, high=2e-2, neutral=5e-4, reported=False))  # fmt: skip
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
         wear = self.coefficient * _profile(self.form, np.abs(spool) / self.width)

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects with memory, over records and windows: dead time, lags, droop, bristles, play; and how a gain is undone.
+
+The model advances their hidden states step by step; here a whole record passes at once (`effects.memory`). A soft
+overlap has no memory, but is computed once for a current that is held.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, Values
+from hydro_diagnosis.effects.kernels import opened
+from hydro_diagnosis.effects.memory import Memory
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects import base as physics
+from hydro_sim.model.effects import motion, oil, sensing, valve
+
+
+class DeadTime(Effect):
+    """u(t - T), exact for a current that is held between samples."""
+
+    stage = 0
+
+    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+        flat = spool.ravel()
+        charge = np.concatenate([[0.0], np.cumsum(flat)])
+        at = np.arange(len(charge)) - values["time"] / substep
+        whole = np.floor(at).astype(np.int64)
+        part = at - whole
+        low, high = np.clip(whole, 0, len(flat)), np.clip(whole + 1, 0, len(flat))
+        delayed = charge[low] * (1.0 - part) + charge[high] * part
+        delayed = np.where(at < 0.0, flat[0] * at, delayed)
+        return np.asarray(np.diff(delayed).reshape(spool.shape))
+
+
+class SpoolLag(Effect):
+    """Spool of second order, sampled exactly for a held current."""
+
+    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+        numerator, denominator = _spool(round(values["bandwidth"], 9), round(values["damping"], 9), substep)
+        flat, gain = spool.ravel(), numerator.sum() / denominator.sum()
+        steady = np.cumsum((numerator - denominator * gain)[::-1])[::-1][1:]  # holds an input of 1 at its gain
+        moved, _ = lfilter(numerator, denominator, flat, zi=steady * flat[0])
+        return np.asarray(moved, dtype=np.float64).reshape(spool.shape)
+
+
+@lru_cache(maxsize=256)
+def _spool(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, FloatArray]:
+    """Transfer function from the held current to its response averaged over the step."""
+    omega = 2.0 * np.pi * bandwidth
+    system = np.array([[0.0, 1.0], [-omega * omega, -2.0 * damping * omega]])
+    # states: position, velocity, integral of position, input
+    augmented = np.zeros((4, 4))
+    augmented[:2, :2], augmented[1, 3], augmented[2, 0] = system, omega * omega, 1.0
+    step_map = expm(augmented * step)
+    transition, drive = step_map[:2, :2], step_map[:2, 3]
+    output, feed = step_map[2, :2] / step, step_map[2, 3] / step
+    trace, determinant = float(np.trace(transition)), float(np.linalg.det(transition))
+    denominator = np.array([1.0, -trace, determinant])
+    # output (zI - F)^-1 drive + feed, times the denominator
+    adjugate = output @ (transition - trace * np.eye(2)) @ drive
+    numerator = np.array([feed, output @ drive - trace * feed, adjugate + determinant * feed])
+    return numerator, denominator
+
+
+class SpoolLagFirstOrder(Effect):
+    """Spool of first order, sampled exactly for a held current."""
+
+    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+        decay = np.exp(-2.0 * np.pi * values["bandwidth"] * substep)
+        mean = 1.0 - (1.0 - decay) / (2.0 * np.pi * values["bandwidth"] * substep)
+        # mean over a substep: state before it * (1 - mean) + input * mean
+        flat = spool.ravel()
+        before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], flat, zi=[flat[0]])
+        return np.asarray((np.asarray(before) * (1.0 - mean) + flat * mean).reshape(spool.shape))
+
+
+class Overlap(Effect):
+    """What the edges make of the spool's position."""
+
+    stage = 2
+
+
+class SoftOverlap(Overlap):
+    """Edges that open gradually."""
+
+    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+        return opened(spool, values["half_width"], values["softness"])
+
+
+class Droop(Effect):
+    """The supply falls with the demand, after a lag."""
+
+    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        return supply - values["resistance"] * memory.lag("supply", demand, values["time_constant"])
+
+
+class Stribeck(Effect):
+    """A rise of friction near standstill, of which another form may fit as well."""
+
+
+class StribeckExponential(Stribeck):
+    """Level F_s exp(-|v|/v_s) (Tustin 1947), which is not claimed."""
+
+    def dry_level(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+        return level + values["breakaway_force"] * np.exp(-np.abs(motion.velocity) / values["velocity"])
+
+
+class Bristles(Effect):
+    """Friction that bends before it slides."""
+
+    bristles = True
+
+    def opposing_force(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                       values: Values) -> FloatArray:  # fmt: skip
+        return force + memory.bristle("presliding", motion.position, values["stiffness"], level)
+
+
+class Play(Effect):
+    """A spring that is dragged through a gap."""
+
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
+        dragged = memory.play("backlash", motion.position, values["width"])
+        return force - bench.spring_stiffness * (motion.position - dragged)
+
+
+class Calibration(Effect):
+    """A sensor's gain or bias, which is undone exactly."""
+
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        zero, one = (float(self.read_sensor(channel, np.asarray(x), memory, values)) for x in (0.0, 1.0))
+        return reading if (zero, one) == (0.0, 1.0) else (reading - zero) / (one - zero)
+
+
+class Amplifier(Effect):
+    """A sensor's low-pass."""
+
+    def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel != self.lagged:
+            return signal
+        return memory.low_pass(channel, signal, values["bandwidth"], values["damping"])
+
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel != self.lagged:
+            return reading
+        omega = 2.0 * np.pi * values["bandwidth"]
+        return memory.lead(reading, 2.0 * values["damping"] / omega, 1.0 / omega**2)
+
+
+CLASSES: dict[type[physics.Effect], type[Effect]] = {
+    valve.TransportDelay: DeadTime,
+    valve.ValveLag: SpoolLag,
+    valve.ValveLagFirstOrder: SpoolLagFirstOrder,
+    valve.ValveDeadband: Overlap,
+    valve.ValveDeadbandLopsided: Overlap,
+    valve.ValveDeadbandSoft: SoftOverlap,
+    oil.SupplyDroop: Droop,
+    motion.FrictionStribeck: Stribeck,
+    motion.FrictionPresliding: Bristles,
+    motion.BacklashPlay: Play,
+    sensing.LoadCellGain: Calibration,
+    sensing.LoadCellBias: Calibration,
+    sensing.PressureSensorBias: Calibration,
+    sensing.SensorLag: Amplifier,
+}
+"""By the effect of the model; all others are plain."""
