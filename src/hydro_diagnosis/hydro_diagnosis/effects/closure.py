@@ -22,14 +22,10 @@ from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
 from hydro_sim.model.effects.closure import NamedLaw, closure_class
-from hydro_sim.model.laws import REVERSAL_VELOCITY, Element, Law, Number, Signals, edge_losses, sensor_signals
+from hydro_sim.model.laws import Element, Law, Signals, edge_losses, sensor_signals
 from hydro_sim.model.tables import Table
 
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
-_REACH = 1e4
-"""Bound of a coefficient, as a multiple of its typical size."""
-_SMALLEST = 0.01
-"""Smallest coefficient of a grown effect worth claiming, as a share of what was seen."""
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
 """Families of grown effects: those of the effects of the table which act in the same equation."""
 _HOOKS = {"motion": {"opposing_force"}, "load": {"load"}, "sensor": {"read_sensor"}}
@@ -104,38 +100,15 @@ class Closure(Effect):
         own = {hook for hook in ("inertia", "invert_reading") if getattr(type(self), hook) is not getattr(Effect, hook)}
         return not (acting | own).isdisjoint(hooks)
 
-    def adapted(self, bench: Bench) -> Effect:
-        return replace(self, numbers=bench, parameters=self.fitted())
+    def adapted(self, bench: Bench) -> Closure:
+        return replace(self, numbers=bench, parameters=self._fitted())
 
-    def fitted(self) -> tuple[FitParameter, ...]:
-        """Parameters of the law as they are fitted: its amplitudes, then its further numbers."""
-        law, size = self.law, self.law.typical
-        names = ("coefficient",) if isinstance(law, Law) else law.names[2:]
-        reach = _REACH * size
-        amplitudes = tuple(
-            FitParameter(name=name, unit=law.unit, low=-reach, high=reach, probes=(size,), smallest=1e-3 * size)
-            for name in names
-        )
-        further = law.numbers if isinstance(law, Law) else ()
-        parameters = (*amplitudes, *(self._number(one) for one in further))
-        if self.name is None:
-            return parameters
-        bounds, seen = self.name.bounds, self.name.typical_parameters
-        return tuple(
-            replace(
-                one, low=bounds[one.name][0], high=bounds[one.name][1], probes=(seen[one.name],), systematic=0.01,
-                smallest=_SMALLEST * abs(seen[one.name]) if one.smallest > 0.0 else 0.0,
-            )
-            for one in parameters
-        )  # fmt: skip
-
-    def _number(self, number: Number) -> FitParameter:
-        probes = self.probes if number.over and self.probes else number.probes
-        low, high = self.limits if number.over and self.probes else number.bounds
-        return FitParameter(
-            name=number.name, unit=number.unit, low=low, high=high, neutral=probes[len(probes) // 2], probes=probes,
-            systematic=0.6 if number.name == REVERSAL_VELOCITY.name else 0.01,  # the recorded velocity is smoothed
-        )  # fmt: skip
+    def _fitted(self) -> tuple[FitParameter, ...]:
+        """As the model has them, but for thresholds whose range the recordings say."""
+        over = {one.name for one in self.law.numbers if one.over} if self.probes and isinstance(self.law, Law) else ()
+        about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "probes": self.probes}
+        about |= {"neutral": self.probes[len(self.probes) // 2]} if over else {}
+        return tuple(replace(one, **about) if one.name in over else one for one in self.physics.fit_parameters(None))
 
     def nothing(self) -> list[dict[str, float]]:
         """Values at which the term vanishes: one set for each choice of start values of its further numbers."""
@@ -147,17 +120,6 @@ class Closure(Effect):
         """Return the entry under `closures` in corrected.yaml."""
         bounds = {} if isinstance(self.law, Law) else dict(zip(("low", "high"), self.limits, strict=True))
         return {"equation": self.law.equation, "form": self.law.form, "parameters": {**bounds, **values}}
-
-    def sentence(self, values: Values) -> str:
-        law = self.law
-        if self.named and isinstance(law, Law):
-            further = "".join(f", {one.name} {values[one.name]:.3g} {one.unit}" for one in law.numbers)
-            return f"{law.sentence} It is {values['coefficient']:.3g} {law.unit} times {law.text}{further}."
-        if isinstance(law, Law):
-            return law.sentence
-        over, factor = law.variable.replace("_", " "), law.factor
-        what = f"A coefficient of the {factor.name} that follows" if factor else "A smooth function of"
-        return f"{what} the {over}, for which no law was found."
 
     def _remembering(self, at: Signals, memory: Memory, values: Values) -> Signals:
         """The signals with what the law remembers of them."""
@@ -300,14 +262,12 @@ def closure(
 
     `limits`: of a table's variable or of a law's threshold, SI unit; `probes`: start values of that threshold.
     """
-    made = _class(law)(_kind(law), law=law, limits=limits, probes=probes, numbers=bench)
-    return replace(made, parameters=made.fitted())
+    return _class(law)(_kind(law), law=law, limits=limits, probes=probes).adapted(bench)
 
 
 def grown_cause(named: NamedLaw) -> Closure:
     """A grown effect as a cause; what it remembers is kept under its own name."""
-    made = _class(named.law)(CATALOGUE[named.id], law=named.law, numbers=Bench.nominal(), name=named)
-    return replace(made, parameters=made.fitted())
+    return _class(named.law)(CATALOGUE[named.id], law=named.law, name=named).adapted(Bench.nominal())
 
 
 def _class(law: Law | Table) -> type[Closure]:

@@ -14,10 +14,11 @@ import numpy as np
 
 from hydro_sim.model import equations as eq
 from hydro_sim.model import grammar, tables
-from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.effects.base import Effect, FitParameter, Parameter, fit, hidden, parameter
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.laws import (
     BOUND_MAX,
+    REVERSAL_VELOCITY,
     Element,
     Law,
     Number,
@@ -38,6 +39,19 @@ class Closure(Effect):
     law: ClassVar[Law | Table]
     element: ClassVar[Element]
     """What it remembers, if it does."""
+
+    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        return tuple(one.fit for one in self.parameters if one.fit)
+
+    def sentence(self, values: Mapping[str, float]) -> str:
+        law = self.law
+        if isinstance(law, Law):
+            if self.id == Closure.id:
+                return law.sentence
+            further = "".join(f", {one.name} {values[one.name]:.3g} {one.unit}" for one in law.numbers)
+            return f"{law.sentence} It is {values['coefficient']:.3g} {law.unit} times {law.text}{further}."
+        what = f"A coefficient of the {law.factor.name} that follows" if law.factor else "A smooth function of"
+        return f"{what} the {law.variable.replace('_', ' ')}, for which no law was found."
 
     def _value(self, at: Signals) -> Symbol:
         return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
@@ -214,8 +228,9 @@ _SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "-": 1.0}
 
 def closure_class(law: Law | Table) -> type[Closure]:
     """Return the effect class of a law or table."""
-    reach = _REACH * law.typical
-    members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
+    size = law.typical
+    amplitude = parameter(law.unit, -_REACH * size, _REACH * size, scale=size, fit=fit(size, smallest=1e-3 * size))
+    members: dict[str, Any] = dict.fromkeys(law.names, amplitude)
     element = law.element
     if isinstance(law, Table):
         over = tables.VARIABLES[law.variable]
@@ -232,9 +247,10 @@ def closure_class(law: Law | Table) -> type[Closure]:
 
 
 def _number(number: Number) -> dict[str, Any]:
-    """A law's further number."""
-    middle = number.probes[len(number.probes) // 2]
-    return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle)
+    """A law's further number; the recorded velocity is smoothed, so that over which it reverses is known less."""
+    middle, systematic = number.probes[len(number.probes) // 2], 0.6 if number.name == REVERSAL_VELOCITY.name else 0.01
+    fitted = fit(*number.probes, systematic=systematic)
+    return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle, fit=fitted)
 
 
 def _states(element: Element, law: Law | Table) -> dict[str, Any]:
@@ -264,6 +280,9 @@ EFFECTS = tuple(closure_class(law) for law in grammar.FORMS.values())
 
 # --- laws that have an id --------------------------------------------------------------------------------------------
 
+_SMALLEST = 0.01
+"""Smallest coefficient worth claiming, as a share of what was seen."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class NamedLaw:
@@ -292,7 +311,13 @@ def effect_class(named: NamedLaw) -> type[Effect]:
     acting = closure_class(named.law)
     about = {"id": named.id, "options": {}, "__doc__": named.law.sentence}
     effect: Any = type(named.id, (acting,), about)
-    effect.parameters = tuple(
-        replace(one, low=named.bounds[one.name][0], high=named.bounds[one.name][1]) for one in acting.parameters
-    )
+    effect.parameters = tuple(_seen(one, named) for one in acting.parameters)
     return effect
+
+
+def _seen(one: Parameter, named: NamedLaw) -> Parameter:
+    """A parameter within the bounds of a grown effect, and fitted from what was seen."""
+    (low, high), size = named.bounds[one.name], named.typical_parameters[one.name]
+    smallest = _SMALLEST * abs(size) if one.fit and one.fit.smallest > 0.0 else 0.0
+    changes: dict[str, Any] = {"low": low, "high": high, "probes": (size,), "smallest": smallest, "systematic": 0.01}
+    return replace(one, low=low, high=high, fit=replace(one.fit, **changes) if one.fit else None)
