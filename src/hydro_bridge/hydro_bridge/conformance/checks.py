@@ -382,10 +382,9 @@ def _demand(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[f
     def taken(number: float, safe: float, low: float, high: float) -> float:
         return min(max(number, low), high) if isfinite(number) else safe
 
-    asked = (*command.coefficients, command.velocity_compensation, command.valve_gain_scale)
     kp = law.base_kp + taken(command.delta_kp, 0.0, law.delta_kp_min, law.delta_kp_max)
     ki = law.base_ki + taken(command.delta_ki, 0.0, law.delta_ki_min, law.delta_ki_max)
-    return [taken(*each) for each in zip(asked, safe, low, high, strict=True)], (kp, ki)
+    return [taken(*each) for each in zip(command.shaping, safe, low, high, strict=True)], (kp, ki)
 
 
 def check_compensated_reference(host: Host, tolerance: float = 0.02) -> None:

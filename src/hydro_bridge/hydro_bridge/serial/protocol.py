@@ -352,8 +352,7 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     shape = (reference.amplitude, reference.offset, reference.frequency, reference.phase)
     head = (VERSION, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
-    shaping = (command.law, *command.coefficients, command.velocity_compensation, command.valve_gain_scale)
-    return _pack(_COMMAND, *head, *numbers, reference.waveform, *shape, *shaping, _FEED_FORWARD)
+    return _pack(_COMMAND, *head, *numbers, reference.waveform, *shape, command.law, *command.shaping, _FEED_FORWARD)
 
 
 def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, follows: bool = False) -> bytes:
