@@ -41,8 +41,8 @@ from hydro_bridge.bags.recording import (
 from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
-from hydro_bridge.bags.writer import decode_sequence
 from hydro_bridge.nodes.replayer import replay
+from hydro_bridge.ros.messages import STATES
 from hydro_bridge.serial.stream import LinkCounts
 from tests.checks import ran
 
@@ -244,7 +244,7 @@ def test_a_jump_of_the_clock_is_not_waited_for_when_replayed(tmp_path, make_stat
     with BagWriter(tmp_path / "run") as writer:
         writer.write_states(states)
     came, said, begun = [], [], time.monotonic()
-    replay(tmp_path / "run", lambda topic, data: came.append(decode_sequence(data)), Event(), 100.0, said.append)
+    replay(tmp_path / "run", lambda topic, data: came.append(STATES.unpack(data).sequence), Event(), 100.0, said.append)
     assert len(came) == 300 and time.monotonic() - begun < 60.0
     assert len(said) == 2 and all("left out" in sentence for sentence in said)
 
@@ -509,7 +509,7 @@ def test_messages_come_at_their_times_freshly_stamped(tmp_path, make_states):
         writer.write_states(make_states(300, first=1000))
     came: list[tuple[float, bytes]] = []
     replay(tmp_path / "run", lambda _, data: came.append((time.time(), data)), Event(), speed=4.0)
-    assert [decode_sequence(data) for _, data in came] == list(range(1000, 1300))
+    assert [STATES.unpack(data).sequence for _, data in came] == list(range(1000, 1300))
     stamps = np.array([np.frombuffer(data[4:12], "<u4") for _, data in came]) @ (1.0, 1e-9)
     np.testing.assert_allclose(np.diff(stamps), 1e-3 / 4.0, atol=2e-6)
     late = np.array([at for at, _ in came]) - stamps

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from struct import unpack_from
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -231,9 +230,3 @@ def code_version() -> str:
             return version("hydro_bridge")
         except PackageNotFoundError:
             return "unknown"
-
-
-def decode_sequence(data: bytes) -> int:
-    """Return `sequence`, the field after the header, of a serialized BenchState (little-endian CDR)."""
-    (length,) = unpack_from("<I", data, 12)
-    return int(unpack_from("<I", data, 4 + -(-(12 + length) // 4) * 4)[0])

@@ -89,7 +89,6 @@ class ReplayerNode(Node):
         self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
         self._published, self._stopping = 0, Event()
-        self.failure: Exception | None = None
         self.done: Future = Future()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         request_realtime(realtime=False)
@@ -113,9 +112,10 @@ class ReplayerNode(Node):
                 replay(self._bag, self._publish, self._stopping, self._speed, self.get_logger().warning)
                 again = self._loop
         except RecordingError as error:
-            self.failure = error
+            self.done.set_exception(error)
+        else:
+            self.done.set_result(None)
         self.get_logger().info(f"{self._published} messages replayed")
-        self.done.set_result(None)
 
     def _publish(self, topic: str, data: bytes) -> None:
         if topic == STATE and (state := STATES.unpack(data)) is not None and state.flags & Flag.PACED:
@@ -157,6 +157,4 @@ def main() -> None:
     own, ros = ros_arguments()
     options = _parser().parse_args(own)
     read_bag(options.bag, topics=())  # fails at once if there is nothing to read
-    failure = run_node(lambda: ReplayerNode(options), ros).failure
-    if failure is not None:
-        raise failure
+    run_node(lambda: ReplayerNode(options), ros)

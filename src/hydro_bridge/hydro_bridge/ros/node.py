@@ -323,9 +323,10 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
     """Start ROS, create the node, spin it, and shut down in order; return it, destroyed, for its results.
 
     `make`: creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that
-    reaches a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a
-    callback, since the next one would find no context. Its method `close`, if any, is called while the context is still
-    valid. Its `components`, if any, are further nodes, on the same executor. `ros`: arguments from `--ros-args` on.
+    reaches a plant starts there. If it has a future `done`, spinning ends once that is done, and its exception, if any,
+    is raised; never shut down in a callback, since the next one would find no context. Its method `close`, if any, is
+    called while the context is still valid. Its `components`, if any, are further nodes, on the same executor. `ros`:
+    arguments from `--ros-args` on.
     """
     with running_ros(ros):
         node = None
@@ -336,7 +337,10 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
             for component in components:
                 node_executor(node).add_node(component)
             getattr(node, "begin", lambda: None)()
-            spin(node, getattr(node, "done", None))
+            done: Future | None = getattr(node, "done", None)
+            spin(node, done)
+            if done is not None and done.done():
+                done.result()
             return node
         finally:
             if node is not None:
