@@ -88,11 +88,7 @@ class Result:
 
 
 def run_cases(
-    cases: Iterable[Case],
-    make_host: Callable[[], Host],
-    bench: Mapping[str, Any] | None,
-    *,
-    moving: bool,
+    cases: Iterable[Case], make_host: Callable[[], Host], bench: Mapping[str, Any] | None, *, moving: bool
 ) -> list[Result]:
     """Run the cases in order and return their results; each begins and ends disarmed.
 

@@ -86,11 +86,7 @@ def decode_messages(layout: FixedLayout, messages: Sequence[bytes]) -> npt.NDArr
 def state_values(table: npt.NDArray[np.void]) -> FloatArray:
     """Return the columns STATE_COLUMNS, STATE_EXTRA of states, shape (n, 12)."""
     flags = table["flags"]
-    extra = (
-        table["reference_force"] - table["load_force"],
-        (flags & Flag.ARMED) != 0,
-        (flags & Flag.TRIPPED) != 0,
-    )
+    extra = (table["reference_force"] - table["load_force"], (flags & Flag.ARMED) != 0, (flags & Flag.TRIPPED) != 0)
     return np.column_stack([*(table[column.field] * column.scale for column in STATE_COLUMNS), *extra])
 
 
