@@ -91,26 +91,34 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
 }
 """Type and quality of service of every topic that is recorded."""
 
-_UNRECORDED: dict[str, tuple[type[Any], QoSProfile]] = {
+_ALL = {
+    **GRAPH,
     ANSWERED: (Answered, _qos(10, reliable=True, latched=True)),  # of several nodes: none's takes another's place
     CLOCK: (Clock, _EVENTS),
 }
 
 
-def _kind_of(topic: str) -> tuple[type[Any], QoSProfile]:
-    return GRAPH[topic] if topic in GRAPH else _UNRECORDED[topic]
-
-
 def create_publisher(node: Node, topic: str) -> Publisher:
     """Publish a topic of the graph."""
-    kind, qos = _kind_of(topic)
+    kind, qos = _ALL[topic]
     return node.create_publisher(kind, topic, qos)
 
 
 def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
     """Subscribe to a topic of the graph."""
-    kind, qos = _kind_of(topic)
+    kind, qos = _ALL[topic]
     return node.create_subscription(kind, topic, callback, qos)
+
+
+def hidden_node(name: str) -> Node:
+    """Return a node without any services, parameters and log of its own."""
+    return Node(
+        name,
+        use_global_arguments=False,
+        enable_rosout=False,
+        start_parameter_services=False,
+        parameter_overrides=[Parameter("start_type_description_service", value=False)],
+    )
 
 
 def mailbox_name(name: str) -> str:
@@ -127,13 +135,7 @@ class Mailbox:
     """
 
     def __init__(self, name: str) -> None:
-        self._node = Node(
-            mailbox_name(name),
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+        self._node = hidden_node(mailbox_name(name))
 
     def subscribe(self, topic: str, kind: type[Any], qos: QoSProfile) -> Subscription:
         """Subscribe to the serialized messages of a topic; the depth of `qos` is that of the queue."""
