@@ -106,32 +106,20 @@ def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> ReferenceMe
 
 
 _NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.default, float))
+_TEXTS = ("plant", "bench_digest", "bench")
 
 
 def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
     """Return the message that describes a box; `stamp` is a builtin_interfaces/Time."""
-    numbers = {name: float(getattr(box.info, name)) for name in _NUMBERS}
-    texts = {name: getattr(box, name) for name in ("plant", "bench_digest", "bench")}
-    message = BoxMessage(firmware=box.info.name, integral=box.info.integral, **texts, **numbers)
+    values = {name: float(getattr(box.info, name)) for name in _NUMBERS} | {name: getattr(box, name) for name in _TEXTS}
+    message = BoxMessage(firmware=box.info.name, integral=box.info.integral, **values)
     message.header.stamp = stamp
     return message
 
 
-def box_from_message(message: BoxMessage) -> KnownBox:
-    """Return a box's description from its message."""
-    numbers = {name: getattr(message, name) for name in _NUMBERS}
-    info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
-    texts = {name: getattr(message, name) for name in ("plant", "bench_digest", "bench")}
-    return KnownBox(info=info, **texts)
-
-
-_LAW_NUMBERS = tuple(entry.name for entry in fields(BoxLaw))
-
-
 def law_to_message(law: BoxLaw | None, stamp: Any) -> BoxLawMessage:
     """Return the message of a box's compensated law, None: it has none; `stamp` is a builtin_interfaces/Time."""
-    numbers = {} if law is None else {name: getattr(law, name) for name in _LAW_NUMBERS}
-    message = BoxLawMessage(offered=law is not None, **numbers)
+    message = BoxLawMessage(offered=law is not None, **({} if law is None else vars(law)))
     message.header.stamp = stamp
     return message
 
@@ -173,4 +161,10 @@ def law_state_from_message(message: Any) -> LawState:
 
 def subscribe_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
     """Call `on_box` with the box's description as soon as the plant node is discovered, and at each change."""
-    return create_subscription(node, BOX, lambda message: on_box(box_from_message(message)))
+
+    def take(message: BoxMessage) -> None:
+        numbers = {name: getattr(message, name) for name in _NUMBERS}
+        info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
+        on_box(KnownBox(info=info, **{name: getattr(message, name) for name in _TEXTS}))
+
+    return create_subscription(node, BOX, take)

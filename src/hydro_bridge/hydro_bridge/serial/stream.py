@@ -88,13 +88,7 @@ class Decoder:
             if not self._overlong:
                 self._bad(crc=False)
             self._pending, self._overlong = b"", True
-        frames = []
-        for piece in pieces:
-            if piece:
-                frame = self._check(piece)
-                if frame is not None:
-                    frames.append(frame)
-        return frames
+        return [frame for piece in pieces if piece and (frame := self._check(piece)) is not None]
 
     def reset(self) -> None:
         """Discard the partial frame, after the port was reopened; counts are kept."""
@@ -145,7 +139,11 @@ class SequenceTracker:
             return True
         ahead = (sequence - self._newest) % _WRAP
         if ahead == 0 or ahead >= _WRAP - self.window:
-            return self._old(-ahead % _WRAP)
+            seen = self._seen >> (behind := -ahead % _WRAP) & 1
+            self.counts.duplicates += seen
+            self.counts.reordered += not seen
+            self._seen |= 1 << behind
+            return False
         if ahead > self.leap:
             self.counts.restarts += 1
             self._newest, self._seen = sequence, 1
@@ -158,11 +156,3 @@ class SequenceTracker:
     def reset(self) -> None:
         """Treat the next number as the first (a new connection); counts are kept."""
         self._newest = None
-
-    def _old(self, behind: int) -> bool:
-        if self._seen >> behind & 1:
-            self.counts.duplicates += 1
-        else:
-            self.counts.reordered += 1
-            self._seen |= 1 << behind
-        return False
