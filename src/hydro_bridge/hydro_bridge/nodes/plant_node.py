@@ -70,9 +70,8 @@ from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace
 from hydro_bridge.serial.protocol import BoxLaw, LawState
 from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
-from hydro_msgs.msg import Answered, Gains, LawCommand
+from hydro_msgs.msg import Answered
 from hydro_msgs.msg import Authority as AuthorityMessage
-from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import Claim
 
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
@@ -347,12 +346,8 @@ class PlantNode(Node):
         self.leases = LeaseServer(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         if self._corrector is None:
             self.leases.listen(topics.CORRECTION, subscribe(self, topics.CORRECTION, CORRECTIONS, self._on_correction))
-        for topic, take in (
-            (topics.GAINS, self._take_gains),
-            (topics.REFERENCE, self._take_reference),
-            (topics.LAW, self._take_law),
-        ):
-            heard = create_subscription(self, topic, partial(self._on_command, topic, take))
+        for topic in (topics.GAINS, topics.REFERENCE, topics.LAW):
+            heard = create_subscription(self, topic, partial(self._on_command, topic))
             self.leases.listen(topic, heard)  # no callback runs before the node is spun
         self._answers = create_subscription(self, topics.ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -425,23 +420,24 @@ class PlantNode(Node):
         self._box_law_publisher.publish(law_to_message(law, now))
         self._box_publisher.publish(box_to_message(box, now))
 
-    def _on_command(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+    def _on_command(self, topic: str, message: Any) -> None:
         """Take a commander's message that has the epoch of the session."""
         if self.leases.admits(topic, message.epoch):
-            take(message)
+            law = law_command_from_message(message) if topic == topics.LAW else None
+            signal = reference_from_message(message) if topic == topics.REFERENCE else None
+            with self.side.lock:
+                if topic == topics.GAINS:
+                    self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
+                elif law is not None:
+                    self.side.guard.set_law(law, self.side.now())
+                elif signal is not None:
+                    self.side.guard.set_reference(signal)
+            if topic == topics.LAW and law is None:
+                self.get_logger().warning(f"unknown force law {message.law}: refused", throttle_duration_sec=5.0)
+            if topic == topics.REFERENCE and signal is None:
+                waveform = f"unknown waveform {message.waveform}"
+                self.get_logger().warning(f"reference refused, the last one is kept: {waveform}")
         self.side.pace.on_command()
-
-    def _take_gains(self, message: Gains) -> None:
-        with self.side.lock:
-            self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
-
-    def _take_law(self, message: LawCommand) -> None:
-        wanted = law_command_from_message(message)
-        if wanted is None:
-            self.get_logger().warning(f"unknown force law {message.law}: refused", throttle_duration_sec=5.0)
-            return
-        with self.side.lock:
-            self.side.guard.set_law(wanted, self.side.now())
 
     def _on_correction(self, message: Any) -> None:
         if self.leases.admits(topics.CORRECTION, message.epoch):
@@ -451,14 +447,6 @@ class PlantNode(Node):
             self.side.send(message.sequence)
         if not self.side.real_time:
             self.side.pace.on_correction(message.sequence)
-
-    def _take_reference(self, message: ReferenceMessage) -> None:
-        signal = reference_from_message(message)
-        if signal is None:
-            self.get_logger().warning(f"reference refused, the last one is kept: unknown waveform {message.waveform}")
-            return
-        with self.side.lock:
-            self.side.guard.set_reference(signal)
 
     def _on_answered(self, message: Answered) -> None:
         sequence = message.sequence if message.answers else None
@@ -476,18 +464,17 @@ class PlantNode(Node):
         side, status = self.side, self.side.status()
         with side.lock:
             guard, given_up = asdict(side.guard.counts), side.guard.given_up
-        required, message = side.guard.settings.require_filter, status.message
-        message += "" if required else ", FILTER NOT REQUIRED"
-        message += f": {given_up}" if given_up else ""
+        required = side.guard.settings.require_filter
+        message = status.message + ("" if required else ", FILTER NOT REQUIRED") + (f": {given_up}" if given_up else "")
         least = Level.WARN if given_up or not required or side.flags & _TROUBLED else Level.OK
         values = {"flags": flag_names(side.flags), "require filter": required, **status.values}
         values |= {f"guard {name}": count for name, count in guard.items()} | self.leases.values()
         if self._defect:
             least, message = Level.ERROR, f"{message}, NOTHING IS CORRECTED: {self._defect}"
         status = Status(level=max(status.level, least), message=message, values=values)
-        if self.count_publishers(topics.STATE) > 1 and not self._beside_another:
+        before, self._beside_another = self._beside_another, self.count_publishers(topics.STATE) > 1
+        if self._beside_another and not before:
             self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")
-        self._beside_another = self.count_publishers(topics.STATE) > 1
         return with_publisher_conflicts(status, self.leases.crowd())
 
     def _tell_events(self) -> None:
