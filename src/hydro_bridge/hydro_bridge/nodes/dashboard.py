@@ -12,7 +12,6 @@ import secrets
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import Future as Promise
 from concurrent.futures import InvalidStateError
 from contextlib import suppress
@@ -128,83 +127,6 @@ _NO_RUN = "nobody commands the plant: no run is active here"
 _NO_ESTIMATOR = "no run here fits the coefficients of the compensated law"
 
 
-class PageCommands:
-    """Calls the services and returns their answers to the page.
-
-    Parameters
-    ----------
-    node
-        Calls the services on the page's behalf.
-    token
-        Shown on the terminal, for those who may do more than disarm.
-    epoch
-        Returns the plant's present epoch; 0: none.
-    holder
-        Returns the holder of the lease, for whom a page's override is meant.
-    """
-
-    def __init__(self, node: Node, token: str, epoch: Callable[[], int], holder: Callable[[], str]) -> None:
-        self._node, self._token, self._epoch, self._holder = node, token, epoch, holder
-        self._claim = node.create_client(Claim, topics.CLAIM_SERVICE)
-        self._override = node.create_client(OverrideGains, topics.OVERRIDE_SERVICE)
-        self._end = node.create_client(Trigger, topics.END_SERVICE)
-        self._freeze = node.create_client(SetBool, topics.FREEZE_SERVICE)
-
-    def act(self, text: str | bytes) -> Promise[str]:
-        """Execute a received command in the caller's thread; the answer for the page follows later."""
-        told: Promise[str] = Promise()
-        command = PageCommand(command="")
-
-        def tell(success: bool, message: str) -> None:
-            content = {"number": command.number, "command": command.command, "success": success, "text": message}
-            with suppress(InvalidStateError):  # the plant's answer and the time-out arrive in two threads
-                told.set_result(status.encode_message("answer", content))
-
-        try:
-            command = parse_command(text)
-            authorize(command, self._token, self._epoch())
-            client, request, absent = self._call(command)
-            if not client.service_is_ready():
-                raise RefusedError(absent)
-        except RefusedError as refused:
-            tell(False, str(refused))
-            return told
-        answer = client.call_async(request)
-
-        def give_up() -> None:
-            client.remove_pending_request(answer)
-            tell(False, f"no answer within {COMMAND_TIMEOUT:g} s")
-
-        def answered(done: Future) -> None:
-            late.cancel()
-            if not done.exception() and (response := done.result()) is not None:
-                tell(response.success, response.message)
-
-        late = threading.Timer(COMMAND_TIMEOUT, give_up)
-        late.daemon = True
-        late.start()
-        answer.add_done_callback(answered)
-        if command.command != "disarm":
-            self._node.get_logger().info(f"the page asks: {command.command}")
-        return told
-
-    def _call(self, command: PageCommand) -> tuple[Client, object, str]:
-        """Return the service of a command, the request, and what to say where it is absent."""
-        name = command.command
-        if name == "disarm":
-            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_WHO), _NO_PLANT
-        if name == "arm":
-            return self._claim, Claim.Request(act=Claim.Request.ARM, name=_WHO, epoch=int(command.epoch)), _NO_PLANT
-        if name == "end":
-            return self._end, Trigger.Request(), _NO_RUN
-        if name in ("freeze", "adapt"):
-            return self._freeze, SetBool.Request(data=name == "freeze"), _NO_ESTIMATOR
-        gains = OverrideGains.Request(active=name == "override", name=_WHO, whom=self._holder())
-        if gains.active:
-            gains.proportional_gain, gains.integral_gain, gains.seconds = command.kp, command.ki, command.seconds
-        return self._override, gains, _NO_RUN
-
-
 HOST = "127.0.0.1"
 PERIOD = 0.05
 """s between two frames."""
@@ -234,21 +156,78 @@ class DashboardNode(Node):
         self.create_subscription(
             DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, _best_effort(topics.DIAGNOSTICS)
         )
-        token = secrets.token_urlsafe(9)
-        commands = PageCommands(self, token, lambda: int(self._authority.epoch), lambda: str(self._authority.holder))
-        self._server = PageServer(commands.act, host, port)
+        self._claim = self.create_client(Claim, topics.CLAIM_SERVICE)
+        self._override = self.create_client(OverrideGains, topics.OVERRIDE_SERVICE)
+        self._end = self.create_client(Trigger, topics.END_SERVICE)
+        self._freeze = self.create_client(SetBool, topics.FREEZE_SERVICE)
+        self._token = secrets.token_urlsafe(9)  # for those who may do more than disarm
+        self._server = PageServer(self._act, host, port)
         self.create_timer(PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         warn_of_duplicate_nodes(
             self, f"another live page runs here: both show the plant, this one at {self._server.address}"
         )
         request_realtime(realtime=False)
-        print(f"the live page: {self._server.address}#token={token}", flush=True)
+        print(f"the live page: {self._server.address}#token={self._token}", flush=True)
 
     def close(self) -> None:
         """Disconnect the viewers."""
         self._samples.close()
         self._server.close()
+
+    def _act(self, text: str | bytes) -> Promise[str]:
+        """Execute a received command in the caller's thread; the answer for the page follows later."""
+        told: Promise[str] = Promise()
+        command = PageCommand(command="")
+
+        def tell(success: bool, message: str) -> None:
+            content = {"number": command.number, "command": command.command, "success": success, "text": message}
+            with suppress(InvalidStateError):  # the plant's answer and the time-out arrive in two threads
+                told.set_result(status.encode_message("answer", content))
+
+        try:
+            command = parse_command(text)
+            authorize(command, self._token, int(self._authority.epoch))
+            client, request, absent = self._call(command)
+            if not client.service_is_ready():
+                raise RefusedError(absent)
+        except RefusedError as refused:
+            tell(False, str(refused))
+            return told
+        answer = client.call_async(request)
+
+        def give_up() -> None:
+            client.remove_pending_request(answer)
+            tell(False, f"no answer within {COMMAND_TIMEOUT:g} s")
+
+        def answered(done: Future) -> None:
+            late.cancel()
+            if not done.exception() and (response := done.result()) is not None:
+                tell(response.success, response.message)
+
+        late = threading.Timer(COMMAND_TIMEOUT, give_up)
+        late.daemon = True
+        late.start()
+        answer.add_done_callback(answered)
+        if command.command != "disarm":
+            self.get_logger().info(f"the page asks: {command.command}")
+        return told
+
+    def _call(self, command: PageCommand) -> tuple[Client, object, str]:
+        """Return the service of a command, the request, and what to say where it is absent."""
+        name, holder = command.command, self._authority.holder
+        if name == "disarm":
+            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_WHO), _NO_PLANT
+        if name == "arm":
+            return self._claim, Claim.Request(act=Claim.Request.ARM, name=_WHO, epoch=int(command.epoch)), _NO_PLANT
+        if name == "end":
+            return self._end, Trigger.Request(), _NO_RUN
+        if name in ("freeze", "adapt"):
+            return self._freeze, SetBool.Request(data=name == "freeze"), _NO_ESTIMATOR
+        gains = OverrideGains.Request(active=name == "override", name=_WHO, whom=holder)
+        if gains.active:
+            gains.proportional_gain, gains.integral_gain, gains.seconds = command.kp, command.ki, command.seconds
+        return self._override, gains, _NO_RUN
 
     def _status(self) -> Status:
         values = {
