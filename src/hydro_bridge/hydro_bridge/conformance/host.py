@@ -16,19 +16,7 @@ from typing import Any, Protocol
 
 from cobs import cobs
 
-from hydro_bridge.serial.protocol import (
-    BoxDetails,
-    BoxInfo,
-    BoxLaw,
-    Details,
-    Hello,
-    LawFrame,
-    State,
-    encode_command,
-    encode_frame,
-    encode_hello,
-    version_mismatch_message,
-)
+from hydro_bridge.serial import protocol
 from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
 from hydro_core.signals import Command, Law, Waveform
@@ -82,14 +70,14 @@ class Host:
     bench: Mapping[str, Any] = field(default_factory=dict)
     """Numbers of the bench file that the box believes; empty: unknown."""
     sequence: int = 0
-    info: BoxInfo = field(default_factory=BoxInfo)
+    info: protocol.BoxInfo = field(default_factory=protocol.BoxInfo)
     """Content of the box's last HELLO."""
-    details: BoxDetails = field(default_factory=BoxDetails)
-    law: BoxLaw | None = None
+    details: protocol.BoxDetails = field(default_factory=protocol.BoxDetails)
+    law: protocol.BoxLaw | None = None
     """The box's compensated law, if it offers one."""
-    states: list[State] = field(default_factory=list)
+    states: list[protocol.State] = field(default_factory=list)
     arrived: list[float] = field(default_factory=list)
-    hellos: list[tuple[int, Hello]] = field(default_factory=list)
+    hellos: list[tuple[int, protocol.Hello]] = field(default_factory=list)
     """HELLOs of the box, each with the number of states received before."""
     sent: list[SentCommand] = field(default_factory=list)
     command: Command = field(default_factory=Command)
@@ -129,7 +117,7 @@ class Host:
         return told / _LOAD_FORCE_LIMIT if told > 0.0 else 1.0
 
     @property
-    def new_states(self) -> list[State]:
+    def new_states(self) -> list[protocol.State]:
         """States since the step began."""
         return self.states[self.marked :]
 
@@ -146,14 +134,14 @@ class Host:
 
     def send_hello(self) -> None:
         """Send HELLO, which opens a new session; the reply is stored when it arrives."""
-        self.line.write(encode_hello(0, int(1e6 * self.clock())))
+        self.line.write(protocol.encode_hello(0, int(1e6 * self.clock())))
 
     def send(self, sequence: int | None = None, **changes: Any) -> None:
         """Send the last command with changes, under the next sequence number unless one is given."""
         self.command = apply_changes(self.command, changes)
         self.sequence = (self.sequence + 1 if sequence is None else sequence) % _CIRCLE
         self.sent.append(SentCommand(self.sequence, self.command, len(self.states)))
-        self.line.write(encode_command(self.sequence, int(1e6 * self.clock()), self.command))
+        self.line.write(protocol.encode_command(self.sequence, int(1e6 * self.clock()), self.command))
 
     def receive(self, samples: int, each: Callable[[], None] | None = None) -> None:
         """Receive a number of states, calling `each` after each.
@@ -167,14 +155,14 @@ class Host:
             self.silence = max(self.silence, now - (now if self.looked is None else self.looked))
             self.looked = now
             for frame in self.decoder.feed(data):
-                if isinstance(frame, Hello) and frame.info is not None:
+                if isinstance(frame, protocol.Hello) and frame.info is not None:
                     self.info = frame.info
                     self.hellos.append((len(self.states), frame))
-                elif isinstance(frame, Details):
+                elif isinstance(frame, protocol.Details):
                     self.details = frame.details
-                elif isinstance(frame, LawFrame):
+                elif isinstance(frame, protocol.LawFrame):
                     self.law = frame.record
-                elif isinstance(frame, State):
+                elif isinstance(frame, protocol.State):
                     self.states.append(frame)
                     self.arrived.append(self.clock())
                     last = self.clock()
@@ -182,7 +170,7 @@ class Host:
                         each()
             if self.clock() - last > _PATIENCE:
                 if self.decoder.foreign_version is not None and not self.states:
-                    raise NoFrameError(version_mismatch_message(self.decoder.foreign_version))
+                    raise NoFrameError(protocol.version_mismatch_message(self.decoder.foreign_version))
                 if self.decoder.counts.frames:
                     raise NoStateError(f"the box sent no STATE for {_PATIENCE:g} s")
                 raise NoFrameError(no_frames_message(self.decoder.counts, LinkCounts(), _PATIENCE))
@@ -230,7 +218,7 @@ def corrupt_frame(frame: bytes, how: str) -> bytes:
     else:
         place, value = _CHANGED[how]
         body[place] = value
-    return encode_frame(bytes(body))
+    return protocol.encode_frame(bytes(body))
 
 
 REPLY_SAMPLES = 300
@@ -314,7 +302,7 @@ def _once(host: Host, words: dict[str, Any]) -> None:
 def _greet(host: Host, words: dict[str, Any]) -> None:
     """Greet; checks begin after the answer, if there is one."""
     host.begin_step()
-    host.details, host.law, host.greeted_at = BoxDetails(), None, len(host.states)
+    host.details, host.law, host.greeted_at = protocol.BoxDetails(), None, len(host.states)
     host.send_hello()
     for _ in range(REPLY_SAMPLES):
         if host.hellos and host.hellos[-1][0] >= host.greeted_at:
@@ -342,7 +330,7 @@ def _garbage(host: Host, words: dict[str, Any]) -> None:
 def _damaged(host: Host, words: dict[str, Any]) -> None:
     """Send a command that would change the gains, damaged in a way that a box must detect."""
     changes = {key: value for key, value in words.items() if key != "how"}
-    frame = encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
+    frame = protocol.encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
     host.begin_step()
     host.line.write(corrupt_frame(frame, words["how"]))
     host.receive(10 + host.lag)

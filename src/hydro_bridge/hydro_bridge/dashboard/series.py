@@ -26,10 +26,6 @@ import numpy.typing as npt
 from hydro_bridge.bags.cdr import FixedLayout
 from hydro_core.signals import Flag, FloatArray
 
-STATE_TYPE = "hydro_msgs/msg/BenchState"
-CORRECTION_TYPE = "hydro_msgs/msg/Correction"
-LAW_TYPE = "hydro_msgs/msg/LawState"
-
 
 @dataclass(frozen=True)
 class Column:

@@ -62,15 +62,10 @@ class SampleReceiver:
     def __init__(self) -> None:
         self._mailbox = Mailbox("dashboard")
         qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        kinds = {
-            topics.STATE: series.STATE_TYPE,
-            topics.CORRECTION: series.CORRECTION_TYPE,
-            topics.LAW_STATE: series.LAW_TYPE,
-        }
-        self._queues = {
-            topic: (self._mailbox.subscribe(topic, topics.GRAPH[topic][0], qos), fixed_layout(kind))
-            for topic, kind in kinds.items()
-        }
+        self._queues = {}
+        for topic in (topics.STATE, topics.CORRECTION, topics.LAW_STATE):
+            kind = topics.GRAPH[topic][0]
+            self._queues[topic] = self._mailbox.subscribe(topic, kind, qos), fixed_layout(topics.type_name(kind))
         self._sequence = -1
         self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES)
         """Thinners of the samples, of the corrections and of the compensated law."""

@@ -70,8 +70,7 @@ from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace
 from hydro_bridge.serial.protocol import BoxLaw, LawState
 from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
-from hydro_msgs.msg import Answered
-from hydro_msgs.msg import Authority as AuthorityMessage
+from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
@@ -270,7 +269,7 @@ class LeaseServer:
     def _tell(self) -> None:
         """Publish the holder, and the epoch that commands must carry now."""
         lease = self.lease
-        message = AuthorityMessage(holder=lease.holder, claim=lease.claim, epoch=lease.epoch)
+        message = msg.Authority(holder=lease.holder, claim=lease.claim, epoch=lease.epoch)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
         self._last_call = ""
@@ -448,7 +447,7 @@ class PlantNode(Node):
         if not self.side.real_time:
             self.side.pace.on_correction(message.sequence)
 
-    def _on_answered(self, message: Answered) -> None:
+    def _on_answered(self, message: msg.Answered) -> None:
         sequence = message.sequence if message.answers else None
         self.side.pace.on_answer(message.node, sequence, message.window, message.commands)
 

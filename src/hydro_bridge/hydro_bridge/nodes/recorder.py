@@ -27,7 +27,7 @@ from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox
+from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox, type_name
 from hydro_bridge.safety.pace import RECORDER_WINDOW
 from hydro_bridge.serial.stream import SequenceTracker
 from hydro_core.cli.console import command, writable_folder
@@ -107,7 +107,7 @@ class RecorderNode(Node):
         qos = QoSProfile(depth=_QUEUE, reliability=reliability, durability=durability)
         names = reliability.name.lower(), durability.name.lower()
         recorded = TopicQos(reliability=names[0], durability=names[1], depth=offered.depth or 10)
-        self._writer.add_topic(topic, f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", recorded)
+        self._writer.add_topic(topic, type_name(kind), recorded)
         self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
 
     def _fetch(self) -> None:

@@ -25,8 +25,7 @@ from hydro_bridge.ros.node import node_executor
 from hydro_bridge.ros.topics import create_publisher, create_subscription
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.signals import LawCommand, ReferenceSignal
-from hydro_msgs.msg import Authority, Gains
-from hydro_msgs.msg import LawCommand as LawMessage
+from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
 _RENEWAL_PERIOD = 0.5  # s between two requests; a lease lapses after 3 s of silence
@@ -76,7 +75,7 @@ class Commander:
         self._within = within
         self._end_service: Service | None = None
         self._claims = node.create_client(Claim, topics.CLAIM_SERVICE)
-        self._said = Authority()  # the plant's last message about the lease
+        self._said = msg.Authority()  # the plant's last message about the lease
         self._claim = self._known = 0  # the second: the epoch at the last request
         self.epoch = 0
         """Epoch of the session if this node commands the plant, else 0."""
@@ -95,9 +94,9 @@ class Commander:
         self._collected: dict[str, Any] = {}  # messages by topic
         self._sent = 0  # commands under the present claim
         self._reference: ReferenceSignal | None = None
-        self.last_gains = Gains()
+        self.last_gains = msg.Gains()
         """As last published, with their stamp."""
-        self._law = LawMessage()
+        self._law = msg.LawCommand()
         self._publishers: dict[str, Publisher] = {}  # that of a law from its first command on
         self._words = create_subscription(node, topics.AUTHORITY, self._on_authority)
 
@@ -261,7 +260,7 @@ class Commander:
         answer.success, answer.message = True, f"{self._node.get_name()} ends: it disarms, and keeps what it has"
         return answer
 
-    def _on_authority(self, message: Authority) -> None:
+    def _on_authority(self, message: msg.Authority) -> None:
         if self._words.get_publisher_count() > 1:
             return  # the plant repeats it once it is alone
         self._said = message

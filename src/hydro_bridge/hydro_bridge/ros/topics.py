@@ -21,20 +21,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
-from hydro_msgs.msg import (
-    Answered,
-    Authority,
-    BenchState,
-    BoxInfo,
-    BoxLaw,
-    Correction,
-    Gains,
-    LawCommand,
-    LawState,
-    PolicyStep,
-    ReferenceSignal,
-    TrainingStatus,
-)
+from hydro_msgs import msg
 
 STATE = "/hydro/state"
 GAINS = "/hydro/gains"
@@ -75,17 +62,17 @@ _LATCHED = _qos(1, reliable=True, latched=True)
 _EVENTS = _qos(10, reliable=True)
 
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
-    STATE: (BenchState, _SAMPLES),
-    BOX: (BoxInfo, _LATCHED),
-    BOX_LAW: (BoxLaw, _LATCHED),
-    LAW_STATE: (LawState, _SAMPLES),
-    AUTHORITY: (Authority, _LATCHED),
-    CORRECTION: (Correction, _qos(50, reliable=False)),
-    GAINS: (Gains, _EVENTS),
-    LAW: (LawCommand, _EVENTS),
-    REFERENCE: (ReferenceSignal, _LATCHED),
-    TRAINING: (TrainingStatus, _EVENTS),
-    POLICY: (PolicyStep, _qos(100, reliable=True)),
+    STATE: (msg.BenchState, _SAMPLES),
+    BOX: (msg.BoxInfo, _LATCHED),
+    BOX_LAW: (msg.BoxLaw, _LATCHED),
+    LAW_STATE: (msg.LawState, _SAMPLES),
+    AUTHORITY: (msg.Authority, _LATCHED),
+    CORRECTION: (msg.Correction, _qos(50, reliable=False)),
+    GAINS: (msg.Gains, _EVENTS),
+    LAW: (msg.LawCommand, _EVENTS),
+    REFERENCE: (msg.ReferenceSignal, _LATCHED),
+    TRAINING: (msg.TrainingStatus, _EVENTS),
+    POLICY: (msg.PolicyStep, _qos(100, reliable=True)),
     DIAGNOSTICS: (DiagnosticArray, _EVENTS),
     LOG: (Log, _qos(1000, reliable=True, latched=True)),
 }
@@ -93,9 +80,14 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
 
 _ALL = {
     **GRAPH,
-    ANSWERED: (Answered, _qos(10, reliable=True, latched=True)),  # of several nodes: none's takes another's place
+    ANSWERED: (msg.Answered, _qos(10, reliable=True, latched=True)),  # of several nodes: none's takes another's place
     CLOCK: (Clock, _EVENTS),
 }
+
+
+def type_name(kind: type[Any]) -> str:
+    """Return the name of a message class, `package/msg/Type`."""
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
 def create_publisher(node: Node, topic: str) -> Publisher:

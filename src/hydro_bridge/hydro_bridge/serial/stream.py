@@ -9,15 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from hydro_bridge.serial.protocol import (
-    MAX_ENCODED,
-    CheckSumError,
-    Frame,
-    MalformedError,
-    UnknownFrameError,
-    WrongVersionError,
-    decode,
-)
+from hydro_bridge.serial import protocol
 
 _WRAP = 1 << 32
 
@@ -65,7 +57,7 @@ def no_frames_message(counts: LinkCounts, before: LinkCounts, seconds: float) ->
 
 @dataclass
 class Decoder:
-    """Splits bytes into frames, in bounded memory: at most `MAX_ENCODED` bytes are kept without a delimiter.
+    """Splits bytes into frames, in bounded memory: at most `protocol.MAX_ENCODED` bytes are kept without a delimiter.
 
     What comes before the first delimiter was cut by the opening of the port: no frame, and no error.
     """
@@ -78,13 +70,13 @@ class Decoder:
     _in_sync: bool = True
     _opening: bool = True
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> list[protocol.Frame]:
         """Return the frames that end within `data`, in order; chunk borders may fall anywhere."""
         self.counts.bytes += len(data)
         *pieces, self._pending = (self._pending + data).split(b"\0")
         if pieces and (self._overlong or self._opening):
             pieces[0], self._overlong, self._opening = b"", False, False
-        if len(self._pending) > MAX_ENCODED:
+        if len(self._pending) > protocol.MAX_ENCODED:
             if not self._overlong:
                 self._bad(crc=False)
             self._pending, self._overlong = b"", True
@@ -94,16 +86,16 @@ class Decoder:
         """Discard the partial frame, after the port was reopened; counts are kept."""
         self._pending, self._overlong, self._in_sync, self._opening = b"", False, True, True
 
-    def _check(self, piece: bytes) -> Frame | None:
+    def _check(self, piece: bytes) -> protocol.Frame | None:
         try:
-            frame = decode(piece)
-        except UnknownFrameError:
+            frame = protocol.decode(piece)
+        except protocol.UnknownFrameError:
             self.counts.unknown += 1
-        except WrongVersionError as error:
+        except protocol.WrongVersionError as error:
             self.counts.wrong_version += 1
             self.foreign_version = error.version
-        except MalformedError as error:
-            self._bad(crc=isinstance(error, CheckSumError))
+        except protocol.MalformedError as error:
+            self._bad(crc=isinstance(error, protocol.CheckSumError))
         else:
             self.counts.frames += 1
             self.counts.resyncs += not self._in_sync
