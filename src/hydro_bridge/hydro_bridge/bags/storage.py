@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from struct import Struct
 from struct import error as struct_error
@@ -139,11 +140,6 @@ class Span:
     log_times: npt.NDArray[np.int64]
     """ns."""
 
-    def slice(self, begin: float, end: float) -> Span:
-        """Return the part with `begin` <= log time < `end` [ns]."""
-        kept = (self.log_times >= begin) & (self.log_times < end)
-        return Span(starts=self.starts[kept], sizes=self.sizes[kept], log_times=self.log_times[kept])
-
 
 @dataclass
 class McapScan:
@@ -174,20 +170,22 @@ class McapScan:
         False.
         """
         with self._opened() as (stream, size):
-            if self.part is None:
-                if self.salvages:
-                    self._declare(stream)
-                for block in self._raw_blocks(stream, size):
-                    yield block, self._split(block)
+            if self.part is not None:
+                summary = self._index(stream)
+                self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
+                begin, end = self.part
+                chunks = self._indexed_chunks(stream)
+                wanted = [one for one in chunks if one.message_start_time < end and one.message_end_time >= begin]
+                for block in self._blocks_of(stream, wanted):
+                    yield block, self._split(block, begin, end)
                 return
-            begin, end = self.part
-            summary = self._index(stream)
-            self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
-            chunks = self._indexed_chunks(stream)
-            wanted = [one for one in chunks if one.message_start_time < end and one.message_end_time >= begin]
-            for block in self._blocks_of(stream, wanted):
-                spans = {channel: span.slice(begin, end) for channel, span in self._split(block).items()}
-                yield block, {channel: span for channel, span in spans.items() if len(span.starts)}
+            if self.salvages:
+                with suppress(RecordingError):  # the chunk that declares the channels may be damaged
+                    summary = self._index(stream)
+                    self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
+                stream.seek(len(_MAGIC))
+            for block in self._raw_blocks(stream, size):
+                yield block, self._split(block)
 
     def times(self) -> tuple[int, int]:
         """Return the log times [ns] of the first and last message from the index; raises RecordingError as `blocks`."""
@@ -235,14 +233,6 @@ class McapScan:
             self.channels[number] = Channel(
                 id=number, topic=topic, message_encoding="cdr", metadata={}, schema_id=schema.id
             )
-
-    def _declare(self, stream: BinaryIO) -> None:
-        """Take the channels from the index, if there is one: the chunk that declares them may be damaged."""
-        place = stream.tell()
-        with suppress(RecordingError):
-            summary = self._index(stream)
-            self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
-        stream.seek(place)
 
     def _index(self, stream: BinaryIO) -> Summary:
         stream.seek(0)
@@ -315,11 +305,12 @@ class McapScan:
         else:
             yield content
 
-    def _split(self, block: bytes) -> dict[int, Span]:
+    def _split(self, block: bytes, begin: float = -inf, end: float = inf) -> dict[int, Span]:
+        """Return the messages of each channel with `begin` <= log time < `end` [ns]; keep what describes them."""
         places: dict[int, list[tuple[int, int, int]]] = {}
-        place, end = 0, len(block)
+        place, size = 0, len(block)
         record, message, kind = (_RECORD.unpack_from, _MESSAGE.unpack_from, int(Opcode.MESSAGE))
-        while place + _RECORD.size <= end:
+        while place + _RECORD.size <= size:
             opcode, length = record(block, place)
             place += _RECORD.size
             if opcode == kind:
@@ -334,7 +325,9 @@ class McapScan:
         spans: dict[int, Span] = {}
         for channel, entries in places.items():
             starts, sizes, log_times = np.array(entries, np.int64).T
-            spans[channel] = Span(starts=starts, sizes=sizes, log_times=log_times)
+            kept = (log_times >= begin) & (log_times < end)
+            if kept.any():
+                spans[channel] = Span(starts=starts[kept], sizes=sizes[kept], log_times=log_times[kept])
         return spans
 
     def _keep(self, opcode: int, body: bytes) -> None:

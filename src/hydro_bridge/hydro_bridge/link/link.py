@@ -19,7 +19,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import partial
 from math import inf, isclose
@@ -46,12 +46,12 @@ def incomplete_handshake(details: BoxDetails | None) -> str:
 def connection_warnings(wanted: GuardSettings, info: BoxInfo, details: BoxDetails, law: BoxLaw | None) -> list[str]:
     """Return log messages on a new connection: limits narrower than the guard's, and a missing compensated law."""
     said = [] if law else [NO_COMPENSATED_LAW]
-    allowed = intersect_limits(wanted, info)
     changed = [
-        f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"
-        for entry in fields(wanted)
-        if getattr(wanted, entry.name) != getattr(allowed, entry.name)
-        and not isclose(getattr(wanted, entry.name), getattr(allowed, entry.name), rel_tol=1e-6)  # HELLO has float32
+        f"{name} {before:g} -> {after:g}"
+        for (name, before), after in zip(
+            vars(wanted).items(), vars(intersect_limits(wanted, info)).values(), strict=True
+        )
+        if before != after and not isclose(before, after, rel_tol=1e-6)  # HELLO has float32
     ]
     if changed:
         said.append(f"the box narrows the guard: {', '.join(changed)}")
@@ -60,7 +60,7 @@ def connection_warnings(wanted: GuardSettings, info: BoxInfo, details: BoxDetail
             f"the box refuses references beyond {details.force_range:g} N, the guard those beyond "
             f"{wanted.reference_force_max:g} N"
         )
-    if details and 0.0 < details.load_force_limit < wanted.reference_force_max:
+    if 0.0 < details.load_force_limit < wanted.reference_force_max:
         said.append(
             f"the box trips beyond a load force of {details.load_force_limit:g} N, the guard takes references up to "
             f"{wanted.reference_force_max:g} N"
