@@ -25,14 +25,15 @@ from functools import partial
 from math import inf, isclose
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings, intersect_limits
-from hydro_bridge.safety.pace import Pace, PaceSettings
+from hydro_bridge.safety.pace import Pace
+from hydro_bridge.safety.plant_side import PlantSide
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, ClockFrame, Frame, State
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker, no_frames_message
-from hydro_core.clock import BoxClock, HostClock, clock_step_message
+from hydro_core.clock import BoxClock
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import STATE_FIELDS, Command, Flag, Law, flag_names
+from hydro_core.signals import STATE_FIELDS, Command, Flag, Law
 
 NO_COMPENSATED_LAW = "only the paper's force law can be run: the box offers no other"
 
@@ -139,7 +140,7 @@ class LinkReport:
         self._sent.clear()
 
 
-class Link:
+class Link(PlantSide):
     """The line to one box.
 
     Parameters
@@ -175,16 +176,14 @@ class Link:
         pace: Pace | None = None,
         correct: Callable[[State, int, int], None] = lambda *sample: None,
     ) -> None:
-        self.port, self.guard = port, guard
-        self.pace = pace or Pace(PaceSettings(), log)
+        super().__init__(guard, log, warn, pace)
+        self.port = port
         self.pace.go_on = self._send
         self.emulated: ClockFrame | None = None
         """What an emulator says of its clock; None: the box runs in real time."""
-        self.lock = threading.Lock()
-        self._news = threading.Condition()
         self.counts = LinkCounts()
         self.report = LinkReport()
-        self.clock, self.host_clock = BoxClock(), HostClock()
+        self.clock = BoxClock()
         self.box: BoxInfo | None = None
         self.details: BoxDetails | None = None
         """The box's DETAILS."""
@@ -194,9 +193,8 @@ class Link:
         self.refused: tuple[int | None, int | None] = (None, None)
         """Values and references that the box refused since its power-on; None: no sample came yet."""
         self.state = LinkState.CLOSED
-        self.flags = 0
         self._wanted_limits = guard.settings
-        self._on_state, self._correct, self._log, self._warn = on_state, correct, log, warn or log
+        self._on_state, self._correct = on_state, correct
         self._on_box = on_box or (lambda info: None)
         self._decoder, self._tracker = Decoder(self.counts), SequenceTracker(self.counts)
         self._stopping, self._ending = threading.Event(), False
@@ -211,8 +209,6 @@ class Link:
         """DETAILS of such a box, until its LAW arrives."""
         self._clock_told: ClockFrame | None = None  # of the box that greets
         self._sampled = -inf  # when the last new sample came, s of the monotonic clock
-        self._samples = 0
-        self._asked = False  # somebody waits for the box's confirmation
         self._framed = LinkCounts()  # counts at the last frame that kept the line alive
         self._box_us = self._offset_us = 0  # time of the last sample; what keeps it from going back
         self._met = False
@@ -295,40 +291,17 @@ class Link:
             self.report.commands += 1
             self.report.command_sent(self._sequence, corrects, time.monotonic())
 
-    def arm(self, arm: bool, timeout: float = 0.5) -> str:
-        """Arm or disarm, await the box's confirmation and return why it failed, or nothing. Not for `run`'s thread."""
-        with self.lock:
-            if arm and self.state is not LinkState.CONNECTED:
-                return f"there is no box: the port is {self.state.value}"
-            if arm and self.flags & Flag.TRIPPED:
-                return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
-            self.guard.set_arm(arm)
-
-            before = self._samples
-
-        def done() -> bool:
-            heard = self.paced or self._samples > before  # what was heard earlier is no answer
-            return self.state is not LinkState.CONNECTED or (heard and bool(self.flags & Flag.ARMED) == arm)
-
-        if self.paced:
-            confirmed = self.pace.run_until(done)
-        else:
-            with self._news:
-                self._asked = True  # each sample is news
-                confirmed = self._news.wait_for(done, timeout)
-                self._asked = False
-        if self.state is not LinkState.CONNECTED:
-            return "the box has gone while it was to be armed: it is not armed" if arm else ""
-        if confirmed:
-            return ""
-        with self.lock:
-            self.guard.set_arm(False)
-        if self.no_sample_message:
-            return f"the box sends no samples: {self.no_sample_message}"
-        return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
+    def _confirms(self, arm: bool, before: int) -> bool:
+        heard = self.paced or self.samples > before  # what was heard earlier is no answer
+        return heard and super()._confirms(arm, before)
 
     @property
-    def no_sample_message(self) -> str:
+    def absent(self) -> str:  # type: ignore[override]
+        """Why there is no box; empty: it is connected."""
+        return "" if self.state is LinkState.CONNECTED else f"the port is {self.state.value}"
+
+    @property
+    def no_sample_message(self) -> str:  # type: ignore[override]
         """Message if the last sample of a connected real-time box is older than `SAMPLE_AGE_MAX`, else empty."""
         age = time.monotonic() - self._sampled
         if self.state is not LinkState.CONNECTED or not self.real_time or age < SAMPLE_AGE_MAX:
@@ -347,10 +320,10 @@ class Link:
                 self.port.write(protocol.encode_hello(0, int(1e6 * now), follows=True))
                 next_hello = now + _HELLO_PERIOD
             if data:
-                before = self._samples
+                before = self.samples
                 for frame in (frames := self._decoder.feed(data)):
                     self._take(frame, now)
-                if self._samples > before or (frames and self.state is LinkState.OPEN):
+                if self.samples > before or (frames and self.state is LinkState.OPEN):
                     alive, self._framed = time.monotonic(), replace(self.counts)
             if self.state is LinkState.CONNECTED and self.paced and self.pace.pending:
                 alive = now  # the emulator waits for this end
@@ -400,7 +373,7 @@ class Link:
         if self.paced and not self._met:
             self.pace.wait_for_peers(self._give_sign)
             self._met = True
-        self._sampled, self._samples = now, self._samples + 1
+        self._sampled, self.samples = now, self.samples + 1
         missed, self._corrected = not self._corrected, False
         with self.lock:
             self._offset_us = max(self._offset_us, self._box_us - frame.time_us)  # a restarted box begins anew
@@ -411,12 +384,11 @@ class Link:
         if before == 0 and frame.refused_references > 0:  # once per connection; the counts are on /diagnostics
             self._warn("the box refused a reference and keeps the one before")
         stale = 0 if self.guard.correction_fresh(self.now()) else Flag.FILTER_STALE
-        flags = frame.flags | stale | (0 if self.real_time else Flag.PACED)
-        changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags
-        if changed or self._asked:
-            with self._news:
-                self._news.notify_all()
-        sample = frame, self._stamp(frame), int(self.flags)
+        self._show(frame.flags | stale | (0 if self.real_time else Flag.PACED))
+        stamp = 1000 * self._box_us  # of an emulator, whose time is its own
+        if self.emulated is None:
+            stamp = self._ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
+        sample = frame, stamp, int(self.flags)
         self._correct(*sample)
         publish = partial(self._on_state, *sample)
         if self.paced:
@@ -425,14 +397,6 @@ class Link:
         if not self.paced and missed and not self._corrected:  # nor of the sample before: a command is sent regardless
             self.report.heartbeats += 1
             self._send()
-
-    def _stamp(self, frame: State) -> int:
-        """Return the time [ns] at which the sample was taken: ROS time, or the emulator's own."""
-        if self.emulated is not None:
-            return 1000 * self._box_us
-        if step := self.host_clock.detect_step():
-            self._warn(clock_step_message(step))
-        return self.host_clock.ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
 
     def _take_hello(self, frame: protocol.Hello, info: BoxInfo) -> None:
         if not frame.version_min <= protocol.VERSION <= frame.version_max:

@@ -36,7 +36,7 @@ class SerialPlant(Link):
     """Differences between the box and its bench file, if any."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
+        """See `hydro_bridge.safety.plant_side.PlantSide`."""
         report = self.report
         values = {
             "port": self.port.settings.path,

@@ -32,7 +32,6 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 from typing import Any, Protocol
@@ -66,8 +65,7 @@ from hydro_bridge.ros.messages import (
 )
 from hydro_bridge.ros.topics import create_publisher, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.pace import Pace
+from hydro_bridge.safety.plant_side import PlantSide
 from hydro_bridge.serial.protocol import BoxLaw, LawState
 from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs import msg
@@ -75,40 +73,6 @@ from hydro_msgs.srv import Claim
 
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
 _LOOK = 0.1  # s between two checks of the publishers
-
-
-class PlantSide(Protocol):
-    """Plant behind a plant node; it runs in its own thread."""
-
-    guard: CommandGuard
-    pace: Pace
-    flags: int
-
-    @property
-    def real_time(self) -> bool:
-        """Whether stamps are ROS time, and commands age by the host's clock."""
-
-    def now(self) -> float:
-        """Time [s] by which commands and leases age: the host's monotonic clock, or the plant's own."""
-
-    @property
-    def lock(self) -> AbstractContextManager[Any]:
-        """Lock held while the guard is used."""
-
-    def send(self, corrects: int | None = None) -> None:
-        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
-
-    def arm(self, arm: bool) -> str:
-        """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
-
-    def status(self) -> Status:
-        """Status for /diagnostics, besides flags and guard."""
-
-    def run(self) -> None:
-        """Run the plant until `stop`; the body of its thread."""
-
-    def stop(self) -> None:
-        """End `run`."""
 
 
 class Corrector(Protocol):

@@ -42,7 +42,7 @@ class SimulatedPlant(Simulation):
     """The bench file's effects that are simulated."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
+        """See `hydro_bridge.safety.plant_side.PlantSide`."""
         values = {
             "samples": self.samples,
             "simulated seconds per second": self.mean_speed(),
