@@ -147,17 +147,11 @@ class Link(PlantSide):
     ----------
     port
         Opened and closed by `run`.
-    guard
-        Asked for every command; its limits are narrowed to those of the box on connecting.
-    pace
-        Knows whose answers each sample of an emulator waits for.
+    guard, log, warn, pace
+        See `PlantSide`; the guard's limits are narrowed to those of the box on connecting.
     on_state
         Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE and PACED
         filled in.
-    log
-        Called with a sentence when something changes.
-    warn
-        Called with a sentence when something is wrong; `log` by default.
     on_box
         Called in the thread of `run` at each connection with the box's self-description.
     correct

@@ -63,17 +63,15 @@ class Simulation(PlantSide):
 
     Parameters
     ----------
-    box, plant, guard
-        The parts; `run` alone touches box and plant.
+    box, plant
+        The parts; `run` alone touches them.
     settings
         Pace and seed.
     on_state
         Called in the thread of `run` with each sample's stamp [ns], ROS time in real time, else the simulation's own,
         and with its record as a tuple in the order of STATE_DTYPE.
-    log
-        Called with a sentence when something changes.
-    pace
-        Knows whose answers each sample waits for.
+    guard, log, pace
+        See `PlantSide`.
     """
 
     def __init__(
