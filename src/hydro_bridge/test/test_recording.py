@@ -41,8 +41,8 @@ from hydro_bridge.bags.recording import (
 from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
-from hydro_bridge.bags.writer import decode_sequence
 from hydro_bridge.nodes.replayer import replay
+from hydro_bridge.ros.messages import STATES
 from hydro_bridge.serial.stream import LinkCounts
 from tests.checks import ran
 
@@ -244,7 +244,7 @@ def test_a_jump_of_the_clock_is_not_waited_for_when_replayed(tmp_path, make_stat
     with BagWriter(tmp_path / "run") as writer:
         writer.write_states(states)
     came, said, begun = [], [], time.monotonic()
-    replay(tmp_path / "run", lambda topic, data: came.append(decode_sequence(data)), Event(), 100.0, said.append)
+    replay(tmp_path / "run", lambda topic, data: came.append(STATES.unpack(data).sequence), Event(), 100.0, said.append)
     assert len(came) == 300 and time.monotonic() - begun < 60.0
     assert len(said) == 2 and all("left out" in sentence for sentence in said)
 
@@ -330,26 +330,27 @@ def test_a_repair_that_fails_leaves_all_as_it_was(bag, monkeypatch):
     assert contents(bag) == before and not list(bag.glob(".repair*"))
 
 
-@pytest.mark.parametrize("chunk", [0, 2])
-def test_a_damaged_chunk_costs_itself_alone(bag, states, chunk):
-    path = mcap_of(bag)
-    data = bytearray(path.read_bytes())
+def chunks_of(path: Path) -> list[ChunkIndex]:
     with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    damaged = sorted(summary.chunk_indexes, key=lambda one: one.chunk_start_offset)[chunk]
+        return sorted(make_reader(stream).get_summary().chunk_indexes, key=lambda one: one.chunk_start_offset)
+
+
+@pytest.mark.parametrize("chunk", [0, 2])
+def test_damage_is_found_by_its_check_sum_and_costs_its_chunk_alone(bag, states, chunk):
+    path = mcap_of(bag)
+    data, damaged = bytearray(path.read_bytes()), chunks_of(path)[chunk]
     data[damaged.chunk_start_offset + damaged.chunk_length // 2] ^= 0x10
     path.write_bytes(data)
+    with pytest.raises(RecordingError, match="is damaged"):
+        read_bag(bag)
+    rest = read_bag(bag, salvages=True)
+    assert len(rest.state) > 0 and rest.notes == (f"{path.name} is damaged: 1 of its blocks could not be read",)
     _, missing = repair(bag)
     assert missing[:-1] == [f"{path.name}: 1 damaged blocks are left out"]
     whole = read_bag(bag)
     assert whole.notes == () and 0.5 * len(states) < len(whole.state) < len(states)
     assert np.isin(whole.state["sequence"], states["sequence"]).all()
     assert (bag / "before_repair" / path.name).read_bytes() == bytes(data)
-
-
-def chunks_of(path: Path) -> list[ChunkIndex]:
-    with path.open("rb") as stream:
-        return sorted(make_reader(stream).get_summary().chunk_indexes, key=lambda one: one.chunk_start_offset)
 
 
 def test_channels_whose_descriptions_are_lost_are_those_of_metadata(bag, states):
@@ -460,19 +461,6 @@ def test_at_any_time_the_folder_is_a_recording_and_what_was_flushed_is_there(tmp
     assert same(read_bag(tmp_path / "now").state, states[:1500])
 
 
-def test_damage_is_found_by_its_check_sum(bag):
-    path = mcap_of(bag)
-    data = bytearray(path.read_bytes())
-    with path.open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    data[summary.chunk_indexes[2].chunk_start_offset + summary.chunk_indexes[2].chunk_length // 2] ^= 0x10
-    path.write_bytes(data)
-    with pytest.raises(RecordingError, match="is damaged"):
-        read_bag(bag)
-    whole = read_bag(bag, salvages=True)
-    assert len(whole.state) > 0 and whole.notes == (f"{path.name} is damaged: 1 of its blocks could not be read",)
-
-
 def test_errors_are_one_clear_sentence(tmp_path, bag):
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty.mcap").touch()
@@ -509,7 +497,7 @@ def test_messages_come_at_their_times_freshly_stamped(tmp_path, make_states):
         writer.write_states(make_states(300, first=1000))
     came: list[tuple[float, bytes]] = []
     replay(tmp_path / "run", lambda _, data: came.append((time.time(), data)), Event(), speed=4.0)
-    assert [decode_sequence(data) for _, data in came] == list(range(1000, 1300))
+    assert [STATES.unpack(data).sequence for _, data in came] == list(range(1000, 1300))
     stamps = np.array([np.frombuffer(data[4:12], "<u4") for _, data in came]) @ (1.0, 1e-9)
     np.testing.assert_allclose(np.diff(stamps), 1e-3 / 4.0, atol=2e-6)
     late = np.array([at for at, _ in came]) - stamps

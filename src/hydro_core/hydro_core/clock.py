@@ -50,7 +50,13 @@ class BoxClock:
         -------
         Estimated monotonic time at which it was taken, ns, ascending.
         """
-        best = self._best(box_us, arrival_ns - 1000 * box_us)
+        offset, queue = arrival_ns - 1000 * box_us, self._quickest
+        while queue and queue[-1][1] >= offset:
+            queue.pop()
+        queue.append((box_us, offset))
+        while queue[0][0] < box_us - 1e6 * self.window:
+            queue.popleft()
+        best = queue[0][1]
         if self._last_us is None:
             self._offset = best
         else:
@@ -58,16 +64,6 @@ class BoxClock:
             self._offset += max(-room, min(room, best - self._offset))
         self._last_us = box_us
         return 1000 * box_us + self._offset
-
-    def _best(self, box_us: int, offset: int) -> int:
-        """Return the smallest offset within the window, this one included."""
-        queue = self._quickest
-        while queue and queue[-1][1] >= offset:
-            queue.pop()
-        queue.append((box_us, offset))
-        while queue[0][0] < box_us - 1e6 * self.window:
-            queue.popleft()
-        return queue[0][1]
 
 
 class HostClock:
@@ -82,9 +78,8 @@ class HostClock:
 
     def __init__(self) -> None:
         self._wall = time.time_ns
-        offset = None
-        while offset is None:
-            offset = self._read()
+        while (offset := self._read()) is None:
+            pass
         self._offset = offset
 
     def detect_step(self) -> int:

@@ -82,18 +82,28 @@ class Setting:
         return f"{self.low:.12g} to {self.high:.12g}" if isfinite(self.low) else ""
 
 
+_KNOWN: dict[type[Any], dict[str, Setting]] = {}
+
+
 def describe(settings: type[Any]) -> dict[str, Setting]:
     """Return the declarations of all fields of a settings dataclass, in order."""
-    if settings not in _KNOWN:
-        hints, meanings = typing.get_type_hints(settings, include_extras=True), _sentences(settings)
-        entries = dataclasses.fields(settings)
-        _KNOWN[settings] = {
-            each.name: _setting(each, hints[each.name], meanings.get(each.name, "")) for each in entries
-        }
-    return _KNOWN[settings]
-
-
-_KNOWN: dict[type[Any], dict[str, Setting]] = {}
+    if settings in _KNOWN:
+        return _KNOWN[settings]
+    hints, meanings = typing.get_type_hints(settings, include_extras=True), _sentences(settings)
+    known = _KNOWN[settings] = {}
+    for field in dataclasses.fields(settings):
+        kind, meta = _unwrapped(hints[field.name])
+        known[field.name] = Setting(
+            name=field.name,
+            hint=hints[field.name],
+            kind=kind,
+            unit=(meta.extra or {}).get("unit", "-"),
+            low=-inf if meta.ge is None else meta.ge,
+            high=inf if meta.le is None else meta.le,
+            meaning=meanings.get(field.name, ""),
+            required=field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING,
+        )
+    return known
 
 
 def check(settings: Any) -> None:
@@ -131,20 +141,6 @@ def _sentences(settings: type[Any]) -> dict[str, str]:
             if isinstance(value, str):
                 found[node.target.id] = " ".join(value.split()).removesuffix(".")
     return found
-
-
-def _setting(field: dataclasses.Field[Any], hint: Any, meaning: str) -> Setting:
-    kind, meta = _unwrapped(hint)
-    return Setting(
-        name=field.name,
-        hint=hint,
-        kind=kind,
-        unit=(meta.extra or {}).get("unit", "-"),
-        low=-inf if meta.ge is None else meta.ge,
-        high=inf if meta.le is None else meta.le,
-        meaning=meaning,
-        required=field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING,
-    )
 
 
 def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:

@@ -140,6 +140,11 @@ class LawCommand:
     valve_gain_scale: float = 1.0
     """C_2 [-], factor on g."""
 
+    @property
+    def shaping(self) -> tuple[float, ...]:
+        """a_0 to a_3, C_1 and C_2."""
+        return *self.coefficients, self.velocity_compensation, self.valve_gain_scale
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceSignal:

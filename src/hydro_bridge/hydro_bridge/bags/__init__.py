@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: rosbag2 folders and single .mcap files, read, written, checked, repaired and replayed, without ROS.
-
-May import `signals`, `serial` and `files`; everything else reads and writes bags through `recording` alone.
-"""
+"""Recordings: rosbag2 folders and single .mcap files, read, written, checked, repaired and replayed, without ROS."""

@@ -176,14 +176,19 @@ def read_serialized(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
     """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; errors as `read_bag`."""
     spans: list[tuple[int, int, str, str, int]] = []
     source, last = BagSource(Path(path)), b""
+
+    def ordered() -> Iterator[tuple[str, str, int, bytes]]:
+        for time, start, topic, type_name, size in sorted(spans):
+            yield topic, type_name, time, last[start : start + size]
+
     for scan, channel, block, span in source.spans():
         if block is not last:
-            yield from _ordered(last, spans)
+            yield from ordered()
             spans, last = [], block
         type_name = scan.schemas[channel.schema_id].name
         columns = zip(span.log_times.tolist(), span.starts.tolist(), span.sizes.tolist(), strict=True)
         spans += [(time, start, channel.topic, type_name, size) for time, start, size in columns]
-    yield from _ordered(last, spans)
+    yield from ordered()
 
 
 def read_messages(path: Path | str, topic: str, *, salvages: bool = False) -> Iterator[tuple[float, Any]]:
@@ -205,11 +210,6 @@ def as_states(table: Table, path: Path) -> StateArray:
     for name in STATE_DTYPE.names or ():
         states[name] = table[name]
     return states
-
-
-def _ordered(block: bytes, spans: list[tuple[int, int, str, str, int]]) -> Iterator[tuple[str, str, int, bytes]]:
-    for time, start, topic, type_name, size in sorted(spans):
-        yield topic, type_name, time, block[start : start + size]
 
 
 def count_gaps(states: StateArray) -> LinkCounts:

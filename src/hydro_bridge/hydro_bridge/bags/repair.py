@@ -15,7 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import yaml
@@ -87,7 +87,17 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
             if not (count := sum(copy.count for copy in copies)):
                 raise RecordingError(f"{folder}: no message can be read: nothing was changed")
             _write_metadata(scratch, copies)
-            before = _exchange(folder, scratch, files)
+            before = next(
+                path
+                for n in range(1, 10**6)
+                if not (path := folder / (BACKUP_FOLDER if n == 1 else f"{BACKUP_FOLDER}_{n}")).exists()
+            )
+            before.mkdir()
+            for path in (*files, folder / "metadata.yaml"):
+                if path.exists():
+                    os.replace(path, before / path.name)
+            for path in sorted(scratch.iterdir()):
+                os.replace(path, folder / path.name)
         except OSError as error:
             raise RecordingError(f"{folder} cannot be repaired: {error.strerror}: nothing was removed") from None
     missing = [f"{copy.path.name}: {sentence}" for copy in copies for sentence in copy.missing]
@@ -138,13 +148,15 @@ def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> CopiedFi
         writer.finish()  # type: ignore[no-untyped-call]
         stream.flush()
         os.fsync(stream.fileno())
-    copy.custom = scan.metadata.get("hydro", {})
-    copy.missing += [f"{scan.damaged} damaged blocks are left out"] if scan.damaged else []
-    copy.missing += (
-        [f"{sum(unknown.values())} messages are left out whose channels nothing describes"] if unknown else []
-    )
-    copy.missing += [f"{scan.unread} bytes could not be read"] if scan.unread else []
-    copy.missing += ["it has no index"] if not (scan.finished or copy.missing) else []
+    copy.custom, lost = scan.metadata.get("hydro", {}), sum(unknown.values())
+    said = {
+        f"{scan.damaged} damaged blocks are left out": scan.damaged,
+        f"{lost} messages are left out whose channels nothing describes": lost,
+        f"{scan.unread} bytes could not be read": scan.unread,
+    }
+    copy.missing = [sentence for sentence, count in said.items() if count]
+    if not (scan.finished or copy.missing):
+        copy.missing = ["it has no index"]
     with target.open("rb") as stream:
         there = Counter(channel.topic for _, channel, _ in make_reader(stream).iter_messages())
     if there != Counter({name: topic.count for name, topic in copy.topics.items()}):
@@ -157,28 +169,12 @@ def _write_metadata(scratch: Path, copies: list[CopiedFile]) -> None:
     for copy in copies:
         for name, topic in copy.topics.items():
             count = topics[name].count if name in topics else 0
-            topics[name] = topic.with_count(count + topic.count)
+            topics[name] = replace(topic, count=count + topic.count)
     said = "; ".join(sentence for copy in copies for sentence in copy.missing) or "metadata.yaml"
     custom = {**{key: value for copy in copies for key, value in copy.custom.items()}, "repaired": said}
     content = bag_metadata(topics, [(copy.path.name, *copy.span, copy.count) for copy in copies], custom)
     text = yaml.safe_dump({"rosbag2_bagfile_information": content}, sort_keys=False)
     (scratch / "metadata.yaml").write_text(text, encoding="utf-8")
-
-
-def _exchange(folder: Path, scratch: Path, files: list[Path]) -> Path:
-    """Move the files into a sub-folder, and the new ones into their places; return the sub-folder."""
-    before = next(
-        path
-        for n in range(1, 10**6)
-        if not (path := folder / (BACKUP_FOLDER if n == 1 else f"{BACKUP_FOLDER}_{n}")).exists()
-    )
-    before.mkdir()
-    for path in (*files, folder / "metadata.yaml"):
-        if path.exists():
-            os.replace(path, before / path.name)
-    for path in sorted(scratch.iterdir()):
-        os.replace(path, folder / path.name)
-    return before
 
 
 @contextmanager

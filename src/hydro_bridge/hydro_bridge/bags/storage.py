@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import BytesIO
+from math import inf
 from pathlib import Path
 from struct import Struct
 from struct import error as struct_error
@@ -57,10 +58,8 @@ def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
         notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (MIXED_FILES if several else "")]
     else:
         information = _information(path)
-        storage, mode = (
-            information.get("storage_identifier"),
-            str(information.get("compression_mode") or "none").lower(),
-        )
+        storage = information.get("storage_identifier")
+        mode = str(information.get("compression_mode") or "none").lower()
         if storage != "mcap":
             raise RecordingError(f"{path} is stored as {storage}, not as mcap: {_to_mcap(path)}")
         if mode != "none":
@@ -97,15 +96,6 @@ def _found(folder: Path, listed: list[Path]) -> tuple[list[Path], list[str]]:
     notes = [f"{folder}: metadata.yaml lists {name}, which is not there" for name in absent]
     notes += [f"{folder} holds {path.name}, which metadata.yaml does not list: not read" for path in others]
     return [path for path in listed if path.exists()], notes
-
-
-def _in_time(scans: list[McapScan]) -> list[McapScan]:
-    """Return the files in the order of their first messages, where all have an index that tells."""
-    try:
-        first = {id(scan): scan.times()[0] for scan in scans} if len(scans) > 1 else {}
-    except RecordingError:
-        return scans
-    return sorted(scans, key=lambda scan: first[id(scan)]) if all(first.values()) and first else scans
 
 
 def _information(folder: Path) -> dict[str, Any]:
@@ -150,11 +140,6 @@ class Span:
     log_times: npt.NDArray[np.int64]
     """ns."""
 
-    def slice(self, begin: float, end: float) -> Span:
-        """Return the part with `begin` <= log time < `end` [ns]."""
-        kept = (self.log_times >= begin) & (self.log_times < end)
-        return Span(starts=self.starts[kept], sizes=self.sizes[kept], log_times=self.log_times[kept])
-
 
 @dataclass
 class McapScan:
@@ -185,20 +170,22 @@ class McapScan:
         False.
         """
         with self._opened() as (stream, size):
-            if self.part is None:
-                if self.salvages:
-                    self._declare(stream)
-                for block in self._raw_blocks(stream, size):
-                    yield block, self._split(block)
+            if self.part is not None:
+                summary = self._index(stream)
+                self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
+                begin, end = self.part
+                chunks = self._indexed_chunks(stream)
+                wanted = [one for one in chunks if one.message_start_time < end and one.message_end_time >= begin]
+                for block in self._blocks_of(stream, wanted):
+                    yield block, self._split(block, begin, end)
                 return
-            begin, end = self.part
-            summary = self._index(stream)
-            self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
-            chunks = self._indexed_chunks(stream)
-            wanted = [one for one in chunks if one.message_start_time < end and one.message_end_time >= begin]
-            for block in self._blocks_of(stream, wanted):
-                spans = {channel: span.slice(begin, end) for channel, span in self._split(block).items()}
-                yield block, {channel: span for channel, span in spans.items() if len(span.starts)}
+            if self.salvages:
+                with suppress(RecordingError):  # the chunk that declares the channels may be damaged
+                    summary = self._index(stream)
+                    self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
+                stream.seek(len(_MAGIC))
+            for block in self._raw_blocks(stream, size):
+                yield block, self._split(block)
 
     def times(self) -> tuple[int, int]:
         """Return the log times [ns] of the first and last message from the index; raises RecordingError as `blocks`."""
@@ -246,14 +233,6 @@ class McapScan:
             self.channels[number] = Channel(
                 id=number, topic=topic, message_encoding="cdr", metadata={}, schema_id=schema.id
             )
-
-    def _declare(self, stream: BinaryIO) -> None:
-        """Take the channels from the index, if there is one: the chunk that declares them may be damaged."""
-        place = stream.tell()
-        with suppress(RecordingError):
-            summary = self._index(stream)
-            self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
-        stream.seek(place)
 
     def _index(self, stream: BinaryIO) -> Summary:
         stream.seek(0)
@@ -319,36 +298,36 @@ class McapScan:
             content = unpacked.read(size)
         except Exception as error:
             if not self.salvages:
-                raise RecordingError(
-                    f"{self.path} is damaged: the check sum of the chunk at byte {place} does not hold"
-                    if isinstance(error, CRCValidationError)
-                    else f"{self.path} is damaged: the chunk at byte {place} cannot be unpacked: {error}"
-                ) from None
+                chunk, wrong = f"the chunk at byte {place}", isinstance(error, CRCValidationError)
+                told = f"the check sum of {chunk} does not hold" if wrong else f"{chunk} cannot be unpacked: {error}"
+                raise RecordingError(f"{self.path} is damaged: {told}") from None
             self.damaged += 1
         else:
             yield content
 
-    def _split(self, block: bytes) -> dict[int, Span]:
+    def _split(self, block: bytes, begin: float = -inf, end: float = inf) -> dict[int, Span]:
+        """Return the messages of each channel with `begin` <= log time < `end` [ns]; keep what describes them."""
         places: dict[int, list[tuple[int, int, int]]] = {}
-        place, end = 0, len(block)
+        place, size = 0, len(block)
         record, message, kind = (_RECORD.unpack_from, _MESSAGE.unpack_from, int(Opcode.MESSAGE))
-        while place + _RECORD.size <= end:
+        while place + _RECORD.size <= size:
             opcode, length = record(block, place)
             place += _RECORD.size
             if opcode == kind:
                 channel, _, log_time, _ = message(block, place)
                 entry = (place + _MESSAGE.size, length - _MESSAGE.size, log_time)
-                if channel in places:
-                    places[channel].append(entry)
-                else:
-                    places[channel] = [entry]
+                if channel not in places:
+                    places[channel] = []
+                places[channel].append(entry)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._keep(opcode, block[place : place + length])
             place += length
         spans: dict[int, Span] = {}
         for channel, entries in places.items():
             starts, sizes, log_times = np.array(entries, np.int64).T
-            spans[channel] = Span(starts=starts, sizes=sizes, log_times=log_times)
+            kept = (log_times >= begin) & (log_times < end)
+            if kept.any():
+                spans[channel] = Span(starts=starts[kept], sizes=sizes[kept], log_times=log_times[kept])
         return spans
 
     def _keep(self, opcode: int, body: bytes) -> None:
@@ -386,7 +365,11 @@ class BagSource:
     def __post_init__(self) -> None:
         whole, part = split_location(self.path)
         files, self.notes = mcap_files(whole)
-        self.scans = _in_time([McapScan(path, salvages=self.salvages) for path in files])
+        self.scans = [McapScan(path, salvages=self.salvages) for path in files]
+        with suppress(RecordingError):  # in the order of their first messages, where all have an index that tells
+            first_times = {scan.path: scan.times()[0] for scan in self.scans} if len(files) > 1 else {}
+            if all(first_times.values()):
+                self.scans.sort(key=lambda scan: first_times.get(scan.path, 0))
         if part is not None:
             first = self.scans[0].times()[0]
             for scan in self.scans:
@@ -409,13 +392,11 @@ class BagSource:
             if scan.damaged:
                 self.notes.append(f"{scan.path.name} is damaged: {scan.damaged} of its blocks could not be read")
             elif not scan.finished:
-                self.notes.append(
-                    f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
-                )
+                told = "was not finished (its recorder was killed?): read up to where it ends"
+                self.notes.append(f"{scan.path.name} {told}")
         if topic is not None and not found:
-            raise self.missing_topic_error(
-                topic, {channel.topic for scan in self.scans for channel in scan.channels.values()}
-            )
+            there = {channel.topic for scan in self.scans for channel in scan.channels.values()}
+            raise self.missing_topic_error(topic, there)
 
     def contiguous_intervals(self, gap: float) -> list[tuple[float, float]]:
         """Return begin and end [s since the first message] of each interval without a gap longer than `gap` s.
@@ -477,13 +458,8 @@ class MessageDecoder:
         """Yield log time [s] and message of one channel in one block; raises RecordingError."""
         name, text = self._source.type_of(scan, channel)
         if name not in self._known:
-            self._store.register(
-                {
-                    kind: fields
-                    for kind, fields in get_types_from_msg(text, name).items()
-                    if kind not in self._store.types
-                }
-            )
+            types = get_types_from_msg(text, name)
+            self._store.register({kind: types[kind] for kind in types.keys() - self._store.types.keys()})
             self._known.add(name)
         places = zip(span.starts.tolist(), span.sizes.tolist(), span.log_times.tolist(), strict=True)
         for start, size, time_ns in places:

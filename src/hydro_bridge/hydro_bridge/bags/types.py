@@ -12,7 +12,6 @@ import json
 import os
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 
 import yaml
@@ -37,8 +36,7 @@ class TopicQos:
     @classmethod
     def from_rosbag2(cls, profiles: str) -> TopicQos:
         """Parse the YAML list in a channel's metadata; missing or unknown entries take their defaults."""
-        listed = yaml.safe_load(profiles) or [{}]
-        first = listed[0]
+        first = (yaml.safe_load(profiles) or [{}])[0]
         best_effort = first.get("reliability") in ("best_effort", 2)  # numbers before version 9
         latched = first.get("durability") in ("transient_local", 1)
         return cls(
@@ -79,6 +77,7 @@ BUNDLED_TYPES = (
     "rcl_interfaces/msg/Log",
 )
 """Types whose definitions are shipped with this package."""
+_SCHEMAS = Path(__file__).with_name("schemas.json")
 
 _RULE = "=" * 80
 
@@ -103,8 +102,8 @@ def definition(type_name: str) -> Definition:
 
     Raises UnknownTypeError: neither package data nor the ament index has it.
     """
-    packaged = _packaged().get(type_name)
-    return Definition(**packaged) if packaged else installed_definition(type_name)
+    packaged = _packaged()
+    return Definition(**packaged[type_name]) if type_name in packaged else installed_definition(type_name)
 
 
 def installed_definition(type_name: str) -> Definition:
@@ -129,17 +128,14 @@ def _installed(type_name: str, suffix: str) -> str:
 
 @cache
 def _packaged() -> dict[str, dict[str, str]]:
-    text = files("hydro_bridge.bags").joinpath("schemas.json").read_text(encoding="utf-8")
-    loaded: dict[str, dict[str, str]] = json.loads(text)
-    return loaded
+    return dict(json.loads(_SCHEMAS.read_text(encoding="utf-8")))
 
 
 def main() -> None:
     """Regenerate the package data from the installed messages."""
     packaged = {name: vars(installed_definition(name)) for name in BUNDLED_TYPES}
-    path = Path(__file__).with_name("schemas.json")
-    path.write_text(json.dumps(packaged, indent=1) + "\n", encoding="utf-8")
-    print(f"{path}: {len(packaged)} types")
+    _SCHEMAS.write_text(json.dumps(packaged, indent=1) + "\n", encoding="utf-8")
+    print(f"{_SCHEMAS}: {len(packaged)} types")
 
 
 if __name__ == "__main__":

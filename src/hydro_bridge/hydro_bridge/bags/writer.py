@@ -10,10 +10,9 @@ import fcntl
 import os
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from struct import unpack_from
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -52,10 +51,6 @@ class TopicEntry:
             profiles=[TopicQos.from_rosbag2(profiles).as_rosbag2()],
             type_hash=channel.metadata.get("topic_type_hash", ""),
         )
-
-    def with_count(self, count: int) -> TopicEntry:
-        """Return a copy with another number of messages."""
-        return replace(self, count=count)
 
 
 def try_lock(file: BinaryIO) -> bool:
@@ -152,11 +147,11 @@ class BagWriter:
         """Write indexes, statistics and the final metadata.yaml."""
         if self._file.closed:
             return
-        information = self._information(self._metadata or None)
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
+        text = yaml.safe_dump(self._information(self._metadata), sort_keys=False)
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
-        self._write_metadata_yaml(self._metadata or None)
+        self._write_metadata_yaml(self._metadata)
 
     def __enter__(self) -> BagWriter:
         return self
@@ -164,25 +159,29 @@ class BagWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write_metadata_yaml(self, custom: Mapping[str, str] | None) -> None:
+    def _write_metadata_yaml(self, custom: Mapping[str, str]) -> None:
         scratch = self.folder / ".metadata.yaml"
         content = {"rosbag2_bagfile_information": self._information(custom)}
         scratch.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
         os.replace(scratch, self.folder / "metadata.yaml")
 
-    def _information(self, custom: Mapping[str, str] | None) -> dict[str, object]:
+    def _information(self, custom: Mapping[str, str]) -> dict[str, object]:
         count = sum(topic.count for topic in self._topics.values())
         start, end = self._span if count else (0, 0)
         return bag_metadata(self._topics, [(self.path.name, start, end, count)], custom)
 
 
 def bag_metadata(
-    topics: Mapping[str, TopicEntry], files: Sequence[tuple[str, int, int, int]], custom: Mapping[str, str] | None
+    topics: Mapping[str, TopicEntry], files: Sequence[tuple[str, int, int, int]], custom: Mapping[str, str]
 ) -> dict[str, object]:
     """Return the content of metadata.yaml with all keys of version 9: rosbag2 throws on a missing one.
 
     `files`: name, first and last log time [ns] and number of messages of each.
     """
+
+    def times(start: int, end: int) -> dict[str, dict[str, int]]:
+        return {"starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": end - start}}
+
     listed = [
         {
             "topic_metadata": {
@@ -201,14 +200,14 @@ def bag_metadata(
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
-        **_times(start, end),
+        **times(start, end),
         "message_count": sum(file[3] for file in files),
         "topics_with_message_count": listed,
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file[0] for file in files],
         "files": [
-            {"path": name, **_times(*((begin, end) if count else (0, 0))), "message_count": count}
+            {"path": name, **times(*((begin, end) if count else (0, 0))), "message_count": count}
             for name, begin, end, count in files
         ],
         "custom_data": dict(custom) if custom else None,
@@ -216,24 +215,13 @@ def bag_metadata(
     }
 
 
-def _times(start: int, end: int) -> dict[str, dict[str, int]]:
-    return {"starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": end - start}}
-
-
 def code_version() -> str:
     """Return `git describe` of the running sources, or the package's version."""
-    here = Path(__file__).resolve().parent
     try:
-        command = ["git", "-C", str(here), "describe", "--always", "--dirty", "--tags"]
+        command = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty", "--tags"]
         return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         try:
             return version("hydro_bridge")
         except PackageNotFoundError:
             return "unknown"
-
-
-def decode_sequence(data: bytes) -> int:
-    """Return `sequence`, the field after the header, of a serialized BenchState (little-endian CDR)."""
-    (length,) = unpack_from("<I", data, 12)
-    return int(unpack_from("<I", data, 4 + -(-(12 + length) // 4) * 4)[0])

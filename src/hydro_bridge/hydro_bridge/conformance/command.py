@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import yaml
 
-from hydro_bridge.conformance.checks import CHECKS, InconclusiveError, NotReportedError
+from hydro_bridge.conformance.checks import CHECKS, InconclusiveError, NotReportedError, ViolationError
 from hydro_bridge.conformance.host import (
     READ_INTERVAL_MAX,
     VERBS,
@@ -88,11 +88,7 @@ class Result:
 
 
 def run_cases(
-    cases: Iterable[Case],
-    make_host: Callable[[], Host],
-    bench: Mapping[str, Any] | None,
-    *,
-    moving: bool,
+    cases: Iterable[Case], make_host: Callable[[], Host], bench: Mapping[str, Any] | None, *, moving: bool
 ) -> list[Result]:
     """Run the cases in order and return their results; each begins and ends disarmed.
 
@@ -101,7 +97,7 @@ def run_cases(
     results: list[Result] = []
     for case in cases:
         try:
-            results.append(_judged(case, make_host, bench, moving))
+            results.append(_run(case, make_host, bench, moving))
         except NoFrameError as error:
             if not results:
                 raise
@@ -109,29 +105,31 @@ def run_cases(
     return results
 
 
-def _judged(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] | None, moving: bool) -> Result:
+def _run(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] | None, moving: bool) -> Result:
     """Run a case; a failure while this host was late is repeated once, and then not held against the box."""
-    for _ in range(2):
-        host = make_host()
-        result = _one(case, host, bench, moving)
-        if result.outcome != FAIL or host.silence <= READ_INTERVAL_MAX:
-            return result
-    return Result(case, NOT_JUDGED, f"this host was silent for {1e3 * host.silence:.0f} ms; {result.found}")
-
-
-def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) -> Result:
     if case.moving and not moving:
         return Result(case, LEFT_OUT, "may move the piston: --moving")
     if "bench" in case.needs and bench is None:
         return Result(case, LEFT_OUT, "needs the box's bench file: --bench")
+    for _ in range(2):
+        host = make_host()
+        host.bench = bench or {}
+        outcome, found = _converse(case, host)
+        if outcome != FAIL or host.silence <= READ_INTERVAL_MAX:
+            return Result(case, outcome, found)
+    return Result(case, NOT_JUDGED, f"this host was silent for {1e3 * host.silence:.0f} ms; {found}")
+
+
+def _converse(case: Case, host: Host) -> tuple[str, str]:
+    """Return outcome and finding of one session with the box."""
     checked: list[tuple[Host, dict[str, Any]]] = []
     silent = ""
     try:
         open_session(host)
-        if bench is not None:
-            host.correction = min(1.0, host.force_scale * NOMINAL_FORCE_GAIN / force_gain(bench))
+        if host.bench:
+            host.correction = min(1.0, host.force_scale * NOMINAL_FORCE_GAIN / force_gain(host.bench))
         if "compensated law" in case.needs and host.law is None:
-            return Result(case, LEFT_OUT, "the box runs the paper's law only")
+            return LEFT_OUT, "the box runs the paper's law only"
         for step in case.steps:
             ((verb, words),) = step.items()
             if verb == "check":
@@ -141,24 +139,18 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
         close_session(host)
     except NoStateError as error:
         silent = str(error)
-    return _verdict(case, checked, bench, silent)
-
-
-def _verdict(
-    case: Case, checked: list[tuple[Host, dict[str, Any]]], bench: Mapping[str, Any] | None, silent: str
-) -> Result:
-    """Evaluate after the end of the case: while this host computes, the box would receive no command."""
-    try:
-        for host, words in checked:
+    try:  # only now: while this host computes, the box would receive no command
+        for seen, words in checked:
             for name, parameters in words.items():
-                if found := CHECKS[name](host, bench, **(parameters or {})):
-                    return Result(case, FAIL, f"{name}: {found}")
+                CHECKS[name](seen, **(parameters or {}))
+    except ViolationError as wrong:
+        return FAIL, f"{name}: {wrong}"
     except NotReportedError as missing:
-        return Result(case, LEFT_OUT, str(missing))
+        return LEFT_OUT, str(missing)
     except InconclusiveError as undecided:
-        return Result(case, NOT_JUDGED, str(undecided))
-    notes = [note for host, _ in checked for note in host.notes]
-    return Result(case, FAIL if silent else PASS, silent or "; ".join(notes))
+        return NOT_JUDGED, str(undecided)
+    notes = [note for seen, _ in checked for note in seen.notes]
+    return (FAIL, silent) if silent else (PASS, "; ".join(notes))
 
 
 _LATE = 3
@@ -200,22 +192,6 @@ def select_cases(cases: tuple[Case, ...], beginnings: list[str]) -> tuple[Case, 
     return tuple(case for case in cases if not beginnings or case.id.startswith(tuple(beginnings)))
 
 
-def results_table(results: list[Result]) -> Table:
-    """Return the results as a table, one row per case."""
-    outcomes = (PASS, FAIL, LEFT_OUT, NOT_JUDGED)
-    counts = {outcome: sum(result.outcome == outcome for result in results) for outcome in outcomes}
-    made = Table(COLUMNS, title=", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
-    for result in results:
-        made.add(case=result.case.id, result=result.outcome, found=result.found, says=result.case.says)
-    return made
-
-
-def exit_status(results: list[Result]) -> int:
-    """Return the exit status: 1 if a case failed, 3 if one got no verdict, else 0."""
-    found = {result.outcome for result in results}
-    return 1 if FAIL in found else _LATE if NOT_JUDGED in found else 0
-
-
 @command()
 def main() -> int:
     """Entry point; exit status 1 if a case failed, else 3 if this host was too late to judge one."""
@@ -240,5 +216,9 @@ def main() -> int:
         )
     finally:
         port.close()
-    results_table(results).show(options.json)
-    return exit_status(results)
+    found = [result.outcome for result in results]
+    table = Table(COLUMNS, title=", ".join(f"{found.count(one)} {one}" for one in (PASS, FAIL, LEFT_OUT, NOT_JUDGED)))
+    for result in results:
+        table.add(case=result.case.id, result=result.outcome, found=result.found, says=result.case.says)
+    table.show(options.json)
+    return 1 if FAIL in found else _LATE if NOT_JUDGED in found else 0

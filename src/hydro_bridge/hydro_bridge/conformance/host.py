@@ -8,27 +8,18 @@ frames or garbage.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from random import Random
 from typing import Any, Protocol
 
 from cobs import cobs
 
-from hydro_bridge.serial.protocol import (
-    BoxLaw,
-    Details,
-    Hello,
-    LawFrame,
-    State,
-    encode_command,
-    encode_frame,
-    encode_hello,
-    version_mismatch_message,
-)
+from hydro_bridge.serial import protocol
 from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
-from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
+from hydro_core.signals import Command, Law, Waveform
 
 _CIRCLE = 1 << 32
 _PATIENCE = 1.0
@@ -76,14 +67,18 @@ class Host:
 
     line: Transport
     clock: Callable[[], float] = time.monotonic
+    bench: Mapping[str, Any] = field(default_factory=dict)
+    """Numbers of the bench file that the box believes; empty: unknown."""
     sequence: int = 0
-    hello: Hello | None = None
-    details: Details | None = None
-    law: BoxLaw | None = None
+    info: protocol.BoxInfo = field(default_factory=protocol.BoxInfo)
+    """Content of the box's last HELLO."""
+    details: protocol.BoxDetails = field(default_factory=protocol.BoxDetails)
+    law: protocol.BoxLaw | None = None
     """The box's compensated law, if it offers one."""
-    states: list[State] = field(default_factory=list)
+    states: list[protocol.State] = field(default_factory=list)
     arrived: list[float] = field(default_factory=list)
-    hellos: list[tuple[int, Hello]] = field(default_factory=list)
+    hellos: list[tuple[int, protocol.Hello]] = field(default_factory=list)
+    """HELLOs of the box, each with the number of states received before."""
     sent: list[SentCommand] = field(default_factory=list)
     command: Command = field(default_factory=Command)
     decoder: Decoder = field(default_factory=Decoder)
@@ -105,25 +100,24 @@ class Host:
         """Begin a step of a case: checks examine what is received from here on."""
         self.marked, self.marked_sent = len(self.states), len(self.sent)
 
-    def discard_history(self) -> None:
-        """Discard everything received before the session but the newest state."""
-        self.states, self.arrived = self.states[-1:], self.arrived[-1:]
-        self.hellos, self.sent, self.silence = [], [], 0.0
-        self.begin_step()
-
     def snapshot(self) -> Host:
         """Return a copy of the session so far, for evaluation after the case."""
         states, arrived, hellos, sent = list(self.states), list(self.arrived), list(self.hellos), list(self.sent)
         return replace(self, states=states, arrived=arrived, hellos=hellos, sent=sent, notes=[])
 
     @property
+    def feedback(self) -> str:
+        """Name of the force field that the box feeds back: as given in DETAILS, else `load_force`."""
+        return f"{self.details.feedback or 'load'}_force"
+
+    @property
     def force_scale(self) -> float:
         """Ratio of this box's load force limit to the nominal one, by which forces of the cases are scaled."""
-        told = self.details.details.load_force_limit if self.details else 0.0
+        told = self.details.load_force_limit
         return told / _LOAD_FORCE_LIMIT if told > 0.0 else 1.0
 
     @property
-    def new_states(self) -> list[State]:
+    def new_states(self) -> list[protocol.State]:
         """States since the step began."""
         return self.states[self.marked :]
 
@@ -140,14 +134,14 @@ class Host:
 
     def send_hello(self) -> None:
         """Send HELLO, which opens a new session; the reply is stored when it arrives."""
-        self.line.write(encode_hello(0, int(1e6 * self.clock())))
+        self.line.write(protocol.encode_hello(0, int(1e6 * self.clock())))
 
     def send(self, sequence: int | None = None, **changes: Any) -> None:
         """Send the last command with changes, under the next sequence number unless one is given."""
         self.command = apply_changes(self.command, changes)
         self.sequence = (self.sequence + 1 if sequence is None else sequence) % _CIRCLE
         self.sent.append(SentCommand(self.sequence, self.command, len(self.states)))
-        self.line.write(encode_command(self.sequence, int(1e6 * self.clock()), self.command))
+        self.line.write(protocol.encode_command(self.sequence, int(1e6 * self.clock()), self.command))
 
     def receive(self, samples: int, each: Callable[[], None] | None = None) -> None:
         """Receive a number of states, calling `each` after each.
@@ -161,29 +155,25 @@ class Host:
             self.silence = max(self.silence, now - (now if self.looked is None else self.looked))
             self.looked = now
             for frame in self.decoder.feed(data):
-                if isinstance(frame, Hello) and frame.info is not None:
-                    self.hello = frame
+                if isinstance(frame, protocol.Hello) and frame.info is not None:
+                    self.info = frame.info
                     self.hellos.append((len(self.states), frame))
-                elif isinstance(frame, Details):
-                    self.details = frame
-                elif isinstance(frame, LawFrame):
+                elif isinstance(frame, protocol.Details):
+                    self.details = frame.details
+                elif isinstance(frame, protocol.LawFrame):
                     self.law = frame.record
-                elif isinstance(frame, State):
+                elif isinstance(frame, protocol.State):
                     self.states.append(frame)
                     self.arrived.append(self.clock())
                     last = self.clock()
                     if each is not None and len(self.states) <= wanted:
                         each()
             if self.clock() - last > _PATIENCE:
-                self._give_up()
-
-    def _give_up(self) -> None:
-        counts = self.decoder.counts
-        if self.decoder.foreign_version is not None and not self.states:
-            raise NoFrameError(version_mismatch_message(self.decoder.foreign_version))
-        if counts.frames:
-            raise NoStateError(f"the box sent no STATE for {_PATIENCE:g} s")
-        raise NoFrameError(no_frames_message(counts, LinkCounts(), _PATIENCE))
+                if self.decoder.foreign_version is not None and not self.states:
+                    raise NoFrameError(protocol.version_mismatch_message(self.decoder.foreign_version))
+                if self.decoder.counts.frames:
+                    raise NoStateError(f"the box sent no STATE for {_PATIENCE:g} s")
+                raise NoFrameError(no_frames_message(self.decoder.counts, LinkCounts(), _PATIENCE))
 
 
 _LOAD_FORCE_LIMIT = 700.0
@@ -191,23 +181,16 @@ _LOAD_FORCE_LIMIT = 700.0
 _UNPLAYABLE = 1e6
 """N, from which a number in a case is meant for any box."""
 _FORCES = ("amplitude", "offset")
-_SHAPE = ("amplitude", "offset", "frequency", "phase")
 
 
-def apply_changes(command: Command, changes: dict[str, Any]) -> Command:
-    """Return a command with fields replaced by name, those of its reference included; the waveform is given by name."""
-    shape: dict[str, Any] = {name: float(changes[name]) for name in _SHAPE if name in changes}
-    if "waveform" in changes:
-        shape["waveform"] = Waveform[str(changes["waveform"]).upper()]
-    names = ("delta_kp", "delta_ki", "delta_u", "velocity_compensation", "valve_gain_scale")
-    rest: dict[str, Any] = {name: float(changes[name]) for name in names if name in changes}
-    rest |= {name: bool(changes[name]) for name in ("arm", "filter_fresh") if name in changes}
-    if "law" in changes:
-        rest["law"] = Law[str(changes["law"]).upper()]
-    if "coefficients" in changes:
-        rest["coefficients"] = tuple(map(float, changes["coefficients"]))
-    reference: ReferenceSignal = replace(command.reference, **shape)
-    return replace(command, reference=reference, **rest)
+def apply_changes(command: Command, changes: Mapping[str, Any]) -> Command:
+    """Return a command with fields replaced by name, those of its reference included; waveform and law by name."""
+    own: dict[str, Any] = dict(changes)
+    for name, kind in (("waveform", Waveform), ("law", Law)):
+        if name in own:
+            own[name] = kind[own[name].upper()]
+    shape = {name: own.pop(name) for name in ("waveform", "amplitude", "offset", "frequency", "phase") if name in own}
+    return replace(command, reference=replace(command.reference, **shape), **own)
 
 
 _TIME, _WAVEFORM, _VERSION, _TYPE = 8, 34, 0, 1
@@ -235,7 +218,7 @@ def corrupt_frame(frame: bytes, how: str) -> bytes:
     else:
         place, value = _CHANGED[how]
         body[place] = value
-    return encode_frame(bytes(body))
+    return protocol.encode_frame(bytes(body))
 
 
 REPLY_SAMPLES = 300
@@ -245,24 +228,25 @@ _APART = 1000
 
 
 def open_session(host: Host) -> None:
-    """Send HELLO until the box replies, then safe commands until it confirms one."""
+    """Send HELLO until the box replies, then safe commands until it confirms one; discard what came before."""
     for n in range(3 * REPLY_SAMPLES):
         if n % REPLY_SAMPLES == 0:
             host.send_hello()
         host.receive(1)
-        if host.hello is not None:
+        if host.hellos:
             break
     else:
         raise NoStateError(f"the box answered no HELLO within {3 * REPLY_SAMPLES} samples")
     host.receive(2)
-    host.sequence = (host.states[-1].last_command + _APART) % 2**32  # not a number of the previous conversation
+    host.sequence = (host.states[-1].last_command + _APART) % _CIRCLE  # not a number of the previous conversation
     host.command = Command()
     host.begin_step()
     host.send()
     host.lag = wait_for_confirmation(host, host.send)
     host.receive(20, host.send)
-    host.command = Command()
-    host.discard_history()
+    host.states, host.arrived = host.states[-1:], host.arrived[-1:]
+    host.hellos, host.sent, host.silence = [], [], 0.0
+    host.begin_step()
 
 
 def wait_for_confirmation(host: Host, each: Callable[[], None] | None = None) -> int:
@@ -281,31 +265,32 @@ def close_session(host: Host) -> None:
     host.receive(10, host.send)
 
 
+def _at_every(every: int, act: Callable[[], None]) -> Callable[[], None]:
+    """Return a function that acts at every `every`-th call."""
+    calls = count(1)
+    return lambda: None if next(calls) % every else act()
+
+
 def _commands(host: Host, words: dict[str, Any]) -> None:
     """Send a command at once and after every `every`-th sample, `times` times each, for `samples`."""
-    changes = _changes(host, words, "samples", "every", "times")
-    every, times, seen = int(words.get("every", 1)), int(words.get("times", 1)), 0
 
-    def each() -> None:
-        nonlocal seen
-        seen += 1
-        if seen % every == 0:
-            for _ in range(times):
-                host.send()
+    def send() -> None:
+        for _ in range(words.get("times", 1)):
+            host.send()
 
+    each = _at_every(words.get("every", 1), send)
     host.begin_step()
-    host.send(**changes)
+    host.send(**_changes(host, words, "samples", "every", "times"))
     wait_for_confirmation(host, each)
-    host.receive(int(words["samples"]), each)
+    host.receive(words["samples"], each)
 
 
 def _once(host: Host, words: dict[str, Any]) -> None:
     """Send one command; `sequence` counts from the last one sent, 0 repeats it."""
     changes = _changes(host, words, "sequence", "samples", "goes_on")
-    before, step = host.sequence, int(words.get("sequence", 1))
+    before, step, samples = host.sequence, words.get("sequence", 1), words.get("samples", 15)
     host.begin_step()
-    host.send((before + step) % 2**32, **changes)
-    samples = int(words.get("samples", 15))
+    host.send(before + step, **changes)
     if step == 1 or words.get("goes_on"):
         wait_for_confirmation(host)
     else:  # never confirmed: wait for it to arrive
@@ -317,7 +302,7 @@ def _once(host: Host, words: dict[str, Any]) -> None:
 def _greet(host: Host, words: dict[str, Any]) -> None:
     """Greet; checks begin after the answer, if there is one."""
     host.begin_step()
-    host.details, host.law, host.greeted_at = None, None, len(host.states)
+    host.details, host.law, host.greeted_at = protocol.BoxDetails(), None, len(host.states)
     host.send_hello()
     for _ in range(REPLY_SAMPLES):
         if host.hellos and host.hellos[-1][0] >= host.greeted_at:
@@ -325,32 +310,29 @@ def _greet(host: Host, words: dict[str, Any]) -> None:
             host.marked = host.hellos[-1][0]
             break
         host.receive(1)
-    host.receive(int(words.get("samples", 50)))
+    host.receive(words.get("samples", 50))
 
 
 def _garbage(host: Host, words: dict[str, Any]) -> None:
     """Send noise, none of it a frame, before a command after every `every`-th sample, for a number of samples."""
-    random, seen = Random(int(words["seed"])), 0
+    random = Random(words["seed"])
     host.command = apply_changes(host.command, _changes(host, words, "samples", "every", "seed", "longest"))
     host.begin_step()
 
-    def each() -> None:
-        nonlocal seen
-        seen += 1
-        if seen % int(words["every"]) == 0:
-            host.line.write(random.randbytes(random.randint(1, int(words["longest"]))) + b"\0")
-            host.send()
+    def send() -> None:
+        host.line.write(random.randbytes(random.randint(1, words["longest"])) + b"\0")
+        host.send()
 
-    host.receive(int(words["samples"]), each)
+    host.receive(words["samples"], _at_every(words["every"], send))
     host.receive(5 + host.lag)
 
 
 def _damaged(host: Host, words: dict[str, Any]) -> None:
     """Send a command that would change the gains, damaged in a way that a box must detect."""
     changes = {key: value for key, value in words.items() if key != "how"}
-    frame = encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
+    frame = protocol.encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
     host.begin_step()
-    host.line.write(corrupt_frame(frame, str(words["how"])))
+    host.line.write(corrupt_frame(frame, words["how"]))
     host.receive(10 + host.lag)
 
 
@@ -362,7 +344,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
     changes = {key: value for key, value in words.items() if key not in others}
     for key, value in changes.items():
         if key not in ("waveform", "law") and isinstance(value, str):
-            changes[key] = getattr(host.details.details, value) if host.details else 0.0
+            changes[key] = getattr(host.details, value)
         elif key in _FORCES and abs(value) < _UNPLAYABLE:
             changes[key] = host.force_scale * value
         elif key == "delta_u":
@@ -373,7 +355,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
 VERBS: dict[str, Callable[[Host, Any], None]] = {
     "commands": _commands,
     "once": _once,
-    "wait": lambda host, samples: host.receive(int(samples)),
+    "wait": lambda host, samples: host.receive(samples),
     "greet": _greet,
     "garbage": _garbage,
     "damaged": _damaged,

@@ -133,25 +133,22 @@ def is_acceptable(signal: ReferenceSignal, force_range: float) -> bool:
     return signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
 
 
-def expected_references(host: Host, force: str) -> Iterator[list[Derivatives | None]]:
-    """Yield the expected reference at each state, None where disarmed; twice, for both roundings of a fade's end.
-
-    `force`: name of the feedback force's field.
-    """
-    reach = host.details.details.force_range if host.details else 0.0
+def expected_references(host: Host) -> Iterator[list[Derivatives | None]]:
+    """Yield the expected reference at each state, None where disarmed; twice, for both roundings of a fade's end."""
+    reach = host.details.force_range or 1e6
     commands = {each.sequence: each.command for each in host.sent}
     for fade in (FADE_TIME - _ROUNDING, FADE_TIME + _ROUNDING):
         wanted, points = ReferenceSignal(), list[Derivatives | None]()
         old = new = (wanted, 0.0)  # with the time of acceptance, s
         for state in host.states:
             command, time = commands.get(state.last_command), state.time_us * 1e-6
-            if command is not None and is_acceptable(command.reference, reach or 1e6):
+            if command is not None and is_acceptable(command.reference, reach):
                 wanted = command.reference
             if not state.flags & Flag.ARMED:
                 points.append(None)
                 continue
             if not points or points[-1] is None:
-                held = ReferenceSignal(offset=state.values[STATE_FIELDS.index(force)])
+                held = ReferenceSignal(offset=state.values[STATE_FIELDS.index(host.feedback)])
                 old, new = (held, time), (wanted, time)
             elif time - new[1] >= fade and wanted != new[0]:
                 old, new = new, (wanted, time)

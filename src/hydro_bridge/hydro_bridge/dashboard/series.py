@@ -26,10 +26,6 @@ import numpy.typing as npt
 from hydro_bridge.bags.cdr import FixedLayout
 from hydro_core.signals import Flag, FloatArray
 
-STATE_TYPE = "hydro_msgs/msg/BenchState"
-CORRECTION_TYPE = "hydro_msgs/msg/Correction"
-LAW_TYPE = "hydro_msgs/msg/LawState"
-
 
 @dataclass(frozen=True)
 class Column:
@@ -86,11 +82,7 @@ def decode_messages(layout: FixedLayout, messages: Sequence[bytes]) -> npt.NDArr
 def state_values(table: npt.NDArray[np.void]) -> FloatArray:
     """Return the columns STATE_COLUMNS, STATE_EXTRA of states, shape (n, 12)."""
     flags = table["flags"]
-    extra = (
-        table["reference_force"] - table["load_force"],
-        (flags & Flag.ARMED) != 0,
-        (flags & Flag.TRIPPED) != 0,
-    )
+    extra = (table["reference_force"] - table["load_force"], (flags & Flag.ARMED) != 0, (flags & Flag.TRIPPED) != 0)
     return np.column_stack([*(table[column.field] * column.scale for column in STATE_COLUMNS), *extra])
 
 
@@ -140,12 +132,15 @@ class Downsampler:
         slots = np.floor(times / SLOT_TIME).astype(np.int64)
         kept = len(self._ring)
         if not self._open or abs(int(slots[-1]) - self._open) >= kept:
-            self._restart(max(int(slots[0]), int(slots[-1]) - kept + 1))
+            self._ring[:] = np.nan
+            self._begin = self._taken = self._open = max(int(slots[0]), int(slots[-1]) - kept + 1)
         good = slots >= self._open
         slots, values = slots[good], values[good]
         if not len(slots):
             return
-        self._open_until(int(slots[-1]))
+        last = int(slots[-1])
+        self._ring[np.arange(self._open + 1, last + 1)[-kept:] % kept] = np.nan
+        self._open, self._taken = last, max(self._taken, last - kept + 1)
         _reduce_into(self._ring, slots, values)
 
     def poll(self) -> Slots:
@@ -157,16 +152,6 @@ class Downsampler:
     def history(self) -> Slots:
         """Return all polled slots still in the ring, for a new viewer the next `poll`."""
         return self._between(max(self._begin, self._open - len(self._ring) + 1), self._taken)
-
-    def _restart(self, slot: int) -> None:
-        self._ring[:] = np.nan
-        self._begin = self._taken = self._open = slot
-
-    def _open_until(self, slot: int) -> None:
-        new = np.arange(self._open + 1, slot + 1)[-len(self._ring) :]
-        self._ring[new % len(self._ring)] = np.nan
-        self._open = slot
-        self._taken = max(self._taken, slot - len(self._ring) + 1)
 
     def _between(self, first: int, end: int) -> Slots:
         rows = np.arange(first, max(first, end)) % len(self._ring)

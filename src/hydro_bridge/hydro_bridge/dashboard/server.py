@@ -41,6 +41,7 @@ from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from importlib import resources
 from ipaddress import ip_address
+from pathlib import Path
 from socket import gethostname
 from typing import Annotated
 from urllib.parse import urlsplit
@@ -127,14 +128,8 @@ COMMAND_TIMEOUT = 3.0
 """s, time-out of a command."""
 
 _PENDING = 20  # pending commands of one viewer
-_FILES = {
-    "/page.css": ("page.css", "text/css; charset=utf-8"),
-    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
-    "/plots.js": ("plots.js", "text/javascript; charset=utf-8"),
-    "/series.js": ("series.js", "text/javascript; charset=utf-8"),
-    "/uPlot.js": ("uPlot.iife.min.js", "text/javascript; charset=utf-8"),
-    "/uPlot.css": ("uPlot.min.css", "text/css; charset=utf-8"),
-}
+_FILES = ("page.css", "page.js", "plots.js", "series.js", "uPlot.iife.min.js", "uPlot.min.css")
+_KINDS = {".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8"}
 _POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data:; connect-src 'self'"
 
 Message = str | bytes
@@ -151,7 +146,7 @@ class PageServer:
     def __init__(self, act: Callable[[Message], Future[str]], host: str = "127.0.0.1", port: int | None = None) -> None:
         self._act, self._host = act, host
         folder, page = resources.files("hydro_bridge.dashboard") / "page", environment("hydro_bridge", "dashboard/page")
-        self._files = {path: ((folder / name).read_bytes(), kind) for path, (name, kind) in _FILES.items()}
+        self._files = {f"/{name}": ((folder / name).read_bytes(), _KINDS[Path(name).suffix]) for name in _FILES}
         index = page.get_template("index.html").render(title="hydro")
         self._files["/"] = (index.encode(), "text/html; charset=utf-8")
         self._viewers: set[ServerConnection] = set()
@@ -275,16 +270,10 @@ def file_response(body: bytes, kind: str, policy: str) -> Response:
 def is_cross_origin(request: Request, given: str) -> bool:
     """Return whether a request has another site's Origin, or a Host that is not this machine."""
     host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-    return not is_own_host(host, given) or (origin is not None and urlsplit(origin).netloc != host)
-
-
-def is_own_host(host: str, given: str) -> bool:
-    """Return whether a Host header is an IP address or a name of this machine, against DNS rebinding."""
     name = urlsplit(f"//{host}").hostname or ""
-    if name in ("localhost", given.lower(), gethostname().lower()):
-        return True
-    try:
-        ip_address(name)
-    except ValueError:
-        return False
-    return True
+    if name not in ("localhost", given.lower(), gethostname().lower()):  # else an IP address, against DNS rebinding
+        try:
+            ip_address(name)
+        except ValueError:
+            return True
+    return origin is not None and urlsplit(origin).netloc != host

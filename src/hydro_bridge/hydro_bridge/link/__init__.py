@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Host side of the serial line: state machine, latencies, clock synchronisation.
-
-May import `serial` and `safety`; knows no ROS.
-"""
+"""Host side of the serial line: state machine, latencies, clock synchronisation."""

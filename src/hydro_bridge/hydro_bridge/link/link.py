@@ -19,34 +19,21 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import partial
 from math import inf, isclose
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings, intersect_limits
-from hydro_bridge.safety.pace import Pace, PaceSettings
+from hydro_bridge.safety.pace import Pace
+from hydro_bridge.safety.plant_side import PlantSide
+from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port, PortLostError
-from hydro_bridge.serial.protocol import (
-    VERSION,
-    BoxDetails,
-    BoxInfo,
-    BoxLaw,
-    ClockFrame,
-    Details,
-    Frame,
-    Hello,
-    LawFrame,
-    State,
-    encode_clock,
-    encode_command,
-    encode_hello,
-    version_mismatch_message,
-)
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, ClockFrame, Frame, State
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker, no_frames_message
-from hydro_core.clock import BoxClock, HostClock, clock_step_message
+from hydro_core.clock import BoxClock
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import STATE_FIELDS, Command, Flag, Law, flag_names
+from hydro_core.signals import STATE_FIELDS, Command, Flag, Law
 
 NO_COMPENSATED_LAW = "only the paper's force law can be run: the box offers no other"
 
@@ -60,12 +47,12 @@ def incomplete_handshake(details: BoxDetails | None) -> str:
 def connection_warnings(wanted: GuardSettings, info: BoxInfo, details: BoxDetails, law: BoxLaw | None) -> list[str]:
     """Return log messages on a new connection: limits narrower than the guard's, and a missing compensated law."""
     said = [] if law else [NO_COMPENSATED_LAW]
-    allowed = intersect_limits(wanted, info)
     changed = [
-        f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"
-        for entry in fields(wanted)
-        if getattr(wanted, entry.name) != getattr(allowed, entry.name)
-        and not isclose(getattr(wanted, entry.name), getattr(allowed, entry.name), rel_tol=1e-6)  # HELLO has float32
+        f"{name} {before:g} -> {after:g}"
+        for (name, before), after in zip(
+            vars(wanted).items(), vars(intersect_limits(wanted, info)).values(), strict=True
+        )
+        if before != after and not isclose(before, after, rel_tol=1e-6)  # HELLO has float32
     ]
     if changed:
         said.append(f"the box narrows the guard: {', '.join(changed)}")
@@ -74,7 +61,7 @@ def connection_warnings(wanted: GuardSettings, info: BoxInfo, details: BoxDetail
             f"the box refuses references beyond {details.force_range:g} N, the guard those beyond "
             f"{wanted.reference_force_max:g} N"
         )
-    if details and 0.0 < details.load_force_limit < wanted.reference_force_max:
+    if 0.0 < details.load_force_limit < wanted.reference_force_max:
         said.append(
             f"the box trips beyond a load force of {details.load_force_limit:g} N, the guard takes references up to "
             f"{wanted.reference_force_max:g} N"
@@ -102,10 +89,6 @@ _GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no
 
 class _MuteError(PortLostError):
     """The port is there, and no frame of a box comes."""
-
-
-def _over(moment: float) -> bool:
-    return time.monotonic() > moment
 
 
 class LinkState(Enum):
@@ -157,24 +140,18 @@ class LinkReport:
         self._sent.clear()
 
 
-class Link:
+class Link(PlantSide):
     """The line to one box.
 
     Parameters
     ----------
     port
         Opened and closed by `run`.
-    guard
-        Asked for every command; its limits are narrowed to those of the box on connecting.
-    pace
-        Knows whose answers each sample of an emulator waits for.
+    guard, log, warn, pace
+        See `PlantSide`; the guard's limits are narrowed to those of the box on connecting.
     on_state
         Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE and PACED
         filled in.
-    log
-        Called with a sentence when something changes.
-    warn
-        Called with a sentence when something is wrong; `log` by default.
     on_box
         Called in the thread of `run` at each connection with the box's self-description.
     correct
@@ -193,16 +170,14 @@ class Link:
         pace: Pace | None = None,
         correct: Callable[[State, int, int], None] = lambda *sample: None,
     ) -> None:
-        self.port, self.guard = port, guard
-        self.pace = pace or Pace(PaceSettings(), log)
+        super().__init__(guard, log, warn, pace)
+        self.port = port
         self.pace.go_on = self._send
         self.emulated: ClockFrame | None = None
         """What an emulator says of its clock; None: the box runs in real time."""
-        self.lock = threading.Lock()
-        self._news = threading.Condition()
         self.counts = LinkCounts()
         self.report = LinkReport()
-        self.clock, self.host_clock = BoxClock(), HostClock()
+        self.clock = BoxClock()
         self.box: BoxInfo | None = None
         self.details: BoxDetails | None = None
         """The box's DETAILS."""
@@ -212,9 +187,8 @@ class Link:
         self.refused: tuple[int | None, int | None] = (None, None)
         """Values and references that the box refused since its power-on; None: no sample came yet."""
         self.state = LinkState.CLOSED
-        self.flags = 0
         self._wanted_limits = guard.settings
-        self._on_state, self._correct, self._log, self._warn = on_state, correct, log, warn or log
+        self._on_state, self._correct = on_state, correct
         self._on_box = on_box or (lambda info: None)
         self._decoder, self._tracker = Decoder(self.counts), SequenceTracker(self.counts)
         self._stopping, self._ending = threading.Event(), False
@@ -229,8 +203,6 @@ class Link:
         """DETAILS of such a box, until its LAW arrives."""
         self._clock_told: ClockFrame | None = None  # of the box that greets
         self._sampled = -inf  # when the last new sample came, s of the monotonic clock
-        self._samples = 0
-        self._asked = False  # somebody waits for the box's confirmation
         self._framed = LinkCounts()  # counts at the last frame that kept the line alive
         self._box_us = self._offset_us = 0  # time of the last sample; what keeps it from going back
         self._met = False
@@ -261,14 +233,16 @@ class Link:
                 self._converse()
             except PortLostError as error:
                 foreign = self._decoder.foreign_version is not None and self.state is LinkState.OPEN  # told already
-                if not foreign and (self._connected_before or isinstance(error, _MuteError) or _over(begin + grace)):
+                waited = time.monotonic() - begin
+                if not foreign and (self._connected_before or isinstance(error, _MuteError) or waited > grace):
                     self._complain(str(error))
-                elif not waiting and not foreign and _over(begin + _GRACE):
+                elif not waiting and not foreign and waited > _GRACE:
                     waiting = True
                     self._log(f"waiting for {path} to appear")
             if self.state is LinkState.CONNECTED:
                 backoff = self.port.settings.backoff_first
-            self._disconnect()
+            self._leave(LinkState.CLOSED)
+            self._decoder.reset()
             self._stopping.wait(backoff)
             backoff = min(2 * backoff, self.port.settings.backoff_max)
 
@@ -302,7 +276,7 @@ class Link:
             if command.law is not Law.PAPER and self.law is None:
                 command = Command()  # this box would add the changes to the paper's gains
             time_us = int(1e6 * now) if self.emulated is None else self._box_us - self._offset_us
-            frame = encode_command(self._sequence, time_us, command)
+            frame = protocol.encode_command(self._sequence, time_us, command)
             try:
                 if not self.port.write(frame):
                     return
@@ -311,40 +285,17 @@ class Link:
             self.report.commands += 1
             self.report.command_sent(self._sequence, corrects, time.monotonic())
 
-    def arm(self, arm: bool, timeout: float = 0.5) -> str:
-        """Arm or disarm, await the box's confirmation and return why it failed, or nothing. Not for `run`'s thread."""
-        with self.lock:
-            if arm and self.state is not LinkState.CONNECTED:
-                return f"there is no box: the port is {self.state.value}"
-            if arm and self.flags & Flag.TRIPPED:
-                return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
-            self.guard.set_arm(arm)
-
-            before = self._samples
-
-        def done() -> bool:
-            heard = self.paced or self._samples > before  # what was heard earlier is no answer
-            return self.state is not LinkState.CONNECTED or (heard and bool(self.flags & Flag.ARMED) == arm)
-
-        if self.paced:
-            confirmed = self.pace.run_until(done)
-        else:
-            with self._news:
-                self._asked = True  # each sample is news
-                confirmed = self._news.wait_for(done, timeout)
-                self._asked = False
-        if self.state is not LinkState.CONNECTED:
-            return "the box has gone while it was to be armed: it is not armed" if arm else ""
-        if confirmed:
-            return ""
-        with self.lock:
-            self.guard.set_arm(False)
-        if self.no_sample_message:
-            return f"the box sends no samples: {self.no_sample_message}"
-        return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
+    def _confirms(self, arm: bool, before: int) -> bool:
+        heard = self.paced or self.samples > before  # what was heard earlier is no answer
+        return heard and super()._confirms(arm, before)
 
     @property
-    def no_sample_message(self) -> str:
+    def absent(self) -> str:  # type: ignore[override]
+        """Why there is no box; empty: it is connected."""
+        return "" if self.state is LinkState.CONNECTED else f"the port is {self.state.value}"
+
+    @property
+    def no_sample_message(self) -> str:  # type: ignore[override]
         """Message if the last sample of a connected real-time box is older than `SAMPLE_AGE_MAX`, else empty."""
         age = time.monotonic() - self._sampled
         if self.state is not LinkState.CONNECTED or not self.real_time or age < SAMPLE_AGE_MAX:
@@ -360,13 +311,13 @@ class Link:
             data = self.port.read(min(_READ_TIMEOUT, self.pace.poll()) if self.paced else _READ_TIMEOUT)
             now = time.monotonic()
             if self.state is LinkState.OPEN and now >= next_hello:
-                self.port.write(encode_hello(0, int(1e6 * now), follows=True))
+                self.port.write(protocol.encode_hello(0, int(1e6 * now), follows=True))
                 next_hello = now + _HELLO_PERIOD
             if data:
-                before = self._samples
+                before = self.samples
                 for frame in (frames := self._decoder.feed(data)):
                     self._take(frame, now)
-                if self._samples > before or (frames and self.state is LinkState.OPEN):
+                if self.samples > before or (frames and self.state is LinkState.OPEN):
                     alive, self._framed = time.monotonic(), replace(self.counts)
             if self.state is LinkState.CONNECTED and self.paced and self.pace.pending:
                 alive = now  # the emulator waits for this end
@@ -374,22 +325,17 @@ class Link:
                     self._give_sign()
                     next_sign = now + _SIGN_PERIOD
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
-                self._complain(version_mismatch_message(self._decoder.foreign_version))
+                self._complain(protocol.version_mismatch_message(self._decoder.foreign_version))
             elif self.state is LinkState.OPEN and frames and now - opened > self.port.settings.silence_max:
                 self._complain(NO_HELLO_REPLY)
-            if time.monotonic() - alive > (limit := self._silence_max):
+            waits = self.state is LinkState.CONNECTED and self.paced
+            if time.monotonic() - alive > (limit := (self.pace if waits else self.port).settings.silence_max):
                 raise _MuteError(f"{self.port.settings.path}: {no_frames_message(self.counts, self._framed, limit)}")
-
-    @property
-    def _silence_max(self) -> float:
-        """Time [s] of the wall clock without a new sample after which the port is opened anew."""
-        waits = self.state is LinkState.CONNECTED and self.paced
-        return (self.pace if waits else self.port).settings.silence_max
 
     def _give_sign(self) -> None:
         """Tell an emulator that waits that the graph is still at work on its sample."""
         with self.lock:
-            self.port.write(encode_clock(self._box_us - self._offset_us, waits=True))
+            self.port.write(protocol.encode_clock(self._box_us - self._offset_us, waits=True))
 
     def _take(self, frame: Frame, now: float) -> None:
         if isinstance(frame, State):
@@ -397,11 +343,18 @@ class Link:
                 self._take_state(frame, now)
         elif isinstance(frame, ClockFrame):
             self._clock_told = frame if self.port.pseudo_terminal else None  # a device runs in real time
-        elif isinstance(frame, Hello) and frame.info is not None:
+        elif isinstance(frame, protocol.Hello) and frame.info is not None:
             self._take_hello(frame, frame.info)
-        elif isinstance(frame, Details):
-            self._take_details(frame.details)
-        elif isinstance(frame, LawFrame) and self._greeted is not None and self._told is not None:
+        elif isinstance(frame, protocol.Details):
+            if self.state is LinkState.CONNECTED:
+                if self.details is not None and frame.details.epoch != self.details.epoch:
+                    self._restarted()
+            elif self._greeted is not None:
+                if frame.details.laws >> Law.COMPENSATED & 1:
+                    self._told = frame.details
+                else:
+                    self._connect(self._greeted, frame.details)
+        elif isinstance(frame, protocol.LawFrame) and self._greeted is not None and self._told is not None:
             self._connect(self._greeted, self._told, frame.record if frame.law is Law.COMPENSATED else None)
 
     def _take_state(self, frame: State, now: float) -> None:
@@ -414,18 +367,22 @@ class Link:
         if self.paced and not self._met:
             self.pace.wait_for_peers(self._give_sign)
             self._met = True
-        self._sampled, self._samples = now, self._samples + 1
+        self._sampled, self.samples = now, self.samples + 1
         missed, self._corrected = not self._corrected, False
         with self.lock:
             self._offset_us = max(self._offset_us, self._box_us - frame.time_us)  # a restarted box begins anew
             self._box_us = frame.time_us + self._offset_us
             self.report.state_arrived(frame.sequence, frame.last_command, now)
             self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
-        self._note_refused(frame)
+        before, self.refused = self.refused[1], (frame.refused, frame.refused_references)
+        if before == 0 and frame.refused_references > 0:  # once per connection; the counts are on /diagnostics
+            self._warn("the box refused a reference and keeps the one before")
         stale = 0 if self.guard.correction_fresh(self.now()) else Flag.FILTER_STALE
-        paced = 0 if self.real_time else Flag.PACED
-        self._note_flags(frame.flags | stale | paced)
-        sample = frame, self._stamp(frame), int(self.flags)
+        self._show(frame.flags | stale | (0 if self.real_time else Flag.PACED))
+        stamp = 1000 * self._box_us  # of an emulator, whose time is its own
+        if self.emulated is None:
+            stamp = self._ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
+        sample = frame, stamp, int(self.flags)
         self._correct(*sample)
         publish = partial(self._on_state, *sample)
         if self.paced:
@@ -435,24 +392,9 @@ class Link:
             self.report.heartbeats += 1
             self._send()
 
-    def _note_refused(self, frame: State) -> None:
-        """Report once per connection that the box refuses references; its counts are on /diagnostics."""
-        before, self.refused = self.refused, (frame.refused, frame.refused_references)
-        if before[1] == 0 and frame.refused_references > 0:
-            self._warn("the box refused a reference and keeps the one before")
-
-    def _stamp(self, frame: State) -> int:
-        """Return the time [ns] at which the sample was taken: ROS time, or the emulator's own."""
-        if self.emulated is not None:
-            return 1000 * self._box_us
-        step = self.host_clock.detect_step()
-        if step:
-            self._warn(clock_step_message(step))
-        return self.host_clock.ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
-
-    def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
-        if not frame.version_min <= VERSION <= frame.version_max:
-            self._complain(version_mismatch_message(frame.version_max))
+    def _take_hello(self, frame: protocol.Hello, info: BoxInfo) -> None:
+        if not frame.version_min <= protocol.VERSION <= frame.version_max:
+            self._complain(protocol.version_mismatch_message(frame.version_max))
             return
         if self.state is LinkState.CONNECTED:
             if frame.sequence != 0:
@@ -463,22 +405,16 @@ class Link:
                 self._complain(incomplete_handshake(self._told))
             self._greeted, self._told = info, None
 
-    def _take_details(self, details: BoxDetails) -> None:
-        if self.state is LinkState.CONNECTED:
-            if self.details is not None and details.epoch != self.details.epoch:
-                self._restarted()
-        elif self._greeted is not None:
-            if details.laws >> Law.COMPENSATED & 1:
-                self._told = details
-            else:
-                self._connect(self._greeted, details)
-
     def _connect(self, info: BoxInfo, details: BoxDetails, law: BoxLaw | None = None) -> None:
         self._greeted = self._told = None
         with self.lock:
             self.box, self.details, self.law = info, details, law
             self.state = LinkState.CONNECTED
-            self._follow_clock()
+            # By the clock of the box that has greeted: the host's, or an emulator's own, which never goes back.
+            before, self.emulated, self._clock_told = self.emulated, self._clock_told, None
+            if self.emulated is not None and before is None:
+                waits = ", and waits for answers" if self.emulated.waits else ""
+                self._log(f"it is emulated: time is its own{waits}")
             self.guard.settings = intersect_limits(self._wanted_limits, info)
             self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
@@ -489,48 +425,25 @@ class Link:
             self._log(sentence)
         self._on_box(info)
 
-    def _follow_clock(self) -> None:
-        """Go by the clock of the box that has greeted: the host's, or an emulator's own, which never goes back."""
-        before, self.emulated, self._clock_told = self.emulated, self._clock_told, None
-        if self.emulated is not None and before is None:
-            self._log("it is emulated: time is its own" + (", and waits for answers" if self.emulated.waits else ""))
-
-    def _note_flags(self, flags: int) -> None:
-        changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags
-        if changed or self._asked:
-            with self._news:
-                self._news.notify_all()
-
     def _restarted(self) -> None:
         """Disarm and restart the conversation: the box may be another one."""
         self._warn("the box was restarted, by itself or by its power: it stays disarmed until it is armed again")
-        with self.lock:
-            self.guard.set_arm(False)
-            self.state, self._greeted, self._told, self._clock_told = LinkState.OPEN, None, None, None
-        with self._news:
-            self._news.notify_all()
-        self._disarm_and_forget()
+        self._leave(LinkState.OPEN)
 
-    def _disconnect(self) -> None:
+    def _leave(self, state: LinkState) -> None:
+        """Disarm, and forget the box."""
         with self.lock:
             self.guard.set_arm(False)  # before the closed line becomes visible
-            self.state = LinkState.CLOSED
-            self.port.close()
-        with self._news:
-            self._news.notify_all()
-        self._decoder.reset()
-        self._greeted = self._told = self._clock_told = None
-        self._disarm_and_forget()
-
-    def _disarm_and_forget(self) -> None:
-        with self.lock:
-            self.guard.set_arm(False)
+            self.state, self._greeted, self._told, self._clock_told = state, None, None, None
+            if state is LinkState.CLOSED:
+                self.port.close()
             self.guard.note_sample(None)
             self.report.discard_pending()
-        self._note_flags(0)
+            self.flags, self.refused = 0, (None, None)
         self._tracker.reset()
         self.clock.reset()
-        self.refused = (None, None)
+        with self._news:
+            self._news.notify_all()
 
     def _complain(self, sentence: str) -> None:
         """Report a fault once, not at every attempt: with other numbers it is the same."""

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from hydro_bridge.link.link import Link, LinkState
-from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode, run_plant
+from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.ros.diagnostics import Level, Status
-from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments
+from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import bench_mismatches, known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.safety.pace import Pace, PaceSettings
@@ -36,7 +36,7 @@ class SerialPlant(Link):
     """Differences between the box and its bench file, if any."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
+        """See `hydro_bridge.safety.plant_side.PlantSide`."""
         report = self.report
         values = {
             "port": self.port.settings.path,
@@ -160,4 +160,4 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     make = plant_factory(own)
-    run_plant(lambda: make(None), ros)
+    run_node(lambda: make(None), ros)

@@ -12,7 +12,6 @@ import secrets
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import Future as Promise
 from concurrent.futures import InvalidStateError
 from contextlib import suppress
@@ -27,7 +26,6 @@ from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.subscription import Subscription
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
@@ -43,26 +41,11 @@ from hydro_bridge.dashboard.server import (
     authorize,
     parse_command,
 )
+from hydro_bridge.ros import topics
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import (
-    AUTHORITY,
-    CLAIM_SERVICE,
-    CORRECTION,
-    DIAGNOSTICS,
-    END_SERVICE,
-    FREEZE_SERVICE,
-    GAINS,
-    GRAPH,
-    LAW_STATE,
-    OVERRIDE_SERVICE,
-    REFERENCE,
-    STATE,
-    TRAINING,
-    Mailbox,
-    create_subscription,
-)
+from hydro_bridge.ros.topics import Mailbox, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_core.cli.console import bounded_number, command, make_parser
 from hydro_core.signals import STATUS_MASK
@@ -78,8 +61,11 @@ class SampleReceiver:
 
     def __init__(self) -> None:
         self._mailbox = Mailbox("dashboard")
-        kinds = {STATE: series.STATE_TYPE, CORRECTION: series.CORRECTION_TYPE, LAW_STATE: series.LAW_TYPE}
-        self._queues = {topic: (self._queued(topic), fixed_layout(kind)) for topic, kind in kinds.items()}
+        qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._queues = {}
+        for topic in (topics.STATE, topics.CORRECTION, topics.LAW_STATE):
+            kind = topics.GRAPH[topic][0]
+            self._queues[topic] = self._mailbox.subscribe(topic, kind, qos), fixed_layout(topics.type_name(kind))
         self._sequence = -1
         self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES)
         """Thinners of the samples, of the corrections and of the compensated law."""
@@ -98,25 +84,27 @@ class SampleReceiver:
     @property
     def has_several_plants(self) -> bool:
         """Whether more than one plant publishes samples."""
-        return bool(self._queues[STATE][0].get_publisher_count() > 1)
+        return bool(self._queues[topics.STATE][0].get_publisher_count() > 1)
 
     def poll(self, now: float) -> None:
         """Process all queued messages; `now`: monotonic time [s]."""
-        self._take_states(now)
-        if (table := self._fetched(CORRECTION)) is not None:
+        if (table := self._fetched(topics.STATE)) is not None:
+            sequence = table["sequence"].astype(np.int64)
+            gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
+            self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
+            self.count += len(table)
+            self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
+            self.series[0].add(table["time"], series.state_values(table))
+        if (table := self._fetched(topics.CORRECTION)) is not None:
             self.decided.update((table["status"] & STATUS_MASK).tolist())
             self.series[1].add(table["time"], series.column_values(series.CORRECTION_COLUMNS, table))
-        if (table := self._fetched(LAW_STATE)) is not None:
+        if (table := self._fetched(topics.LAW_STATE)) is not None:
             self.compensated_at = now
             self.series[2].add(table["time"], series.column_values(series.LAW_COLUMNS, table))
 
     def close(self) -> None:
         """Leave the graph."""
         self._mailbox.close()
-
-    def _queued(self, topic: str) -> Subscription:
-        qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
-        return self._mailbox.subscribe(topic, GRAPH[topic][0], qos)
 
     def _fetched(self, topic: str) -> npt.NDArray[np.void] | None:
         """Return the queued messages as a table; None if there are none, or of a plant of another version."""
@@ -127,110 +115,11 @@ class SampleReceiver:
         except ValueError:  # unknown layout
             return None
 
-    def _take_states(self, now: float) -> None:
-        table = self._fetched(STATE)
-        if table is None:
-            return
-        sequence = table["sequence"].astype(np.int64)
-        gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
-        self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
-        self.count += len(table)
-        self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
-        self.series[0].add(table["time"], series.state_values(table))
-
 
 _WHO = "a person, by the live page"
 _NO_PLANT = "no plant runs here that could be told"
 _NO_RUN = "nobody commands the plant: no run is active here"
 _NO_ESTIMATOR = "no run here fits the coefficients of the compensated law"
-
-
-class PageCommands:
-    """Calls the services and returns their answers to the page.
-
-    Parameters
-    ----------
-    node
-        Calls the services on the page's behalf.
-    token
-        Shown on the terminal, for those who may do more than disarm.
-    epoch
-        Returns the plant's present epoch; 0: none.
-    holder
-        Returns the holder of the lease, for whom a page's override is meant.
-    """
-
-    def __init__(self, node: Node, token: str, epoch: Callable[[], int], holder: Callable[[], str]) -> None:
-        self._node, self._token, self._epoch, self._holder = node, token, epoch, holder
-        self._claim = node.create_client(Claim, CLAIM_SERVICE)
-        self._override = node.create_client(OverrideGains, OVERRIDE_SERVICE)
-        self._end = node.create_client(Trigger, END_SERVICE)
-        self._freeze = node.create_client(SetBool, FREEZE_SERVICE)
-
-    def act(self, text: str | bytes) -> Promise[str]:
-        """Execute a received command in the caller's thread; the answer for the page follows later."""
-        told: Promise[str] = Promise()
-        command = PageCommand(command="")
-        try:
-            command = parse_command(text)
-            authorize(command, self._token, self._epoch())
-            client, request, absent = self._asked(command)
-            if not client.service_is_ready():
-                raise RefusedError(absent)
-        except RefusedError as refused:
-            told.set_result(_answer(command, False, str(refused)))
-            return told
-        answer = client.call_async(request)
-        late = threading.Timer(COMMAND_TIMEOUT, self._give_up, (client, answer, command, told))
-        late.daemon = True
-        late.start()
-        answer.add_done_callback(lambda done: self._tell(done, command, told, late))
-        if command.command != "disarm":
-            self._node.get_logger().info(f"the page asks: {command.command}")
-        return told
-
-    def _asked(self, command: PageCommand) -> tuple[Client, object, str]:
-        if command.command == "disarm":
-            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_WHO), _NO_PLANT
-        if command.command == "arm":
-            request = Claim.Request(act=Claim.Request.ARM, name=_WHO, epoch=int(command.epoch))
-            return self._claim, request, _NO_PLANT
-        if command.command == "end":
-            return self._end, Trigger.Request(), _NO_RUN
-        if command.command in ("freeze", "adapt"):
-            return self._freeze, SetBool.Request(data=command.command == "freeze"), _NO_ESTIMATOR
-        if command.command == "release":
-            return self._override, OverrideGains.Request(active=False, name=_WHO, whom=self._holder()), _NO_RUN
-        gains = OverrideGains.Request(
-            active=True,
-            name=_WHO,
-            proportional_gain=command.kp,
-            integral_gain=command.ki,
-            seconds=command.seconds,
-            whom=self._holder(),
-        )
-        return self._override, gains, _NO_RUN
-
-    def _tell(self, answer: Future, command: PageCommand, told: Promise[str], late: threading.Timer) -> None:
-        late.cancel()
-        response = None if answer.exception() else answer.result()
-        if response is not None:
-            _settle(told, _answer(command, response.success, response.message))
-
-    def _give_up(self, client: Client, answer: Future, command: PageCommand, told: Promise[str]) -> None:
-        client.remove_pending_request(answer)
-        _settle(told, _answer(command, False, f"no answer within {COMMAND_TIMEOUT:g} s"))
-
-
-def _settle(told: Promise[str], answer: str) -> None:
-    """Set the first answer only: the plant's and the time-out's arrive in two threads."""
-    with suppress(InvalidStateError):
-        told.set_result(answer)
-
-
-def _answer(command: PageCommand, success: bool, message: str) -> str:
-    content = {"number": command.number, "command": command.command, "success": success, "text": message}
-    return status.encode_message("answer", content)
 
 
 HOST = "127.0.0.1"
@@ -239,7 +128,7 @@ PERIOD = 0.05
 
 _WORDS_EVERY = 10  # frames: twice a second
 _UNWATCHED = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE_DEPTH`
-_SHOWN = (STATE, CORRECTION, GAINS, REFERENCE)
+_SHOWN = (topics.STATE, topics.CORRECTION, topics.GAINS, topics.REFERENCE)
 
 
 class DashboardNode(Node):
@@ -256,25 +145,84 @@ class DashboardNode(Node):
         self._training: dict[str, Any] = {}
         self._curve, self._nodes = status.LearningCurve(), status.NodeStatuses()
         self._frames = 0
-        self._words_heard = create_subscription(self, AUTHORITY, self._on_authority)
+        self._words_heard = create_subscription(self, topics.AUTHORITY, self._on_authority)
         subscribe_to_box(self, self._on_box)
-        self.create_subscription(TrainingStatus, TRAINING, self._on_training, _best_effort(TRAINING))
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, _best_effort(DIAGNOSTICS))
-        token = secrets.token_urlsafe(9)
-        commands = PageCommands(self, token, lambda: int(self._authority.epoch), lambda: str(self._authority.holder))
-        self._server = PageServer(commands.act, host, port)
+        self.create_subscription(TrainingStatus, topics.TRAINING, self._on_training, _best_effort(topics.TRAINING))
+        self.create_subscription(
+            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, _best_effort(topics.DIAGNOSTICS)
+        )
+        self._claim = self.create_client(Claim, topics.CLAIM_SERVICE)
+        self._override = self.create_client(OverrideGains, topics.OVERRIDE_SERVICE)
+        self._end = self.create_client(Trigger, topics.END_SERVICE)
+        self._freeze = self.create_client(SetBool, topics.FREEZE_SERVICE)
+        self._token = secrets.token_urlsafe(9)  # for those who may do more than disarm
+        self._server = PageServer(self._act, host, port)
         self.create_timer(PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         warn_of_duplicate_nodes(
             self, f"another live page runs here: both show the plant, this one at {self._server.address}"
         )
         request_realtime(realtime=False)
-        print(f"the live page: {self._server.address}#token={token}", flush=True)
+        print(f"the live page: {self._server.address}#token={self._token}", flush=True)
 
     def close(self) -> None:
         """Disconnect the viewers."""
         self._samples.close()
         self._server.close()
+
+    def _act(self, text: str | bytes) -> Promise[str]:
+        """Execute a received command in the caller's thread; the answer for the page follows later."""
+        told: Promise[str] = Promise()
+        command = PageCommand(command="")
+
+        def tell(success: bool, message: str) -> None:
+            content = {"number": command.number, "command": command.command, "success": success, "text": message}
+            with suppress(InvalidStateError):  # the plant's answer and the time-out arrive in two threads
+                told.set_result(status.encode_message("answer", content))
+
+        try:
+            command = parse_command(text)
+            authorize(command, self._token, int(self._authority.epoch))
+            client, request, absent = self._call(command)
+            if not client.service_is_ready():
+                raise RefusedError(absent)
+        except RefusedError as refused:
+            tell(False, str(refused))
+            return told
+        answer = client.call_async(request)
+
+        def give_up() -> None:
+            client.remove_pending_request(answer)
+            tell(False, f"no answer within {COMMAND_TIMEOUT:g} s")
+
+        def answered(done: Future) -> None:
+            late.cancel()
+            if not done.exception() and (response := done.result()) is not None:
+                tell(response.success, response.message)
+
+        late = threading.Timer(COMMAND_TIMEOUT, give_up)
+        late.daemon = True
+        late.start()
+        answer.add_done_callback(answered)
+        if command.command != "disarm":
+            self.get_logger().info(f"the page asks: {command.command}")
+        return told
+
+    def _call(self, command: PageCommand) -> tuple[Client, object, str]:
+        """Return the service of a command, the request, and what to say where it is absent."""
+        name, holder = command.command, self._authority.holder
+        if name == "disarm":
+            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_WHO), _NO_PLANT
+        if name == "arm":
+            return self._claim, Claim.Request(act=Claim.Request.ARM, name=_WHO, epoch=int(command.epoch)), _NO_PLANT
+        if name == "end":
+            return self._end, Trigger.Request(), _NO_RUN
+        if name in ("freeze", "adapt"):
+            return self._freeze, SetBool.Request(data=name == "freeze"), _NO_ESTIMATOR
+        gains = OverrideGains.Request(active=name == "override", name=_WHO, whom=holder)
+        if gains.active:
+            gains.proportional_gain, gains.integral_gain, gains.seconds = command.kp, command.ki, command.seconds
+        return self._override, gains, _NO_RUN
 
     def _status(self) -> Status:
         values = {
@@ -306,12 +254,9 @@ class DashboardNode(Node):
 
     def _welcome(self, now: float) -> list[str | bytes]:
         """Return the initial content of a page: names and units, the last minute, the status texts."""
-        hello = {"slot": SLOT_TIME, "series": series.column_descriptions()}
-        told: list[str | bytes] = [status.encode_message("hello", hello)]
-        for index, thinned in enumerate(self._samples.series):
-            told.append(thinned.history().encode(index))
         return [
-            *told,
+            status.encode_message("hello", {"slot": SLOT_TIME, "series": series.column_descriptions()}),
+            *(thinned.history().encode(index) for index, thinned in enumerate(self._samples.series)),
             status.encode_message("pulse", self._pulse(now)),
             status.encode_message("words", self._words(now)),
         ]
@@ -389,7 +334,7 @@ class DashboardNode(Node):
 
 
 def _best_effort(topic: str) -> QoSProfile:
-    offered = GRAPH[topic][1]
+    offered = topics.GRAPH[topic][1]
     return QoSProfile(depth=offered.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 

@@ -32,7 +32,6 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 from typing import Any, Protocol
@@ -44,6 +43,7 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool
 
+from hydro_bridge.ros import topics
 from hydro_bridge.ros.diagnostics import (
     CALL_LOGGER,
     DiagnosticsPublisher,
@@ -63,71 +63,16 @@ from hydro_bridge.ros.messages import (
     reference_from_message,
     subscribe,
 )
-from hydro_bridge.ros.node import run_node
-from hydro_bridge.ros.topics import (
-    ANSWERED,
-    ARM_SERVICE,
-    AUTHORITY,
-    BOX,
-    BOX_LAW,
-    CLAIM_SERVICE,
-    CLOCK,
-    COMMANDS,
-    CORRECTION,
-    GAINS,
-    LAW,
-    LAW_STATE,
-    REFERENCE,
-    STATE,
-    create_publisher,
-    create_subscription,
-)
+from hydro_bridge.ros.topics import create_publisher, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.pace import Pace
+from hydro_bridge.safety.plant_side import PlantSide
 from hydro_bridge.serial.protocol import BoxLaw, LawState
 from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
-from hydro_msgs.msg import Answered, Gains, LawCommand
-from hydro_msgs.msg import Authority as AuthorityMessage
-from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
 _LOOK = 0.1  # s between two checks of the publishers
-
-
-class PlantSide(Protocol):
-    """Plant behind a plant node; it runs in its own thread."""
-
-    guard: CommandGuard
-    pace: Pace
-    flags: int
-
-    @property
-    def real_time(self) -> bool:
-        """Whether stamps are ROS time, and commands age by the host's clock."""
-
-    def now(self) -> float:
-        """Time [s] by which commands and leases age: the host's monotonic clock, or the plant's own."""
-
-    @property
-    def lock(self) -> AbstractContextManager[Any]:
-        """Lock held while the guard is used."""
-
-    def send(self, corrects: int | None = None) -> None:
-        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
-
-    def arm(self, arm: bool) -> str:
-        """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
-
-    def status(self) -> Status:
-        """Status for /diagnostics, besides flags and guard."""
-
-    def run(self) -> None:
-        """Run the plant until `stop`; the body of its thread."""
-
-    def stop(self) -> None:
-        """End `run`."""
 
 
 class Corrector(Protocol):
@@ -164,15 +109,15 @@ class LeaseServer:
         self._following = threading.Lock()
         self._armed, self._crowd = False, ""
         self._heard: dict[str, Subscription] = {}
-        self._publisher = create_publisher(node, AUTHORITY)
+        self._publisher = create_publisher(node, topics.AUTHORITY)
         self._told: Counter[str] = Counter()
         self._corrected = False  # corrections were refused in the second before
         self._last_call = ""
         self._calls = node.get_logger().get_child(CALL_LOGGER)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._tell()
-        node.create_service(SetBool, ARM_SERVICE, self._on_arm)
-        node.create_service(Claim, CLAIM_SERVICE, self._on_claim)
+        node.create_service(SetBool, topics.ARM_SERVICE, self._on_arm)
+        node.create_service(Claim, topics.CLAIM_SERVICE, self._on_claim)
         node.create_timer(_LOOK, self._look, clock=steady)
         node.create_timer(1.0, self._tell_refused, clock=steady)
 
@@ -188,15 +133,15 @@ class LeaseServer:
             self._give_up(topic)
             return False
         self.follow()
-        return self.lease.admits(topic, epoch, self._plant.now(), renews=topic != CORRECTION)
+        return self.lease.admits(topic, epoch, self._plant.now(), renews=topic != topics.CORRECTION)
 
     def crowd(self) -> str:
         """Return a sentence about the topics with more than one publisher; empty if there is none."""
-        return publisher_conflicts(self._node, *COMMANDS, STATE, AUTHORITY)
+        return publisher_conflicts(self._node, *topics.COMMANDS, topics.STATE, topics.AUTHORITY)
 
     def values(self) -> dict[str, object]:
         """Values for /diagnostics."""
-        refused = {f"refused {topic}": self.lease.refused[topic] for topic in COMMANDS}
+        refused = {f"refused {topic}": self.lease.refused[topic] for topic in topics.COMMANDS}
         return {"authority": self.lease.holder or "nobody", **refused}
 
     def follow(self) -> None:
@@ -213,7 +158,12 @@ class LeaseServer:
         if request.act == Claim.Request.TAKE:
             trouble, done = lease.take(request.name, request.claim, self._plant.now()), "taken"
         elif request.act == Claim.Request.ARM:
-            trouble = lease.may_arm(request.claim, request.epoch, request.whom) or self.crowd() or self._arm()
+            trouble = lease.may_arm(request.claim, request.epoch, request.whom) or self.crowd()
+            if not trouble:
+                trouble = self._plant.arm(True)
+                if not trouble:
+                    lease.armed()
+                self.follow()
             done = f"armed for {lease.holder or 'nobody: base gains'}"
         elif request.act == Claim.Request.DISARM:
             trouble, done = self._disarm(request.claim), "disarmed"
@@ -243,13 +193,6 @@ class LeaseServer:
         self._called("somebody, by /hydro/arm", response.message)
         return response
 
-    def _arm(self) -> str:
-        trouble = self._plant.arm(True)
-        if not trouble:
-            self.lease.armed()
-        self.follow()
-        return trouble
-
     def _disarm(self, claim: int) -> str:
         self.lease.disarmed(claim)
         trouble = self._plant.arm(False)
@@ -272,7 +215,7 @@ class LeaseServer:
             self._tell()  # corrects any false message about the lease
         if self._armed:
             if self._crowd:
-                self._give_up(STATE)
+                self._give_up(topics.STATE)
         elif self.lease.lapse(self._plant.now()):
             self._begin_anew(succeeds=False)
             self._node.get_logger().info("nobody commands this plant: its commander has stopped sending")
@@ -290,7 +233,7 @@ class LeaseServer:
     def _tell(self) -> None:
         """Publish the holder, and the epoch that commands must carry now."""
         lease = self.lease
-        message = AuthorityMessage(holder=lease.holder, claim=lease.claim, epoch=lease.epoch)
+        message = msg.Authority(holder=lease.holder, claim=lease.claim, epoch=lease.epoch)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
         self._last_call = ""
@@ -305,9 +248,9 @@ class LeaseServer:
         if news:
             self._tell()
         self._told = self.lease.refused.copy()
-        corrected, self._corrected = self._corrected, news[CORRECTION] > 0
+        corrected, self._corrected = self._corrected, news[topics.CORRECTION] > 0
         if not corrected:  # those of a filter that has not received the epoch yet
-            del news[CORRECTION]
+            del news[topics.CORRECTION]
         for topic, count in news.items():
             names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
             self._node.get_logger().warning(
@@ -336,14 +279,13 @@ class PlantNode(Node):
         self._corrector = corrector
         self.done: Future = Future()
         """Done once the plant's thread has failed."""
-        self.failure: Exception | None = None
         self._defect = ""  # of a filter in this process
         self.components = [] if corrector is None else [corrector]
-        self._publisher = create_publisher(self, STATE)
-        self._law_publisher = create_publisher(self, LAW_STATE)
-        self._box_publisher = create_publisher(self, BOX)
-        self._box_law_publisher = create_publisher(self, BOX_LAW)
-        self._clock_publisher = create_publisher(self, CLOCK)
+        self._publisher = create_publisher(self, topics.STATE)
+        self._law_publisher = create_publisher(self, topics.LAW_STATE)
+        self._box_publisher = create_publisher(self, topics.BOX)
+        self._box_law_publisher = create_publisher(self, topics.BOX_LAW)
+        self._clock_publisher = create_publisher(self, topics.CLOCK)
         self._clock_message = ClockMessage()
         self._peers: set[str] = set()  # in the graph at the last look
         self._flags, self._tripped = 0, False
@@ -366,11 +308,11 @@ class PlantNode(Node):
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self.leases = LeaseServer(self, side, lambda: bool(self._flags & Flag.TRIPPED))
         if self._corrector is None:
-            self.leases.listen(CORRECTION, subscribe(self, CORRECTION, CORRECTIONS, self._on_correction))
-        for topic, take in ((GAINS, self._take_gains), (REFERENCE, self._take_reference), (LAW, self._take_law)):
-            heard = create_subscription(self, topic, partial(self._on_command, topic, take))
+            self.leases.listen(topics.CORRECTION, subscribe(self, topics.CORRECTION, CORRECTIONS, self._on_correction))
+        for topic in (topics.GAINS, topics.REFERENCE, topics.LAW):
+            heard = create_subscription(self, topic, partial(self._on_command, topic))
             self.leases.listen(topic, heard)  # no callback runs before the node is spun
-        self._answers = create_subscription(self, ANSWERED, self._on_answered)
+        self._answers = create_subscription(self, topics.ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._look_for_peers, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = DiagnosticsPublisher(self, self._status)
@@ -384,8 +326,7 @@ class PlantNode(Node):
         try:
             self.side.run()
         except Exception as error:
-            self.failure = error
-            self.done.set_result(None)
+            self.done.set_exception(error)
 
     def close(self) -> None:
         """Disarm, and end the plant's thread."""
@@ -442,26 +383,27 @@ class PlantNode(Node):
         self._box_law_publisher.publish(law_to_message(law, now))
         self._box_publisher.publish(box_to_message(box, now))
 
-    def _on_command(self, topic: str, take: Callable[[Any], None], message: Any) -> None:
+    def _on_command(self, topic: str, message: Any) -> None:
         """Take a commander's message that has the epoch of the session."""
         if self.leases.admits(topic, message.epoch):
-            take(message)
+            law = law_command_from_message(message) if topic == topics.LAW else None
+            signal = reference_from_message(message) if topic == topics.REFERENCE else None
+            with self.side.lock:
+                if topic == topics.GAINS:
+                    self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
+                elif law is not None:
+                    self.side.guard.set_law(law, self.side.now())
+                elif signal is not None:
+                    self.side.guard.set_reference(signal)
+            if topic == topics.LAW and law is None:
+                self.get_logger().warning(f"unknown force law {message.law}: refused", throttle_duration_sec=5.0)
+            if topic == topics.REFERENCE and signal is None:
+                waveform = f"unknown waveform {message.waveform}"
+                self.get_logger().warning(f"reference refused, the last one is kept: {waveform}")
         self.side.pace.on_command()
 
-    def _take_gains(self, message: Gains) -> None:
-        with self.side.lock:
-            self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
-
-    def _take_law(self, message: LawCommand) -> None:
-        wanted = law_command_from_message(message)
-        if wanted is None:
-            self.get_logger().warning(f"unknown force law {message.law}: refused", throttle_duration_sec=5.0)
-            return
-        with self.side.lock:
-            self.side.guard.set_law(wanted, self.side.now())
-
     def _on_correction(self, message: Any) -> None:
-        if self.leases.admits(CORRECTION, message.epoch):
+        if self.leases.admits(topics.CORRECTION, message.epoch):
             with self.side.lock:
                 status = message.status & STATUS_MASK
                 self.side.guard.set_correction(message.delta_u, status, message.sequence, self.side.now())
@@ -469,39 +411,33 @@ class PlantNode(Node):
         if not self.side.real_time:
             self.side.pace.on_correction(message.sequence)
 
-    def _take_reference(self, message: ReferenceMessage) -> None:
-        signal = reference_from_message(message)
-        if signal is None:
-            self.get_logger().warning(f"reference refused, the last one is kept: unknown waveform {message.waveform}")
-            return
-        with self.side.lock:
-            self.side.guard.set_reference(signal)
-
-    def _on_answered(self, message: Answered) -> None:
+    def _on_answered(self, message: msg.Answered) -> None:
         sequence = message.sequence if message.answers else None
         self.side.pace.on_answer(message.node, sequence, message.window, message.commands)
 
     def _look_for_peers(self) -> None:
         """Forget peers that were not in the graph at two looks: a new one may not have its name there yet."""
-        before, self._peers = self._peers, {info.node_name for info in self.get_publishers_info_by_topic(ANSWERED)}
+        before, self._peers = (
+            self._peers,
+            {info.node_name for info in self.get_publishers_info_by_topic(topics.ANSWERED)},
+        )
         self.side.pace.retain_peers(before | self._peers)
 
     def _status(self) -> Status:
         side, status = self.side, self.side.status()
         with side.lock:
             guard, given_up = asdict(side.guard.counts), side.guard.given_up
-        required, message = side.guard.settings.require_filter, status.message
-        message += "" if required else ", FILTER NOT REQUIRED"
-        message += f": {given_up}" if given_up else ""
+        required = side.guard.settings.require_filter
+        message = status.message + ("" if required else ", FILTER NOT REQUIRED") + (f": {given_up}" if given_up else "")
         least = Level.WARN if given_up or not required or side.flags & _TROUBLED else Level.OK
         values = {"flags": flag_names(side.flags), "require filter": required, **status.values}
         values |= {f"guard {name}": count for name, count in guard.items()} | self.leases.values()
         if self._defect:
             least, message = Level.ERROR, f"{message}, NOTHING IS CORRECTED: {self._defect}"
         status = Status(level=max(status.level, least), message=message, values=values)
-        if self.count_publishers(STATE) > 1 and not self._beside_another:
+        before, self._beside_another = self._beside_another, self.count_publishers(topics.STATE) > 1
+        if self._beside_another and not before:
             self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")
-        self._beside_another = self.count_publishers(STATE) > 1
         return with_publisher_conflicts(status, self.leases.crowd())
 
     def _tell_events(self) -> None:
@@ -512,16 +448,8 @@ class PlantNode(Node):
                 self.get_logger().warning(event)
             else:
                 self.get_logger().info(event)
-        flags, before = self._flags, self._tripped
-        self._tripped = bool(flags & Flag.TRIPPED)
+        flags, before, self._tripped = self._flags, self._tripped, bool(self._flags & Flag.TRIPPED)
         if self._tripped and not before:
             self.get_logger().warning(
                 f"the box tripped ({flag_names(flags)}) and closed the valve: find the cause, disarm it, then arm it"
             )
-
-
-def run_plant(make: Callable[[], PlantNode], ros: Sequence[str]) -> None:
-    """Run a plant's node as `run_node` does; raises the error that ended the plant's thread."""
-    failure = run_node(make, ros).failure
-    if failure is not None:
-        raise failure

@@ -16,18 +16,18 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile
+from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
-from hydro_bridge.bags.writer import BagWriter, code_version, decode_sequence
+from hydro_bridge.bags.writer import BagWriter, code_version
 from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox
+from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox, type_name
 from hydro_bridge.safety.pace import RECORDER_WINDOW
 from hydro_bridge.serial.stream import SequenceTracker
 from hydro_core.cli.console import command, writable_folder
@@ -103,19 +103,11 @@ class RecorderNode(Node):
         )
 
     def _subscribe(self, topic: str, kind: type[Any], offered: QoSProfile) -> None:
-        qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=_QUEUE,
-            reliability=offered.reliability,
-            durability=offered.durability,
-        )
-        recorded = TopicQos(
-            reliability=offered.reliability.name.lower(),
-            durability=offered.durability.name.lower(),
-            depth=offered.depth or 10,
-        )
-        package, name = kind.__module__.split(".")[0], kind.__name__
-        self._writer.add_topic(topic, f"{package}/msg/{name}", recorded)
+        reliability, durability = offered.reliability, offered.durability
+        qos = QoSProfile(depth=_QUEUE, reliability=reliability, durability=durability)
+        names = reliability.name.lower(), durability.name.lower()
+        recorded = TopicQos(reliability=names[0], durability=names[1], depth=offered.depth or 10)
+        self._writer.add_topic(topic, type_name(kind), recorded)
         self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
 
     def _fetch(self) -> None:
@@ -134,12 +126,11 @@ class RecorderNode(Node):
     def _take(self, topic: str, data: bytes, time_ns: int) -> None:
         if topic == STATE and (state := STATES.unpack(data)) is not None:
             self._newest = state.sequence
+            self._tracker.accept(state.sequence)
             self._plant_clock.update(state.stamp, state.flags, time_ns)
         self._writer.write(topic, data, self._plant_clock.log_time(time_ns))
         self._messages[topic] += 1
         self._bytes += len(data)
-        if topic == STATE:
-            self._tracker.accept(decode_sequence(data))
 
     def _write(self, write: Callable[..., None], *what: object) -> None:
         if self.failed:

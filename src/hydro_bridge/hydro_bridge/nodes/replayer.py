@@ -31,21 +31,8 @@ from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
 _STAMP = Struct("<iI")
-_STAMPED = {
-    "BenchState", "BoxInfo", "BoxLaw", "Correction", "Gains", "LawCommand", "LawState", "TrainingStatus",
-    "DiagnosticArray",
-}  # fmt: skip
-
-
-def restamp(data: bytes, time_ns: int) -> bytes:
-    """Return a serialized message with header (little-endian CDR) under a new stamp."""
-    return data[:4] + _STAMP.pack(*divmod(time_ns, 1_000_000_000)) + data[12:]
-
-
 TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
-"""Topics that are replayed, as far as they were recorded."""
-
-
+"""Topics that are replayed, as far as they were recorded; each message has a header."""
 GAP_MAX = 10.0
 """Longest gap [s] between two messages that is replayed; longer ones are skipped."""
 
@@ -64,7 +51,7 @@ def replay(
     """
     steady, first, told = MonotonicTimes(GAP_MAX), None, 0
     began, began_ns = time.monotonic(), time.time_ns()
-    for topic, type_name, log_time, data in read_serialized(path):
+    for topic, _, log_time, data in read_serialized(path):
         if topic not in TOPICS:
             continue
         now = float(steady.convert(np.array([1e-9 * log_time]))[0])
@@ -75,8 +62,8 @@ def replay(
         ahead = (now - first) / speed
         if stopping.wait(max(0.0, began + ahead - time.monotonic())):
             return
-        stamped = type_name.rpartition("/")[2] in _STAMPED
-        publish(topic, restamp(data, began_ns + int(1e9 * ahead)) if stamped else data)
+        stamp = _STAMP.pack(*divmod(began_ns + int(1e9 * ahead), 1_000_000_000))  # in little-endian CDR
+        publish(topic, data[:4] + stamp + data[12:])
 
 
 class ReplayerNode(Node):
@@ -89,7 +76,6 @@ class ReplayerNode(Node):
         self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
         self._published, self._stopping = 0, Event()
-        self.failure: Exception | None = None
         self.done: Future = Future()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         request_realtime(realtime=False)
@@ -113,9 +99,10 @@ class ReplayerNode(Node):
                 replay(self._bag, self._publish, self._stopping, self._speed, self.get_logger().warning)
                 again = self._loop
         except RecordingError as error:
-            self.failure = error
+            self.done.set_exception(error)
+        else:
+            self.done.set_result(None)
         self.get_logger().info(f"{self._published} messages replayed")
-        self.done.set_result(None)
 
     def _publish(self, topic: str, data: bytes) -> None:
         if topic == STATE and (state := STATES.unpack(data)) is not None and state.flags & Flag.PACED:
@@ -157,6 +144,4 @@ def main() -> None:
     own, ros = ros_arguments()
     options = _parser().parse_args(own)
     read_bag(options.bag, topics=())  # fails at once if there is nothing to read
-    failure = run_node(lambda: ReplayerNode(options), ros).failure
-    if failure is not None:
-        raise failure
+    run_node(lambda: ReplayerNode(options), ros)

@@ -11,6 +11,8 @@ from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
+from hydro_core.cli.console import shown
+
 
 def environment(package: str, folder: str = "templates") -> Environment:
     """Return the environment with the templates in `folder` of a package and the shared ones.
@@ -47,14 +49,10 @@ def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Sectio
     `sections`: sections in order. Raises OSError: a picture cannot be read.
     """
     made = environment("hydro_bridge", "pages/templates")
-    made.filters["shown"] = _shown
+    made.filters["shown"] = shown
     pictures = {
         section.heading: f"data:image/png;base64,{base64.b64encode(section.picture.read_bytes()).decode()}"
         for section in sections
         if section.picture and section.picture.is_file()
     }
     return made.get_template("results.html").render(title=title, about=about, sections=sections, pictures=pictures)
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)

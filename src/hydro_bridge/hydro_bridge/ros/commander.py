@@ -19,22 +19,13 @@ from rclpy.service import Service
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from hydro_bridge.ros import topics
 from hydro_bridge.ros.messages import fill_law_command, reference_to_message
 from hydro_bridge.ros.node import node_executor
-from hydro_bridge.ros.topics import (
-    AUTHORITY,
-    CLAIM_SERVICE,
-    END_SERVICE,
-    GAINS,
-    LAW,
-    REFERENCE,
-    create_publisher,
-    create_subscription,
-)
+from hydro_bridge.ros.topics import create_publisher, create_subscription
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.signals import LawCommand, ReferenceSignal
-from hydro_msgs.msg import Authority, Gains
-from hydro_msgs.msg import LawCommand as LawMessage
+from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
 _RENEWAL_PERIOD = 0.5  # s between two requests; a lease lapses after 3 s of silence
@@ -83,8 +74,8 @@ class Commander:
         self._node, self._changed, self._end, self._warn = node, changed, end, warn
         self._within = within
         self._end_service: Service | None = None
-        self._claims = node.create_client(Claim, CLAIM_SERVICE)
-        self._said = Authority()  # the plant's last message about the lease
+        self._claims = node.create_client(Claim, topics.CLAIM_SERVICE)
+        self._said = msg.Authority()  # the plant's last message about the lease
         self._claim = self._known = 0  # the second: the epoch at the last request
         self.epoch = 0
         """Epoch of the session if this node commands the plant, else 0."""
@@ -103,11 +94,11 @@ class Commander:
         self._collected: dict[str, Any] = {}  # messages by topic
         self._sent = 0  # commands under the present claim
         self._reference: ReferenceSignal | None = None
-        self.last_gains = Gains()
+        self.last_gains = msg.Gains()
         """As last published, with their stamp."""
-        self._law = LawMessage()
+        self._law = msg.LawCommand()
         self._publishers: dict[str, Publisher] = {}  # that of a law from its first command on
-        self._words = create_subscription(node, AUTHORITY, self._on_authority)
+        self._words = create_subscription(node, topics.AUTHORITY, self._on_authority)
 
     @property
     def held(self) -> bool:
@@ -142,26 +133,22 @@ class Commander:
         """Publish gains [1/s], [1/s^2] if this node may."""
         message = self.last_gains
         message.delta_kp, message.delta_ki = delta_kp, delta_ki
-        self._send(GAINS, message, step)
+        self._send(topics.GAINS, message, step)
 
     def law(self, command: LawCommand, step: int = 0) -> None:
         """Publish the force law to run if this node may; without this, it is the paper's."""
-        if self.held and LAW not in self._publishers:
-            self._publishers[LAW] = create_publisher(self._node, LAW)
-        self._send(LAW, fill_law_command(self._law, command), step)
+        if self.held and topics.LAW not in self._publishers:
+            self._publishers[topics.LAW] = create_publisher(self._node, topics.LAW)
+        self._send(topics.LAW, fill_law_command(self._law, command), step)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track; without the lease, as soon as it is granted."""
         self._reference = signal
-        if REFERENCE in self._publishers:
-            message = reference_to_message(signal, self.epoch)
-            if self.collects:
-                self._collected[REFERENCE] = message
-            else:
-                self._publishers[REFERENCE].publish(message)
+        self._send(topics.REFERENCE, reference_to_message(signal, self.epoch))
 
-    def _send(self, topic: str, message: Any, step: int) -> None:
-        message.header.stamp, message.step, message.epoch = self.stamp(), step, self.epoch
+    def _send(self, topic: str, message: Any, step: int | None = None) -> None:
+        if step is not None:
+            message.header.stamp, message.step, message.epoch = self.stamp(), step, self.epoch
         if topic not in self._publishers:
             return
         if self.collects:
@@ -241,12 +228,14 @@ class Commander:
     def _begin(self) -> None:
         first = not self._publishers
         if first:
-            self._publishers = {topic: create_publisher(self._node, topic) for topic in (GAINS, REFERENCE)}
+            self._publishers = {
+                topic: create_publisher(self._node, topic) for topic in (topics.GAINS, topics.REFERENCE)
+            }
         if self._reference is not None:
             self.reference(self._reference)
         if first:
             if self._end is not None:
-                self._end_service = self._node.create_service(Trigger, END_SERVICE, self._on_end)
+                self._end_service = self._node.create_service(Trigger, topics.END_SERVICE, self._on_end)
             self._changed("")
 
     def _lose(self, why: str) -> None:
@@ -254,7 +243,7 @@ class Commander:
         self._collected = {}
         self._answer = self._reference = None
         for topic, publisher in self._publishers.items():
-            if topic == REFERENCE:
+            if topic == topics.REFERENCE:
                 with suppress(RuntimeError):  # a middleware that cannot tell
                     publisher.wait_for_all_acked(_HEARD_WITHIN)
             self._node.destroy_publisher(publisher)
@@ -271,7 +260,7 @@ class Commander:
         answer.success, answer.message = True, f"{self._node.get_name()} ends: it disarms, and keeps what it has"
         return answer
 
-    def _on_authority(self, message: Authority) -> None:
+    def _on_authority(self, message: msg.Authority) -> None:
         if self._words.get_publisher_count() > 1:
             return  # the plant repeats it once it is alone
         self._said = message

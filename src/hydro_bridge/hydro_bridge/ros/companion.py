@@ -139,9 +139,7 @@ class Companion:
 
 def _die_with(parent: int) -> None:
     """Make the child, before exec, die with its parent, even if that has just died."""
-    signal.signal(
-        signal.SIGTERM, signal.SIG_DFL
-    )  # the parent's handler would only record the signal, and vanish at exec
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the parent's handler would only record it, and vanish at exec
     signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it answers them (hydro_core.process.start)
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:

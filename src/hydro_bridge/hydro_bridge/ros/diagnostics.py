@@ -85,10 +85,7 @@ CALL_LOGGER = "calls"
 
 
 class RosoutLogger:
-    """Publishes log messages on /rosout under a node's name.
-
-    `node`: source of the messages.
-    """
+    """Publishes log messages on /rosout under a node's name; `node`: source of the messages."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -96,14 +93,14 @@ class RosoutLogger:
 
     def log(self, sentence: str, warning: bool = False) -> None:
         """Log a message."""
-        self._publish(self._node.get_name(), sentence, Log.WARN if warning else Log.INFO)
+        self._publish("", sentence, Log.WARN if warning else Log.INFO)
 
     def log_call(self, sentence: str) -> None:
         """Log a service call: caller, request and answer."""
-        self._publish(f"{self._node.get_name()}.{CALL_LOGGER}", sentence, Log.INFO)
+        self._publish(f".{CALL_LOGGER}", sentence, Log.INFO)
 
-    def _publish(self, name: str, sentence: str, level: int | bytes) -> None:
-        level = level if isinstance(level, int) else level[0]
+    def _publish(self, logger: str, sentence: str, level: int | bytes) -> None:
+        level, name = level if isinstance(level, int) else level[0], self._node.get_name() + logger
         stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(Log(stamp=stamp, level=level, name=name, msg=sentence))
 

@@ -13,10 +13,7 @@ import re
 import sys
 from pathlib import Path
 
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-
-from hydro_bridge.ros.topics import RIGHTS
+from hydro_bridge.ros.topics import RIGHTS, hidden_node
 from hydro_core.settings import SettingsError
 
 ENABLE = "ROS_SECURITY_ENABLE"
@@ -59,15 +56,8 @@ def verify_keys() -> None:
 
     Raises SettingsError: this enclave has no keys, or the middleware has no security.
     """
-    no_services = Parameter("start_type_description_service", value=False)
     try:
-        Node(
-            "_hydro_keys",
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[no_services],
-        ).destroy_node()
+        hidden_node("_hydro_keys").destroy_node()
     except RuntimeError as error:
         raise key_error(error) from None
 

@@ -20,12 +20,7 @@ from hydro_bridge.ros.topics import BOX, GRAPH, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, LawState
 from hydro_core.signals import Law, LawCommand, ReferenceSignal, Waveform
-from hydro_msgs.msg import BenchState, Correction
-from hydro_msgs.msg import BoxInfo as BoxMessage
-from hydro_msgs.msg import BoxLaw as BoxLawMessage
-from hydro_msgs.msg import LawCommand as LawCommandMessage
-from hydro_msgs.msg import LawState as LawStateMessage
-from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+from hydro_msgs import msg
 
 FRAME_ID = "bench"
 _CODES = {"boolean": "?", "uint8": "B", "uint32": "I", "uint64": "Q", "double": "d"}
@@ -71,7 +66,7 @@ class Codec:
         return self.record(1_000_000_000 * stamp.sec + stamp.nanosec, *numbers)
 
 
-STATES, CORRECTIONS, LAW_STATES = Codec(BenchState), Codec(Correction), Codec(LawStateMessage)
+STATES, CORRECTIONS, LAW_STATES = Codec(msg.BenchState), Codec(msg.Correction), Codec(msg.LawState)
 
 
 def subscribe(node: Node, topic: str, codec: Codec, callback: Callable[[Any], None]) -> Subscription:
@@ -92,51 +87,39 @@ def seconds(stamp: Any) -> float:
 _SHAPE = ("amplitude", "offset", "frequency", "phase")
 
 
-def reference_from_message(message: ReferenceMessage) -> ReferenceSignal | None:
+def reference_from_message(message: msg.ReferenceSignal) -> ReferenceSignal | None:
     """Return the plain reference; None for an unknown waveform."""
     if message.waveform not in tuple(Waveform):
         return None
     return ReferenceSignal(waveform=Waveform(message.waveform), **{name: getattr(message, name) for name in _SHAPE})
 
 
-def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> ReferenceMessage:
+def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> msg.ReferenceSignal:
     """Return the message of a plain reference; `epoch` is that of the session."""
     numbers = {name: float(getattr(signal, name)) for name in _SHAPE}
-    return ReferenceMessage(waveform=int(signal.waveform), epoch=epoch, **numbers)
+    return msg.ReferenceSignal(waveform=int(signal.waveform), epoch=epoch, **numbers)
 
 
 _NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.default, float))
+_TEXTS = ("plant", "bench_digest", "bench")
 
 
-def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
+def box_to_message(box: KnownBox, stamp: Any) -> msg.BoxInfo:
     """Return the message that describes a box; `stamp` is a builtin_interfaces/Time."""
-    numbers = {name: float(getattr(box.info, name)) for name in _NUMBERS}
-    texts = {name: getattr(box, name) for name in ("plant", "bench_digest", "bench")}
-    message = BoxMessage(firmware=box.info.name, integral=box.info.integral, **texts, **numbers)
+    values = {name: float(getattr(box.info, name)) for name in _NUMBERS} | {name: getattr(box, name) for name in _TEXTS}
+    message = msg.BoxInfo(firmware=box.info.name, integral=box.info.integral, **values)
     message.header.stamp = stamp
     return message
 
 
-def box_from_message(message: BoxMessage) -> KnownBox:
-    """Return a box's description from its message."""
-    numbers = {name: getattr(message, name) for name in _NUMBERS}
-    info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
-    texts = {name: getattr(message, name) for name in ("plant", "bench_digest", "bench")}
-    return KnownBox(info=info, **texts)
-
-
-_LAW_NUMBERS = tuple(entry.name for entry in fields(BoxLaw))
-
-
-def law_to_message(law: BoxLaw | None, stamp: Any) -> BoxLawMessage:
+def law_to_message(law: BoxLaw | None, stamp: Any) -> msg.BoxLaw:
     """Return the message of a box's compensated law, None: it has none; `stamp` is a builtin_interfaces/Time."""
-    numbers = {} if law is None else {name: getattr(law, name) for name in _LAW_NUMBERS}
-    message = BoxLawMessage(offered=law is not None, **numbers)
+    message = msg.BoxLaw(offered=law is not None, **({} if law is None else vars(law)))
     message.header.stamp = stamp
     return message
 
 
-def fill_law_command(message: LawCommandMessage, command: LawCommand) -> LawCommandMessage:
+def fill_law_command(message: msg.LawCommand, command: LawCommand) -> msg.LawCommand:
     """Write a command into a message, all but its stamp, step and epoch; returns it."""
     message.law = int(command.law)
     message.a_0, message.a_1, message.a_2, message.a_3 = command.coefficients
@@ -145,7 +128,7 @@ def fill_law_command(message: LawCommandMessage, command: LawCommand) -> LawComm
     return message
 
 
-def law_command_from_message(message: LawCommandMessage) -> LawCommand | None:
+def law_command_from_message(message: msg.LawCommand) -> LawCommand | None:
     """Return the plain command of a force law; None for an unknown law."""
     if message.law not in tuple(Law):
         return None
@@ -173,4 +156,10 @@ def law_state_from_message(message: Any) -> LawState:
 
 def subscribe_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
     """Call `on_box` with the box's description as soon as the plant node is discovered, and at each change."""
-    return create_subscription(node, BOX, lambda message: on_box(box_from_message(message)))
+
+    def take(message: msg.BoxInfo) -> None:
+        numbers = {name: getattr(message, name) for name in _NUMBERS}
+        info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
+        on_box(KnownBox(info=info, **{name: getattr(message, name) for name in _TEXTS}))
+
+    return create_subscription(node, BOX, take)

@@ -40,7 +40,7 @@ from hydro_bridge.ros.topics import RIGHTS
 from hydro_core.errors import UserError
 from hydro_core.process import endings, start
 from hydro_core.process.realtime import limit_run_time
-from hydro_core.settings import Setting, SettingsError, check, convert, describe
+from hydro_core.settings import SettingsError, check, convert, describe
 
 DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 FASTDDS_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -85,8 +85,15 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
         default = getattr(settings, field.name)
         if isinstance(default, (bool, int, float, str)):
             name, setting = prefix + field.name, describe(type(settings))[field.name]
+            descriptor = ParameterDescriptor(description=setting.text, read_only=True, dynamic_typing=True)
+            if setting.range and setting.kind is float:
+                limits = FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
+                descriptor.floating_point_range = [limits]
+            elif setting.range:
+                steps = IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)
+                descriptor.integer_range = [steps]
             try:
-                value = node.declare_parameter(name, default, _descriptor(setting)).value
+                value = node.declare_parameter(name, default, descriptor).value
             except ParameterException as error:
                 raise SettingsError(f"parameter {name}: {error}; {setting.text}") from None
             chosen[field.name] = convert(setting, value, f"parameter {name}", strict=True)
@@ -102,9 +109,13 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
     in a file, that none of these nodes has, or that is addressed to no node.
     """
     here = [node.get_fully_qualified_name() for node in nodes]
+    ours = {node for table in RIGHTS.values() for node in table}
     for source, patterns in parameter_targets(ros_arguments()[1]):
-        reached = [pattern for pattern in patterns if any(_matches(pattern, name) for name in here)]
-        ours = {node for table in RIGHTS.values() for node in table}
+        # In a parameter file `/**` stands for any parts of a name, `/*` for one.
+        forms = {
+            pattern: re.escape(pattern).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+") for pattern in patterns
+        }
+        reached = [pattern for pattern in patterns if any(re.fullmatch(forms[pattern], name) for name in here)]
         for pattern in patterns:
             name = pattern.rpartition("/")[2]
             meant = name not in ours and get_close_matches(name, (*ours, *RIGHTS), 1, 0.6)
@@ -138,29 +149,13 @@ def parameter_targets(ros: Sequence[str]) -> list[tuple[str, list[str]]]:
 
 
 def _sections(content: Any, above: str = "") -> Iterator[str]:
+    """Yield the names below which a parameter file has parameters."""
     if isinstance(content, dict):
         for key, value in content.items():
             if key == "ros__parameters":
                 yield above
             else:
                 yield from _sections(value, f"{above}/{str(key).strip('/')}")
-
-
-def _matches(pattern: str, name: str) -> bool:
-    """Return whether a name of a parameter file is for this node: `/**` stands for any parts of it, `/*` for one."""
-    form = re.escape(pattern).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+")
-    return re.fullmatch(form, name) is not None
-
-
-def _descriptor(setting: Setting) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=setting.text, read_only=True, dynamic_typing=True)
-    if setting.range and setting.kind is float:
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
-        ]
-    elif setting.range:
-        descriptor.integer_range = [IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)]
-    return descriptor
 
 
 PRIORITY = 20
@@ -323,9 +318,10 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
     """Start ROS, create the node, spin it, and shut down in order; return it, destroyed, for its results.
 
     `make`: creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that
-    reaches a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a
-    callback, since the next one would find no context. Its method `close`, if any, is called while the context is still
-    valid. Its `components`, if any, are further nodes, on the same executor. `ros`: arguments from `--ros-args` on.
+    reaches a plant starts there. If it has a future `done`, spinning ends once that is done, and its exception, if any,
+    is raised; never shut down in a callback, since the next one would find no context. Its method `close`, if any, is
+    called while the context is still valid. Its `components`, if any, are further nodes, on the same executor. `ros`:
+    arguments from `--ros-args` on.
     """
     with running_ros(ros):
         node = None
@@ -336,7 +332,10 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
             for component in components:
                 node_executor(node).add_node(component)
             getattr(node, "begin", lambda: None)()
-            spin(node, getattr(node, "done", None))
+            done: Future | None = getattr(node, "done", None)
+            spin(node, done)
+            if done is not None and done.done():
+                done.result()
             return node
         finally:
             if node is not None:

@@ -21,20 +21,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 
-from hydro_msgs.msg import (
-    Answered,
-    Authority,
-    BenchState,
-    BoxInfo,
-    BoxLaw,
-    Correction,
-    Gains,
-    LawCommand,
-    LawState,
-    PolicyStep,
-    ReferenceSignal,
-    TrainingStatus,
-)
+from hydro_msgs import msg
 
 STATE = "/hydro/state"
 GAINS = "/hydro/gains"
@@ -75,42 +62,55 @@ _LATCHED = _qos(1, reliable=True, latched=True)
 _EVENTS = _qos(10, reliable=True)
 
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
-    STATE: (BenchState, _SAMPLES),
-    BOX: (BoxInfo, _LATCHED),
-    BOX_LAW: (BoxLaw, _LATCHED),
-    LAW_STATE: (LawState, _SAMPLES),
-    AUTHORITY: (Authority, _LATCHED),
-    CORRECTION: (Correction, _qos(50, reliable=False)),
-    GAINS: (Gains, _EVENTS),
-    LAW: (LawCommand, _EVENTS),
-    REFERENCE: (ReferenceSignal, _LATCHED),
-    TRAINING: (TrainingStatus, _EVENTS),
-    POLICY: (PolicyStep, _qos(100, reliable=True)),
+    STATE: (msg.BenchState, _SAMPLES),
+    BOX: (msg.BoxInfo, _LATCHED),
+    BOX_LAW: (msg.BoxLaw, _LATCHED),
+    LAW_STATE: (msg.LawState, _SAMPLES),
+    AUTHORITY: (msg.Authority, _LATCHED),
+    CORRECTION: (msg.Correction, _qos(50, reliable=False)),
+    GAINS: (msg.Gains, _EVENTS),
+    LAW: (msg.LawCommand, _EVENTS),
+    REFERENCE: (msg.ReferenceSignal, _LATCHED),
+    TRAINING: (msg.TrainingStatus, _EVENTS),
+    POLICY: (msg.PolicyStep, _qos(100, reliable=True)),
     DIAGNOSTICS: (DiagnosticArray, _EVENTS),
     LOG: (Log, _qos(1000, reliable=True, latched=True)),
 }
 """Type and quality of service of every topic that is recorded."""
 
-_UNRECORDED: dict[str, tuple[type[Any], QoSProfile]] = {
-    ANSWERED: (Answered, _qos(10, reliable=True, latched=True)),  # of several nodes: none's takes another's place
+_ALL = {
+    **GRAPH,
+    ANSWERED: (msg.Answered, _qos(10, reliable=True, latched=True)),  # of several nodes: none's takes another's place
     CLOCK: (Clock, _EVENTS),
 }
 
 
-def _kind_of(topic: str) -> tuple[type[Any], QoSProfile]:
-    return GRAPH[topic] if topic in GRAPH else _UNRECORDED[topic]
+def type_name(kind: type[Any]) -> str:
+    """Return the name of a message class, `package/msg/Type`."""
+    return f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
 
 
 def create_publisher(node: Node, topic: str) -> Publisher:
     """Publish a topic of the graph."""
-    kind, qos = _kind_of(topic)
+    kind, qos = _ALL[topic]
     return node.create_publisher(kind, topic, qos)
 
 
 def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
     """Subscribe to a topic of the graph."""
-    kind, qos = _kind_of(topic)
+    kind, qos = _ALL[topic]
     return node.create_subscription(kind, topic, callback, qos)
+
+
+def hidden_node(name: str) -> Node:
+    """Return a node without any services, parameters and log of its own."""
+    return Node(
+        name,
+        use_global_arguments=False,
+        enable_rosout=False,
+        start_parameter_services=False,
+        parameter_overrides=[Parameter("start_type_description_service", value=False)],
+    )
 
 
 def mailbox_name(name: str) -> str:
@@ -127,13 +127,7 @@ class Mailbox:
     """
 
     def __init__(self, name: str) -> None:
-        self._node = Node(
-            mailbox_name(name),
-            use_global_arguments=False,
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[Parameter("start_type_description_service", value=False)],
-        )
+        self._node = hidden_node(mailbox_name(name))
 
     def subscribe(self, topic: str, kind: type[Any], qos: QoSProfile) -> Subscription:
         """Subscribe to the serialized messages of a topic; the depth of `qos` is that of the queue."""

@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Safety of commands: lease, guard, limits, readiness before arming, the box's identity.
-
-May import `signals`, `files` and `serial.protocol`; plant nodes and simulations send no command that bypasses it.
-"""
+"""Safety of commands: lease, guard, limits, readiness before arming, the box's identity."""

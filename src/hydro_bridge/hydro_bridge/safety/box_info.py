@@ -68,11 +68,10 @@ def known_box(
 
 def bench_mismatches(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
     """Return where box and bench file differ, in one sentence with both values; empty if nowhere."""
-    found = []
-    believed = details.bench_digest if details else ""
-    if believed and bench is not None and believed != bench_file.digest(bench):
-        found.append(f"its force law believes the bench {believed}, the bench file is {bench_file.digest(bench)}")
-    told = None if bench is None else bench.get("valve_current_max")
+    found, bench = [], bench or {}
+    believed, told = details.bench_digest if details else "", bench.get("valve_current_max")
+    if believed and bench and believed != (digest := bench_file.digest(bench)):
+        found.append(f"its force law believes the bench {believed}, the bench file is {digest}")
     if told is not None and not _same(info.valve_current_max, told):
         found.append(f"its valve_current_max is {info.valve_current_max:g} A, the bench file says {told:g} A")
     if not _same(info.sample_period, SAMPLE_PERIOD):

@@ -183,8 +183,7 @@ class CommandGuard:
         if missing or (changes and self.armed):
             self.counts.laws_refused += 1
             return
-        numbers = (*wanted.coefficients, wanted.velocity_compensation, wanted.valve_gain_scale)
-        good = all(map(isfinite, numbers))
+        good = all(map(isfinite, wanted.shaping))
         self._tell("law", not good, "coefficients are not finite: dropped, the last hold", "coefficients are finite")
         if not good:
             self.counts.not_finite += 1
@@ -192,7 +191,15 @@ class CommandGuard:
         if changes:
             self._gains, self._gains_at = (0.0, 0.0), -inf  # they were added to another law's base gains
             self._events[UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again"] = False
-        self._law, self._law_at = self._within_limits(wanted), now
+        if self.offered is None or wanted.law is Law.PAPER:
+            self._law = LawCommand()
+        else:
+            low, _, high, _ = self.offered.shaping
+            a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, _SHAPING, wanted.shaping, low, high)
+            self._law = LawCommand(
+                law=wanted.law, coefficients=(a_0, a_1, a_2, a_3), velocity_compensation=c_1, valve_gain_scale=c_2
+            )
+        self._law_at = now
 
     def offer(self, law: BoxLaw | None) -> None:
         """Take a box's compensated law, None if it has none, and begin with the paper's."""
@@ -205,45 +212,36 @@ class CommandGuard:
         """Return to the paper's law, with which every holder and every box begins; it acts once disarmed."""
         self._law, self._law_at, self._gains, self._gains_at = LawCommand(), -inf, (0.0, 0.0), -inf
 
-    def _within_limits(self, wanted: LawCommand) -> LawCommand:
-        limits = self.offered
-        if wanted.law is Law.PAPER or limits is None:
-            return LawCommand()
-        low, _, high, _ = limits.shaping
-        asked = (*wanted.coefficients, wanted.velocity_compensation, wanted.valve_gain_scale)
-        a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, _SHAPING, asked, low, high)
-        coefficients = (a_0, a_1, a_2, a_3)
-        return LawCommand(law=wanted.law, coefficients=coefficients, velocity_compensation=c_1, valve_gain_scale=c_2)
-
     def law_fresh(self, now: float) -> bool:
         """Return whether the force law was commanded within `gains_age_max`; the paper's law needs no command."""
         return not self.compensated or now - self._law_at <= self.settings.gains_age_max
 
     def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
         """Set the filter's correction [A] for sample `sequence`; without a decision, the last one keeps ageing."""
-        if status == CorrectionStatus.MISMATCH:
-            self._take_mismatch(sequence, now)
+        if status == CorrectionStatus.MISMATCH:  # rely on it no more; its answers only keep the narrow gains in force
+            self.counts.mismatched += 1
+            self._mismatched, self._delta_u = True, 0.0
+            if self._fits(sequence):
+                self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
         elif not isfinite(delta_u):
             self.counts.not_finite += 1
         elif status not in DECIDED:
             self.counts.undecided += 1
         elif self._fits(sequence):
-            self._delta_u = self._clamp("delta_u", delta_u, *self._admissible(sequence))
+            high = self.settings.delta_u_max
+            low, valve = -high, self.valve_current_max
+            known, nominal = self._nominal.get(sequence % _KEPT, (None, 0.0))
+            if known in (None, sequence) and abs(nominal) <= valve:  # if saturated, much of it returns to the limit
+                low, high = max(low, -valve - nominal), min(high, valve - nominal)
+            self._delta_u = self._clamp("delta_u", delta_u, low, high)
             self._corrects = sequence & 0xFFFFFFFF
             self._correction_at, self._mismatched = now, False
-
-    def _take_mismatch(self, sequence: int, now: float) -> None:
-        """Stop relying on the filter; its answers only keep the narrow gains in force."""
-        self.counts.mismatched += 1
-        self._mismatched, self._delta_u = True, 0.0
-        if self._fits(sequence):
-            self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
 
     def _fits(self, sequence: int) -> bool:
         """Return whether a correction is of a recent sample that is not answered yet; counts others."""
         if self._newest is None:
             return True
-        if (self._newest - sequence) & 0xFFFFFFFF > self._samples_back:
+        if (self._newest - sequence) & 0xFFFFFFFF > round(self.settings.correction_age_max / SAMPLE_PERIOD):
             self.counts.outdated += 1
             return False
         if self._answered_last is not None and not 0 < (sequence - self._answered_last) & 0xFFFFFFFF < 1 << 31:
@@ -251,14 +249,6 @@ class CommandGuard:
             return False
         self._answered_last = sequence & 0xFFFFFFFF
         return True
-
-    def _admissible(self, sequence: int) -> tuple[float, float]:
-        """Return the range of corrections [A] of a sample that keep the valve within its current limit."""
-        limit, valve = self.settings.delta_u_max, self.valve_current_max
-        known, nominal = self._nominal.get(sequence % _KEPT, (sequence, 0.0))
-        if known != sequence or abs(nominal) > valve:  # saturated: much of it only returns to the limit
-            return -limit, limit
-        return max(-limit, -valve - nominal), min(limit, valve - nominal)
 
     def note_sample(self, sequence: int | None, nominal: float = 0.0) -> None:
         """Announce the newest sample and its nominal current [A]; None for a restart.
@@ -271,10 +261,6 @@ class CommandGuard:
             self._nominal.clear()
         else:
             self._nominal[sequence % _KEPT] = (sequence, nominal)
-
-    @property
-    def _samples_back(self) -> int:
-        return round(self.settings.correction_age_max / SAMPLE_PERIOD)
 
     def set_reference(self, signal: ReferenceSignal) -> bool:
         """Set a new reference; one out of range or not finite is refused: returns False, and the last one stays."""
@@ -310,21 +296,12 @@ class CommandGuard:
         """Return the command that may be sent at time `now`."""
         if self.armed and self._gained and now - self._gains_at > self.settings.gains_timeout:
             self.give_up(f"no gains for {self.settings.gains_timeout:g} s, whoever chose them is gone")
-        if self.compensated:
-            return self._compensated_command(now)
-        answered, gained = self._answered(now), self.gains_fresh(now)
+        gained = self.gains_fresh(now)
         self.counts.commands += 1
-        self.counts.stale_correction += not answered
         self.counts.stale_gains += not gained
-        if answered or (self.armed and self._correction_at > -inf):  # before its first one the filter does not run yet
-            self._tell("stale correction", not answered, self._stale_sentence(), "corrections are fresh again")
-        if self.armed and self._gained:
-            missed = f"no gains for {1e3 * self.settings.gains_age_max:g} ms: base gains are in force"
-            self._tell("stale gains", not gained, missed, "gains are fresh again")
-        self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
-        passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
-        delta_kp, delta_ki = clamp_to_paper_ranges(passed) if self._mismatched else passed
-        self.counts.narrowed += (delta_kp, delta_ki) != passed
+        law, (delta_kp, delta_ki) = (
+            self._compensated_law(now, gained) if self.compensated else self._paper_law(now, gained)
+        )
         return Command(
             arm=self.armed,
             delta_kp=delta_kp,
@@ -332,37 +309,40 @@ class CommandGuard:
             delta_u=self._delta_u if self._acts(now) else 0.0,
             reference=self._reference,
             corrects=self._corrects,
-            filter_fresh=answered and not self._mismatched,
+            filter_fresh=self.correction_fresh(now),
+            **vars(law),
         )
 
-    def _compensated_command(self, now: float) -> Command:
-        """Return the command under the compensated law: gains, coefficients and scales are fresh or safe together."""
-        safe = self.offered or BoxLaw()
-        gained, fresh = self.gains_fresh(now), self.law_fresh(now)
-        self.counts.commands += 1
-        self.counts.stale_gains += not gained
-        self.counts.stale_law += not (gained and fresh)
-        self._tell(
-            "stale law",
-            self.armed and self._gained and not (gained and fresh),
-            STALE_LAW,
-            "the compensated law is commanded",
-        )
+    def _paper_law(self, now: float, gained: bool) -> tuple[LawCommand, tuple[float, float]]:
+        """Return the paper's law and the gains that pass: with a fresh correction, or where none is required."""
+        answered = self._answered(now)
+        self.counts.stale_correction += not answered
+        if answered or (self.armed and self._correction_at > -inf):  # before its first one the filter does not run yet
+            outcome = "base gains" if self.settings.require_filter else "UNFILTERED gains pass"
+            stale = (
+                f"no correction for {1e3 * self.settings.correction_age_max:g} ms: {outcome}, no correction; "
+                "does the filter run, is the machine overloaded?"
+            )
+            self._tell("stale correction", not answered, stale, "corrections are fresh again")
+        if self.armed and self._gained:
+            missed = f"no gains for {1e3 * self.settings.gains_age_max:g} ms: base gains are in force"
+            self._tell("stale gains", not gained, missed, "gains are fresh again")
+        self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
+        passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
+        gains = clamp_to_paper_ranges(passed) if self._mismatched else passed
+        self.counts.narrowed += gains != passed
+        return self._law, gains
+
+    def _compensated_law(self, now: float, gained: bool) -> tuple[LawCommand, tuple[float, float]]:
+        """Return the compensated law and its gains: with coefficients and scales they are fresh or safe together."""
+        fresh = gained and self.law_fresh(now)
+        self.counts.stale_law += not fresh
+        stale = self.armed and self._gained and not fresh
+        self._tell("stale law", stale, STALE_LAW, "the compensated law is commanded")
         self._tell("mismatch", self._mismatched, MISMATCHED_LAW, "the filter's model fits again")
-        shaping, gains = self._law, (0.0, 0.0) if self._mismatched else self._gains
+        gains = (0.0, 0.0) if self._mismatched else self._gains
         self.counts.narrowed += gains != self._gains
-        if not (gained and fresh):
-            gains, shaping = (0.0, 0.0), safe_command(safe)
-        return Command(
-            arm=self.armed,
-            delta_kp=gains[0],
-            delta_ki=gains[1],
-            delta_u=self._delta_u if self._acts(now) else 0.0,
-            reference=self._reference,
-            corrects=self._corrects,
-            filter_fresh=fresh,
-            **vars(shaping),
-        )
+        return (self._law, gains) if fresh else (safe_command(self.offered or BoxLaw()), (0.0, 0.0))
 
     def take_events(self) -> dict[str, bool]:
         """Return the log sentences since the last call, in order; True: a trouble, False: its end, or news."""
@@ -374,13 +354,6 @@ class CommandGuard:
         self.counts.clamped += outside
         self._tell(name, outside, f"{name} is outside [{low:g}, {high:g}]: clamped", f"{name} is in range again")
         return min(max(value, low), high)
-
-    def _stale_sentence(self) -> str:
-        outcome = (
-            "base gains, no correction" if self.settings.require_filter else "UNFILTERED gains pass, no correction"
-        )
-        age = 1e3 * self.settings.correction_age_max
-        return f"no correction for {age:g} ms: {outcome}; does the filter run, is the machine overloaded?"
 
     def _tell(self, trouble: str, present: bool, began: str, ended: str) -> None:
         if present != (trouble in self._troubles):

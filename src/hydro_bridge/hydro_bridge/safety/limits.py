@@ -3,18 +3,15 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, replace
-from math import inf, isfinite
-from struct import Struct
+from math import isfinite
 from typing import Annotated
 
 from hydro_bridge.serial.protocol import BoxInfo
 from hydro_core.settings import quantity
 from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_core.size import Size
-
-_LINE = Struct("<4f")
-_LINE_MAX = 3.4028234e38
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,29 +78,18 @@ def intersect_limits(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
 
 def reference_error(signal: ReferenceSignal, limits: GuardSettings) -> str:
     """Return why a reference is rejected, as given or as the float32 that a box receives; empty if accepted."""
-    return _unfit(signal, limits) or _unfit(_on_the_line(signal), limits)
-
-
-def _unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
-    """Return why a reference may not be sent; empty if it may."""
     if signal.waveform not in tuple(Waveform):
         return f"unknown waveform {signal.waveform}"
-    if not all(map(isfinite, (signal.amplitude, signal.offset, signal.frequency, signal.phase))):
-        return "a number in it is not finite"
-    if signal.amplitude < 0.0 or signal.amplitude + abs(signal.offset) > limits.reference_force_max:
-        return f"amplitude {signal.amplitude:g} N, offset {signal.offset:g} N; limit {limits.reference_force_max:g} N"
-    if not 0.0 < signal.frequency <= limits.reference_frequency_max and signal.waveform != Waveform.HOLD:
-        return f"frequency {signal.frequency:g} Hz is outside (0, {limits.reference_frequency_max:g}]"
+    given = (signal.amplitude, signal.offset, signal.frequency, signal.phase)
+    for numbers in (given, array("f", given)):  # as float32 tiny numbers are 0, and huge ones infinite
+        amplitude, offset, frequency, _ = numbers
+        if not all(map(isfinite, numbers)):
+            return "a number in it is not finite"
+        if amplitude < 0.0 or amplitude + abs(offset) > limits.reference_force_max:
+            return f"amplitude {amplitude:g} N, offset {offset:g} N; limit {limits.reference_force_max:g} N"
+        if not 0.0 < frequency <= limits.reference_frequency_max and signal.waveform != Waveform.HOLD:
+            return f"frequency {frequency:g} Hz is outside (0, {limits.reference_frequency_max:g}]"
     return ""
-
-
-def _on_the_line(signal: ReferenceSignal) -> ReferenceSignal:
-    """Return a finite reference as the float32 that a box receives, where tiny numbers are 0 and huge ones infinite."""
-    numbers = (signal.amplitude, signal.offset, signal.frequency, signal.phase)
-    if any(abs(number) > _LINE_MAX for number in numbers):
-        return replace(signal, phase=inf)
-    amplitude, offset, frequency, phase = _LINE.unpack(_LINE.pack(*numbers))
-    return replace(signal, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase)
 
 
 def with_frequency(signal: ReferenceSignal) -> ReferenceSignal:

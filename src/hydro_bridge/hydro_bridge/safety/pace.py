@@ -132,7 +132,9 @@ class Pace:
             if name not in self._peers:
                 if self._unmet or self._newest is not None:  # else the plant may run in real time
                     self._log(f"under the plant's clock with {name}")
-                self._peers[name] = _Peer(window, self._answered_before(window))
+                # Of a plant that has begun all up to its step counts as answered.
+                step = -window if self._newest is None else self._newest - self._newest % min(window, COMMANDER_WINDOW)
+                self._peers[name] = _Peer(window, step)
                 self._sent = -inf  # a plant that stands still has published its newest sample before this one listened
             peer = self._peers[name]
             peer.window, peer.commands, peer.heard = window, commands, time.monotonic()
@@ -169,7 +171,10 @@ class Pace:
 
     def release(self) -> None:
         """Release the present sample without further answers."""
-        self._go_on()
+        with self._lock:
+            resend, self._resend = self._resend, None
+        if resend is not None:
+            self.go_on()
 
     def run_until(self, done: Callable[[], bool]) -> bool:
         """Run the plant without answers until `done` returns True, for half a second of plant time at most.
@@ -189,7 +194,7 @@ class Pace:
     def close(self) -> None:
         """Release the plant for good: no more waiting."""
         self._closed = True
-        self._go_on()
+        self.release()
 
     def wait_for_peers(self, meanwhile: Callable[[], None] = lambda: None) -> None:
         """Wait until all required peers are ready; called in the plant's thread before the first sample.
@@ -204,10 +209,10 @@ class Pace:
             if looks % 50 == 0:
                 meanwhile()
             if (now := time.monotonic()) >= give_up:
-                self._log(f"{_named(self._unmet)} did not come: beginning without")
+                self._log(f"{' and '.join(sorted(self._unmet))} did not come: beginning without")
                 self._unmet.clear()
             elif now >= told:
-                self._log(f"the first sample waits for {_named(self._unmet)}")
+                self._log(f"the first sample waits for {' and '.join(sorted(self._unmet))}")
                 told = now + 30.0
 
     def begin_sample(self, sequence: int, resend: Callable[[], None]) -> None:
@@ -259,17 +264,7 @@ class Pace:
                 self._deadline = -inf
             elif time.monotonic() < self._deadline:
                 return
-        self._go_on()
-
-    def _go_on(self) -> None:
-        with self._lock:
-            resend, self._resend = self._resend, None
-        if resend is not None:
-            self.go_on()
-
-    def _answered_before(self, window: int) -> int:
-        """Return what counts as answered by a peer that comes now: of a plant that has begun, all up to its step."""
-        return -window if self._newest is None else self._newest - self._newest % min(window, COMMANDER_WINDOW)
+        self.release()
 
     def _behind(self) -> list[str]:
         """Return the peers whose answer the newest sample waits for."""
@@ -298,7 +293,3 @@ class Pace:
         if known is not None:
             self._log(f"{name} {why}: the plant goes on without it")
         self._check()
-
-
-def _named(names: set[str]) -> str:
-    return " and ".join(sorted(names))

@@ -80,10 +80,9 @@ class Readiness:
         self._told &= absent
         self._forgone &= absent
         self._missing = tuple(requirement for requirement in missing if requirement.name not in self._forgone)
-        if self._missing:
-            self._wait(self._missing[0], now)
-
-    def _wait(self, first: Requirement, now: float) -> None:
+        if not self._missing:
+            return
+        first = self._missing[0]
         waited = now - self._since.setdefault(first.name, now)
         if waited > first.within and first.essential:
             raise NotReadyError(first.missing)

@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial line to the box: frames and their bytes, the stream decoder, the port.
-
-May import `signals`; knows no ROS.
-"""
+"""Serial line to the box: frames and their bytes, the stream decoder, the port."""

@@ -72,8 +72,15 @@ class Port:
         try:
             self._serial = serial.Serial(path, self.settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            taken = getattr(error, "errno", None) in _TAKEN
-            raise (PortTakenError if taken else PortLostError)(_reason(path, error)) from None
+            number = getattr(error, "errno", None)
+            if number in _TAKEN:
+                raise PortTakenError(f"{path} is in use by another program") from None
+            reason = f"cannot be opened: {_text(error)}"
+            if number == errno.ENOENT:
+                reason = "is not there: is the box plugged in and switched on? /dev/serial/by-id has one name a device"
+            elif number == errno.EACCES:
+                reason = "may not be opened: add yourself to the group that owns it (usually dialout) and log in again"
+            raise PortLostError(f"{path} {reason}") from None
         self.low_latency = False
         # Pseudo-terminals and most drivers lack this mode, and each reports it differently.
         with contextlib.suppress(Exception):
@@ -131,34 +138,16 @@ def describe_non_port(path: str) -> str | None:
     """Return a description of a path that is no serial port; None if it is one, is absent, or cannot be determined."""
     try:
         mode = os.stat(path).st_mode
-    except OSError:
-        return None
-    if stat.S_ISCHR(mode):
-        return None if _is_terminal(path) else "another device"
-    return "a folder" if stat.S_ISDIR(mode) else "a file"
-
-
-def _is_terminal(path: str) -> bool:
-    try:
+        if not stat.S_ISCHR(mode):
+            return "a folder" if stat.S_ISDIR(mode) else "a file"
         descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
-    except OSError:
-        return True  # taken, or no permission: the actual opening gives the reason
+    except OSError:  # absent, taken, or no permission: the actual opening gives the reason
+        return None
     try:
-        return os.isatty(descriptor)
+        return None if os.isatty(descriptor) else "another device"
     finally:
         os.close(descriptor)
 
 
 def _text(error: Exception) -> str:
     return (os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)).lower()
-
-
-def _reason(path: str, error: Exception) -> str:
-    number = getattr(error, "errno", None)
-    if number == errno.ENOENT:
-        return f"{path} is not there: is the box plugged in and switched on? /dev/serial/by-id has one name a device"
-    if number == errno.EACCES:
-        return f"{path} may not be opened: add yourself to the group that owns it (usually dialout) and log in again"
-    if number in _TAKEN:
-        return f"{path} is in use by another program"
-    return f"{path} cannot be opened: {_text(error)}"

@@ -298,14 +298,15 @@ MAX_ENCODED = 160
 """Maximum number of bytes between two delimiters; more is noise."""
 
 _HEADER = Struct("<BBIQ")
-_STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fIIIII8f")
-_COMMAND = Struct("<BBIQIIfffIffffI7f")
-_DETAILS = Struct("<BBIQI12sBBBB10f")
-_LAW = Struct("<BBIQI26f")
-_HELLO = Struct("<BBIQBBBB32s9f")
-_CLOCK = Struct("<BBIQI")
+_LAYOUTS = {
+    FrameType.HELLO: Struct("<BBIQBBBB32s9f"),
+    FrameType.STATE: Struct(f"<BBIQ{len(STATE_FIELDS)}fIIIII8f"),
+    FrameType.COMMAND: Struct("<BBIQIIfffIffffI7f"),
+    FrameType.DETAILS: Struct("<BBIQI12sBBxx10f"),
+    FrameType.LAW: Struct("<BBIQI26f"),
+    FrameType.CLOCK: Struct("<BBIQI"),
+}
 _CRC = Struct("<I")
-_LAW_NAMES = [entry.name for entry in fields(BoxLaw)]
 _ARM, _FILTER_FRESH = 1, 2
 _FEED_FORWARD = 0.0
 """Reserved number of a COMMAND."""
@@ -340,9 +341,8 @@ def encode_state(
         Force law as it acts.
     """
     law, value, rate, coefficients, *scales = law_state
-    counts = (count & 0xFFFFFFFF for count in refused)
-    head = (VERSION, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
-    return _pack(_STATE, *head, *values, flags, last_command, *counts, law, value, rate, *coefficients, *scales)
+    counts = flags, last_command, *(count & 0xFFFFFFFF for count in refused)
+    return _encode(FrameType.STATE, sequence, time_us, *values, *counts, law, value, rate, *coefficients, *scales)
 
 
 def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
@@ -350,10 +350,9 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     reference = command.reference
     bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
-    shape = (reference.amplitude, reference.offset, reference.frequency, reference.phase)
-    head = (VERSION, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
-    shaping = (command.law, *command.coefficients, command.velocity_compensation, command.valve_gain_scale)
-    return _pack(_COMMAND, *head, *numbers, reference.waveform, *shape, *shaping, _FEED_FORWARD)
+    signal = (reference.waveform, reference.amplitude, reference.offset, reference.frequency, reference.phase)
+    values = (bits, command.corrects, *numbers, *signal, command.law, *command.shaping, _FEED_FORWARD)
+    return _encode(FrameType.COMMAND, sequence, time_us, *values)
 
 
 def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, follows: bool = False) -> bytes:
@@ -363,27 +362,25 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, fo
     """
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
     who = (VERSION, VERSION, info is not None, INTEGRAL_FORMS.index(integral) if info else follows)
-    head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
-    return encode_frame(_HELLO.pack(*head, name.encode()[:32], *numbers))
+    return _encode(FrameType.HELLO, sequence, time_us, *who, name.encode()[:32], *numbers)
 
 
 def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
     """Encode the frame that follows each HELLO of a box."""
     epoch, digest, feedback, laws, *numbers = astuple(details)
-    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws, 0, 0)
-    return encode_frame(_DETAILS.pack(VERSION, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
+    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws)
+    return _encode(FrameType.DETAILS, sequence, time_us, *who, *numbers)
 
 
 def encode_clock(time_us: int, *, waits: bool) -> bytes:
     """Encode an emulator's frame about its clock; `waits`: each sample waits for the COMMAND with its time."""
-    return encode_frame(_CLOCK.pack(VERSION, FrameType.CLOCK, 0, time_us, waits))
+    return _encode(FrameType.CLOCK, 0, time_us, waits)
 
 
 def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
     """Encode the compensated law of a box, which follows its DETAILS if these offer it."""
     *numbers, lowest, highest, fastest = astuple(record)
-    head = (VERSION, FrameType.LAW, sequence & 0xFFFFFFFF, time_us, Law.COMPENSATED)
-    return _pack(_LAW, *head, *numbers, *lowest, *highest, *fastest)
+    return _encode(FrameType.LAW, sequence, time_us, Law.COMPENSATED, *numbers, *lowest, *highest, *fastest)
 
 
 def decode(encoded: bytes) -> Frame:
@@ -404,12 +401,12 @@ def decode(encoded: bytes) -> Frame:
     version, kind = body[0], body[1]
     if version != (HANDSHAKE if kind == FrameType.HELLO else VERSION):
         raise WrongVersionError(version)
-    layout, unpack = _LAYOUTS.get(kind, (None, None))
-    if layout is None or unpack is None:
+    if kind not in _READERS:
         raise UnknownFrameError(f"frame type {kind}")
-    if len(body) != layout.size:
-        raise MalformedError(f"{len(body)} bytes in a {FrameType(kind).name} frame, expected {layout.size}")
-    return unpack(layout.unpack(body))
+    kind = FrameType(kind)
+    if len(body) != (size := _LAYOUTS[kind].size):
+        raise MalformedError(f"{len(body)} bytes in a {kind.name} frame, expected {size}")
+    return _READERS[kind](*_LAYOUTS[kind].unpack(body)[2:])
 
 
 def version_mismatch_message(version: int) -> str:
@@ -428,88 +425,84 @@ def encode_frame(body: bytes) -> bytes:
     return b"\0" + stuffed + b"\0"
 
 
-def _pack(layout: Struct, *values: float) -> bytes:
-    """A whole frame; numbers beyond the range of float32 become infinite."""
+def _encode(kind: FrameType, sequence: int, time_us: int, *values: Any) -> bytes:
+    """Return a frame; numbers beyond the range of float32 become infinite."""
+    head = (HANDSHAKE if kind is FrameType.HELLO else VERSION, kind, sequence & 0xFFFFFFFF, time_us)
     try:
-        return encode_frame(layout.pack(*values))
+        return encode_frame(_LAYOUTS[kind].pack(*head, *values))
     except OverflowError:
-        return encode_frame(layout.pack(*map(_single, values)))
+        beyond = (isinstance(value, float) and abs(value) > 3.4028234e38 for value in values)
+        numbers = (copysign(inf, value) if big else value for value, big in zip(values, beyond, strict=True))
+        return encode_frame(_LAYOUTS[kind].pack(*head, *numbers))
 
 
-def _single(value: float) -> float:
-    """Return the nearest float that fits into float32."""
-    return copysign(inf, value) if isinstance(value, float) and abs(value) > 3.4028234e38 else value
+def _text(data: bytes) -> str:
+    return data.rstrip(b"\0").decode(errors="replace")
 
 
-def _state(values: tuple[float, ...]) -> State:
-    _, _, sequence, time_us, *values_of, flags, last_command, refused, references = values[:22]
-    law, value, rate, a_0, a_1, a_2, a_3, *scales = values[22:]
-    law_state = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), *scales)
-    counts = (int(flags), int(last_command), int(refused), int(references))
-    return State(int(sequence), int(time_us), tuple(values_of), *counts, law_state)
-
-
-def _known_law(number: float) -> Law:
+def _known_law(number: int) -> Law:
     if number > max(Law):
         raise MalformedError(f"law {number}")
-    return Law(int(number))
+    return Law(number)
 
 
-def _law(values: tuple[float, ...]) -> LawFrame:
-    numbers, limits = values[5:19], (values[19:23], values[23:27], values[27:])
-    record = BoxLaw(**dict(zip(_LAW_NAMES, (*numbers, *limits), strict=True)))  # type: ignore[arg-type]
-    return LawFrame(int(values[2]), int(values[3]), _known_law(values[4]), record)
+def _read_hello(sequence: int, time_us: int, *rest: Any) -> Hello:
+    version_min, version_max, is_box, form, name, *values = rest
+    integral = INTEGRAL_FORMS[form] if form < len(INTEGRAL_FORMS) else ""
+    numbers = dict(zip([entry.name for entry in fields(BoxInfo)][1:-1], values, strict=True))
+    info = BoxInfo(name=_text(name), integral=integral, **numbers) if is_box else None
+    return Hello(sequence, time_us, version_min, version_max, info)
 
 
-def _details(values: tuple[float, ...]) -> Details:
-    _, _, sequence, time_us, epoch, digest, feedback, laws, _, _, *numbers = values
-    text = bytes(digest).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
-    force = FEEDBACKS[int(feedback)] if feedback < len(FEEDBACKS) else ""
-    names = [entry.name for entry in fields(BoxDetails)][4:]
-    details = BoxDetails(
-        epoch=int(epoch), bench_digest=text, feedback=force, laws=int(laws), **dict(zip(names, numbers, strict=True))
-    )  # fmt: skip
-    return Details(int(sequence), int(time_us), details)
+def _read_state(sequence: int, time_us: int, *rest: Any) -> State:
+    *values, flags, last_command, refused, references, law, value, rate, a_0, a_1, a_2, a_3, c_1, c_2 = rest
+    acting = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), c_1, c_2)
+    return State(sequence, time_us, tuple(values), flags, last_command, refused, references, acting)
 
 
-def _command(values: tuple[float, ...]) -> CommandFrame:
-    bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase = values[4:14]
-    law, a_0, a_1, a_2, a_3, c_1, c_2, _ = values[14:]
+def _read_details(
+    sequence: int, time_us: int, epoch: int, digest: bytes, feedback: int, laws: int, *rest: float
+) -> Details:
+    force = FEEDBACKS[feedback] if feedback < len(FEEDBACKS) else ""
+    numbers = dict(zip([entry.name for entry in fields(BoxDetails)][4:], rest, strict=True))
+    details = BoxDetails(epoch=epoch, bench_digest=_text(digest), feedback=force, laws=laws, **numbers)
+    return Details(sequence, time_us, details)
+
+
+def _read_law(sequence: int, time_us: int, law: int, *rest: float) -> LawFrame:
+    values = (*rest[:14], rest[14:18], rest[18:22], rest[22:])
+    record: dict[str, Any] = dict(zip([entry.name for entry in fields(BoxLaw)], values, strict=True))
+    return LawFrame(sequence, time_us, _known_law(law), BoxLaw(**record))
+
+
+def _read_command(sequence: int, time_us: int, *rest: Any) -> CommandFrame:
+    bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase = rest[:10]
+    law, a_0, a_1, a_2, a_3, c_1, c_2, _ = rest[10:]
     if waveform > Waveform.SMOOTH_STEP:
         raise MalformedError(f"waveform {waveform}")
-    reference = ReferenceSignal(
-        waveform=Waveform(int(waveform)), amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
-    )
     command = Command(
-        arm=bool(int(bits) & _ARM),
+        arm=bool(bits & _ARM),
         delta_kp=delta_kp,
         delta_ki=delta_ki,
         delta_u=delta_u,
-        reference=reference,
-        corrects=int(corrects),
-        filter_fresh=bool(int(bits) & _FILTER_FRESH),
+        reference=ReferenceSignal(
+            waveform=Waveform(waveform), amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
+        ),
+        corrects=corrects,
+        filter_fresh=bool(bits & _FILTER_FRESH),
         law=_known_law(law),
         coefficients=(a_0, a_1, a_2, a_3),
         velocity_compensation=c_1,
         valve_gain_scale=c_2,
     )
-    return CommandFrame(int(values[2]), int(values[3]), command)
+    return CommandFrame(sequence, time_us, command)
 
 
-def _hello(values: tuple[float, ...]) -> Hello:
-    _, _, sequence, time_us, version_min, version_max, is_box, form, name, *numbers = values
-    text = bytes(name).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
-    integral = INTEGRAL_FORMS[int(form)] if form < len(INTEGRAL_FORMS) else ""
-    names = tuple(BoxInfo.__dataclass_fields__)[1:-1]
-    info = BoxInfo(name=text, integral=integral, **dict(zip(names, numbers, strict=True))) if is_box else None
-    return Hello(int(sequence), int(time_us), int(version_min), int(version_max), info)
-
-
-_LAYOUTS: dict[int, tuple[Struct, Callable[[tuple[float, ...]], Frame]]] = {
-    FrameType.HELLO: (_HELLO, _hello),
-    FrameType.STATE: (_STATE, _state),
-    FrameType.COMMAND: (_COMMAND, _command),
-    FrameType.DETAILS: (_DETAILS, _details),
-    FrameType.LAW: (_LAW, _law),
-    FrameType.CLOCK: (_CLOCK, lambda values: ClockFrame(int(values[3]), bool(values[4]))),
+_READERS: dict[int, Callable[..., Frame]] = {
+    FrameType.HELLO: _read_hello,
+    FrameType.STATE: _read_state,
+    FrameType.COMMAND: _read_command,
+    FrameType.DETAILS: _read_details,
+    FrameType.LAW: _read_law,
+    FrameType.CLOCK: lambda _, time_us, waits: ClockFrame(time_us, bool(waits)),
 }

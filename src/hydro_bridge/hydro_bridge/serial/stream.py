@@ -9,15 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from hydro_bridge.serial.protocol import (
-    MAX_ENCODED,
-    CheckSumError,
-    Frame,
-    MalformedError,
-    UnknownFrameError,
-    WrongVersionError,
-    decode,
-)
+from hydro_bridge.serial import protocol
 
 _WRAP = 1 << 32
 
@@ -65,7 +57,7 @@ def no_frames_message(counts: LinkCounts, before: LinkCounts, seconds: float) ->
 
 @dataclass
 class Decoder:
-    """Splits bytes into frames, in bounded memory: at most `MAX_ENCODED` bytes are kept without a delimiter.
+    """Splits bytes into frames, in bounded memory: at most `protocol.MAX_ENCODED` bytes are kept without a delimiter.
 
     What comes before the first delimiter was cut by the opening of the port: no frame, and no error.
     """
@@ -78,38 +70,32 @@ class Decoder:
     _in_sync: bool = True
     _opening: bool = True
 
-    def feed(self, data: bytes) -> list[Frame]:
+    def feed(self, data: bytes) -> list[protocol.Frame]:
         """Return the frames that end within `data`, in order; chunk borders may fall anywhere."""
         self.counts.bytes += len(data)
         *pieces, self._pending = (self._pending + data).split(b"\0")
         if pieces and (self._overlong or self._opening):
             pieces[0], self._overlong, self._opening = b"", False, False
-        if len(self._pending) > MAX_ENCODED:
+        if len(self._pending) > protocol.MAX_ENCODED:
             if not self._overlong:
                 self._bad(crc=False)
             self._pending, self._overlong = b"", True
-        frames = []
-        for piece in pieces:
-            if piece:
-                frame = self._check(piece)
-                if frame is not None:
-                    frames.append(frame)
-        return frames
+        return [frame for piece in pieces if piece and (frame := self._check(piece)) is not None]
 
     def reset(self) -> None:
         """Discard the partial frame, after the port was reopened; counts are kept."""
         self._pending, self._overlong, self._in_sync, self._opening = b"", False, True, True
 
-    def _check(self, piece: bytes) -> Frame | None:
+    def _check(self, piece: bytes) -> protocol.Frame | None:
         try:
-            frame = decode(piece)
-        except UnknownFrameError:
+            frame = protocol.decode(piece)
+        except protocol.UnknownFrameError:
             self.counts.unknown += 1
-        except WrongVersionError as error:
+        except protocol.WrongVersionError as error:
             self.counts.wrong_version += 1
             self.foreign_version = error.version
-        except MalformedError as error:
-            self._bad(crc=isinstance(error, CheckSumError))
+        except protocol.MalformedError as error:
+            self._bad(crc=isinstance(error, protocol.CheckSumError))
         else:
             self.counts.frames += 1
             self.counts.resyncs += not self._in_sync
@@ -145,7 +131,11 @@ class SequenceTracker:
             return True
         ahead = (sequence - self._newest) % _WRAP
         if ahead == 0 or ahead >= _WRAP - self.window:
-            return self._old(-ahead % _WRAP)
+            seen = self._seen >> (behind := -ahead % _WRAP) & 1
+            self.counts.duplicates += seen
+            self.counts.reordered += not seen
+            self._seen |= 1 << behind
+            return False
         if ahead > self.leap:
             self.counts.restarts += 1
             self._newest, self._seen = sequence, 1
@@ -158,11 +148,3 @@ class SequenceTracker:
     def reset(self) -> None:
         """Treat the next number as the first (a new connection); counts are kept."""
         self._newest = None
-
-    def _old(self, behind: int) -> bool:
-        if self._seen >> behind & 1:
-            self.counts.duplicates += 1
-        else:
-            self.counts.reordered += 1
-            self._seen |= 1 << behind
-        return False

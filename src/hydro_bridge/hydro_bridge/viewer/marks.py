@@ -85,7 +85,17 @@ class MarkCollector:
         flags = states["flags"].astype(np.int64)
         before = np.concatenate(([flags[0] if self._flags is None else self._flags], flags[:-1]))
         for n in np.flatnonzero(flags != before):
-            self._change(float(states["time"][n]), int(before[n]), int(flags[n]))
+            time, now = float(states["time"][n]), int(flags[n])
+            risen, fallen = now & ~int(before[n]), int(before[n]) & ~now
+            if risen & Flag.TRIPPED:
+                others = ", ".join(flag_labels(risen & ~int(Flag.TRIPPED)))
+                self.add(time, "trip", f"tripped{f': {others}' if others else ''}")
+            if risen & Flag.ARMED:
+                self.add(time, "armed", "armed")
+            elif fallen & Flag.ARMED and not risen & Flag.TRIPPED:
+                self.add(time, "armed", "disarmed")
+            if risen & Flag.WATCHDOG and now & Flag.ARMED:
+                self.add(time, "watchdog", "no commands for 50 ms: base gains")
         if self._flags is None and flags[0] & Flag.ARMED:
             self.add(float(states["time"][0]), "armed", "armed already when the recording begins")
         self._flags = int(flags[-1])
@@ -100,7 +110,11 @@ class MarkCollector:
         """Add the fields of a TrainingStatus, with `time` [s]."""
         time, phase, episode = float(message["time"]), int(message["phase"]), int(message["episode"])
         if phase != self._phase and self._phase >= 0:
-            self._phased(time, self._phase, phase)
+            evaluating = PHASES.index("evaluating")
+            if evaluating in (self._phase, phase):
+                self.add(time, "examination", f"examination {'begins' if phase == evaluating else 'ends'}")
+            elif phase < len(PHASES):
+                self.add(time, "phase", PHASES[phase])
         if episode != self._episode and self._episode >= 0:
             rmse, total = float(message["force_rmse"]), float(message["episode_return"])
             came_to = f"; the last one: RMSE {rmse:.1f} N, return {total:.0f}" if math.isfinite(rmse) else ""
@@ -131,13 +145,13 @@ class MarkCollector:
         """Add a status of the node `name`."""
         if name not in _TRAINERS:
             return
-        for key, kind in (("rollbacks", "rollback"), ("override", "override"), ("examination", "examination")):
+        for key, (kind, sentence) in _DIAGNOSTICS.items():
             if key not in values:
                 continue
             now, before = values[key], self._said.get(f"{name} {key}")
             self._said[f"{name} {key}"] = now
             if before is not None and now != before:
-                self.add(time, kind, _SENTENCES[kind](now))
+                self.add(time, kind, sentence(now))
 
     def log(self, time: float, level: int, name: str, sentence: str) -> None:
         """Add a message of /rosout by its level, as numbered in rcl_interfaces/Log."""
@@ -147,25 +161,6 @@ class MarkCollector:
         elif level >= _WARN:
             self.add(time, "log", f"{name}: {sentence}")
 
-    def _change(self, time: float, before: int, now: int) -> None:
-        risen, fallen = now & ~before, before & ~now
-        if risen & Flag.TRIPPED:
-            others = ", ".join(flag_labels(risen & ~int(Flag.TRIPPED)))
-            self.add(time, "trip", f"tripped{f': {others}' if others else ''}")
-        if risen & Flag.ARMED:
-            self.add(time, "armed", "armed")
-        elif fallen & Flag.ARMED and not risen & Flag.TRIPPED:
-            self.add(time, "armed", "disarmed")
-        if risen & Flag.WATCHDOG and now & Flag.ARMED:
-            self.add(time, "watchdog", "no commands for 50 ms: base gains")
-
-    def _phased(self, time: float, before: int, now: int) -> None:
-        if PHASES.index("evaluating") in (before, now):
-            begins = now == PHASES.index("evaluating")
-            self.add(time, "examination", f"examination {'begins' if begins else 'ends'}")
-        elif now < len(PHASES):
-            self.add(time, "phase", PHASES[now])
-
     def add(self, time: float, kind: str, text: str) -> None:
         """Add a mark."""
         if len(self._marks) < MARKS_MAX:
@@ -174,11 +169,12 @@ class MarkCollector:
             self.dropped += 1
 
 
-_SENTENCES: dict[str, Callable[[str], str]] = {
-    "rollback": lambda said: f"rolled back to the best policy, {said} times in all",
-    "override": lambda said: "gains given back" if said == "no" else f"gains by hand: {said}",
-    "examination": lambda said: said,
+_DIAGNOSTICS: dict[str, tuple[str, Callable[[str], str]]] = {
+    "rollbacks": ("rollback", lambda said: f"rolled back to the best policy, {said} times in all"),
+    "override": ("override", lambda said: "gains given back" if said == "no" else f"gains by hand: {said}"),
+    "examination": ("examination", lambda said: said),
 }
+"""Kind and text of the mark for a new value under a key of the trainer's diagnostics."""
 
 
 REPORT_FILE = "report.json"

@@ -12,12 +12,10 @@ import errno
 import json
 import shlex
 import webbrowser
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table, UserError, add_json_argument, command, make_parser, plural
@@ -92,60 +90,6 @@ def refresh_index(run: Path) -> None:
             write_index(folder)
 
 
-def _entry(folder: Path, run: Path) -> RunEntry | None:
-    kind = next((kind for kind, file in _KINDS.items() if (run / file).is_file()), "")
-    if not kind:
-        return None
-    bags = [run] if kind == "recording" else sorted(path.parent for path in run.glob("*/metadata.yaml"))
-    beside = [run.with_name(f"{run.name}.html")] if kind == "recording" else []
-    pages = [page for page in (*sorted(run.glob("*.html")), *beside) if page.is_file()]
-    unseen = [bag for bag in bags if not bag.with_name(f"{bag.name}.html").is_file()]
-    summary = ""
-    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):  # of another version: no summary
-        summary = _SUMMARIES[kind](run) if kind in _SUMMARIES else ""
-    return RunEntry(
-        name=run.name,
-        kind=kind,
-        summary=summary,
-        changed=max(path.stat().st_mtime for path in (run, run / _KINDS[kind])),
-        pages=_relative(folder, pages),
-        pictures=_relative(folder, sorted(run.glob("*.png"))),
-        recordings=_relative(folder, unseen),
-        score=_score(run) if kind == "training" else None,
-    )
-
-
-def _relative(folder: Path, paths: list[Path]) -> tuple[str, ...]:
-    return tuple(path.relative_to(folder).as_posix() for path in paths)
-
-
-def _read(file: Path) -> Any:
-    return json.loads(file.read_text(encoding="utf-8"))
-
-
-def _training(run: Path) -> str:
-    events = _read(run / "run.json")["events"]
-    episodes = [event for event in events if event["kind"] == "episode"]
-    last = f", the last one with an RMSE of {episodes[-1]['force_rmse']:.1f} N" if episodes else ""
-    ends = [event for event in events if event["kind"] in ("stop", "end") and event.get("sentence")]
-    return f"{plural(len(episodes), 'episode')}{last}.{' ' + ends[-1]['sentence'] if ends else ''}"
-
-
-def _score(run: Path) -> float | None:
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        kept = [
-            event["score"] for event in _read(run / "run.json")["events"] if event["kind"] == "exam" and event["best"]
-        ]
-        return float(kept[-1]) if kept else None
-    return None
-
-
-def _diagnosis(run: Path) -> str:
-    report = _read(run / "report.json")
-    names = ", ".join(effect["id"].replace("_", " ") for effect in report["effects"])
-    return f"{report['verdict'].replace('_', ' ')}{': ' + names if names else ''}"
-
-
 _KINDS = {
     "training": "run.json",
     "diagnosis": "report.json",
@@ -156,7 +100,50 @@ _KINDS = {
     "unfinished": "bag/metadata.yaml",
 }
 """Files that identify the kind of a run; the first match counts."""
-_SUMMARIES: dict[str, Callable[[Path], str]] = {"training": _training, "diagnosis": _diagnosis}
+
+
+def _entry(folder: Path, run: Path) -> RunEntry | None:
+    kind = next((kind for kind, file in _KINDS.items() if (run / file).is_file()), "")
+    if not kind:
+        return None
+    bags = [run] if kind == "recording" else sorted(path.parent for path in run.glob("*/metadata.yaml"))
+    beside = [run.with_name(f"{run.name}.html")] if kind == "recording" else []
+    pages = [page for page in (*sorted(run.glob("*.html")), *beside) if page.is_file()]
+    unseen = [bag for bag in bags if not bag.with_name(f"{bag.name}.html").is_file()]
+    summary, score = _told(run, kind)
+
+    def relative(paths: list[Path]) -> tuple[str, ...]:
+        return tuple(path.relative_to(folder).as_posix() for path in paths)
+
+    return RunEntry(
+        name=run.name,
+        kind=kind,
+        summary=summary,
+        changed=max(path.stat().st_mtime for path in (run, run / _KINDS[kind])),
+        pages=relative(pages),
+        pictures=relative(sorted(run.glob("*.png"))),
+        recordings=relative(unseen),
+        score=score,
+    )
+
+
+def _told(run: Path, kind: str) -> tuple[str, float | None]:
+    """Return summary and score of a training, the summary of a diagnosis; nothing of one of another version."""
+    summary, score = "", None
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        if kind == "training":
+            events = json.loads((run / "run.json").read_text(encoding="utf-8"))["events"]
+            episodes = [event for event in events if event["kind"] == "episode"]
+            last = f", the last one with an RMSE of {episodes[-1]['force_rmse']:.1f} N" if episodes else ""
+            ends = [event for event in events if event["kind"] in ("stop", "end") and event.get("sentence")]
+            summary = f"{plural(len(episodes), 'episode')}{last}.{' ' + ends[-1]['sentence'] if ends else ''}"
+            best = [event["score"] for event in events if event["kind"] == "exam" and event["best"]]
+            score = float(best[-1]) if best else None
+        elif kind == "diagnosis":
+            report = json.loads((run / "report.json").read_text(encoding="utf-8"))
+            names = ", ".join(effect["id"].replace("_", " ") for effect in report["effects"])
+            summary = f"{report['verdict'].replace('_', ' ')}{': ' + names if names else ''}"
+    return summary, score
 
 
 COLUMNS = {

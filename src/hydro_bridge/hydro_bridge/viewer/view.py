@@ -11,8 +11,8 @@ import argparse
 import base64
 import gzip
 import webbrowser
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cache
 from importlib import resources
@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
 from hydro_bridge.bags.steady import MonotonicTimes
-from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
+from hydro_bridge.bags.storage import BagSource, MessageDecoder, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.pages import environment
@@ -89,6 +89,8 @@ _NEEDED = {
     ),
     POLICY_TOPIC: frozenset({"weights"}),
 }
+_SERIES = (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)
+"""Topics of `series.SERIES`, with the samples' stamps."""
 _OBJECTS = {
     AUTHORITY_TOPIC: "hydro_msgs/msg/Authority",
     DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
@@ -119,69 +121,6 @@ class RecordingPage:
     """Irregularities that the reader tolerated, and missing topics."""
 
 
-@dataclass
-class _Reading:
-    """Content read so far."""
-
-    span: tuple[float, float]
-    """Requested part, s from the first sample."""
-    begin: float = 0.0
-    """s, of the first sample."""
-    thinners: tuple[series.GrowingDownsampler, ...] = ()
-    """Of states, corrections and laws; none before the first sample."""
-    marks: MarkCollector = field(default_factory=MarkCollector)
-    curve: status.LearningCurve = field(default_factory=status.LearningCurve)
-    clock: SampleClock = field(default_factory=SampleClock)
-    steady: dict[str, MonotonicTimes] = field(
-        default_factory=lambda: {topic: MonotonicTimes(GAP_MAX) for topic in (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)}
-    )
-    """Of the topics with the samples' stamps."""
-    foreign: set[str] = field(default_factory=set)
-    """Topics whose messages are of another version or type."""
-
-    def within(self, table: Table) -> Table:
-        """Return the requested part, which counts from the first sample."""
-        if not self.thinners:
-            return table[:0]
-        since = table["time"] - self.begin
-        return table[(since >= self.span[0]) & (since <= self.span[1])]
-
-    def take_states(self, table: Table) -> None:
-        """Add samples; all times count from the first one."""
-        if not self.thinners and len(table):
-            self.begin = float(table["time"][0])
-            first = self.begin + self.span[0]
-            self.thinners = tuple(series.GrowingDownsampler(len(columns), first) for columns in series.SERIES)
-        table = self.within(table)
-        if len(table):
-            self.thinners[0].add(table["time"], series.state_values(table))
-            self.marks.states(table)
-
-    def take_series(self, number: int, table: Table) -> None:
-        """Add corrections or states of the compensated law, by their number in `series.SERIES`."""
-        table = self.within(table)
-        if len(table):
-            self.thinners[number].add(table["time"], series.column_values(series.SERIES[number], table))
-
-    def take_training(self, table: Table) -> None:
-        """Add the trainer's status."""
-        for row in self.within(table):
-            self.marks.training({name: row[name] for name in row.dtype.names})
-            results = [float(row[name]) for name in ("force_rmse", "episode_return", "critic_loss", "actor_loss")]
-            self.curve.add(int(row["phase"]), int(row["episode"]), *results)
-
-    def take_object(self, topic: str, time: float, message: Any) -> None:
-        """Add a message about the lease, of the diagnostics or of the log."""
-        if topic == LOG_TOPIC:
-            self.marks.log(time, int(message.level), message.name, message.msg)
-            return
-        if topic == AUTHORITY_TOPIC:
-            self.marks.authority(time, message.holder)
-            return
-        for node in message.status:
-            self.marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
-
-
 def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> RecordingPage:
     """Read a recording into the content of its page.
 
@@ -191,71 +130,97 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     """
     windows = [] if report is None else read_windows(report)
     source = BagSource(Path(path))
-    reading = _Reading(span=span)
-    decoder = MessageDecoder(source)
-    tables: dict[str, Callable[[Table], None]] = {
-        STATE_TOPIC: lambda table: reading.take_states(as_states(table, source.path)),
-        CORRECTION_TOPIC: lambda table: reading.take_series(1, table),
-        LAW_TOPIC: lambda table: reading.take_series(2, table),
-        TRAINING_TOPIC: reading.take_training,
-        POLICY_TOPIC: lambda table: reading.marks.steps(reading.within(table)),
-    }
-    messages: dict[str, int] = {}
+    decoder, marks, curve, clock = MessageDecoder(source), MarkCollector(), status.LearningCurve(), SampleClock()
+    steady = {topic: MonotonicTimes(GAP_MAX) for topic in _SERIES}
+    thinners: tuple[series.GrowingDownsampler, ...] = ()  # none before the first sample
+    first = 0.0  # s, of the first sample
+    messages: Counter[str] = Counter()
+    foreign: set[str] = set()  # topics whose messages are of another version or type
+
+    def take_object(topic: str, time: float, message: Any) -> None:
+        if topic == LOG_TOPIC:
+            marks.log(time, int(message.level), message.name, message.msg)
+        elif topic == AUTHORITY_TOPIC:
+            marks.authority(time, message.holder)
+        else:
+            for node in message.status:
+                marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
+
     for scan, channel, block, part in source.spans():
         topic = channel.topic
-        messages[topic] = messages.get(topic, 0) + len(part.starts)
-        if topic in tables:
-            layout = source.layout(scan, channel)
-            if layout is not None and set(layout.table.names or ()) >= _NEEDED[topic]:
-                table = decode_span(scan.path, topic, layout, block, part)
-                if topic in reading.steady:
-                    table["time"] = reading.steady[topic].convert(table["time"])
-                if topic == STATE_TOPIC:
-                    reading.clock.update(part.log_times, table["time"])
-                elif topic in (TRAINING_TOPIC, POLICY_TOPIC):  # the trainer stamps by the wall clock
-                    table["time"] = reading.clock.sample_times(table["time"], 1e-9 * part.log_times)
-                tables[topic](table)
-            else:
-                reading.foreign.add(topic)
-        elif topic in _OBJECTS:
-            if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
-                reading.foreign.add(topic)
-                continue
+        messages[topic] += len(part.starts)
+        if topic in _OBJECTS:
             try:
+                if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
+                    raise AttributeError
                 for logged, message in decoder.decode(scan, channel, block, part):
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
-                    time = float(reading.clock.sample_times(stamp.sec + 1e-9 * stamp.nanosec, logged))
-                    reading.take_object(topic, time, message)
-            except AttributeError:  # fields of another version
-                reading.foreign.add(topic)
-    for mark in select_windows(windows, Path(path), reading.begin):
-        reading.marks.add(reading.begin + mark.time, mark.kind, mark.text)
-    return _finished(source, reading, messages)
+                    take_object(topic, float(clock.sample_times(stamp.sec + 1e-9 * stamp.nanosec, logged)), message)
+            except AttributeError:  # another type, or fields of another version
+                foreign.add(topic)
+        if topic not in _NEEDED:
+            continue
+        layout = source.layout(scan, channel)
+        if layout is None or not _NEEDED[topic] <= set(layout.table.names or ()):
+            foreign.add(topic)
+            continue
+        table = decode_span(scan.path, topic, layout, block, part)
+        if topic in steady:
+            table["time"] = steady[topic].convert(table["time"])
+        else:  # the trainer stamps by the wall clock
+            table["time"] = clock.sample_times(table["time"], 1e-9 * part.log_times)
+        if topic == STATE_TOPIC:
+            clock.update(part.log_times, table["time"])
+            table = as_states(table, source.path)
+            if not thinners and len(table):
+                first = float(table["time"][0])
+                thinners = tuple(series.GrowingDownsampler(len(columns), first + span[0]) for columns in series.SERIES)
+        since = table["time"] - first
+        table = table[(since >= span[0]) & (since <= span[1])]
+        if not (thinners and len(table)):
+            continue
+        if topic == STATE_TOPIC:
+            thinners[0].add(table["time"], series.state_values(table))
+            marks.states(table)
+        elif topic in _SERIES:
+            number = _SERIES.index(topic)
+            thinners[number].add(table["time"], series.column_values(series.SERIES[number], table))
+        elif topic == POLICY_TOPIC:
+            marks.steps(table)
+        else:
+            for row in table:
+                marks.training({name: row[name] for name in row.dtype.names})
+                results = [float(row[name]) for name in ("force_rmse", "episode_return", "critic_loss", "actor_loss")]
+                curve.add(int(row["phase"]), int(row["episode"]), *results)
 
-
-def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> RecordingPage:
-    thinners = reading.thinners
     if not thinners:
         raise source.missing_topic_error(STATE_TOPIC, messages)
-    begin = reading.begin + reading.span[0]
-    slot = max(thinner.slot for thinner in thinners)
-    values = tuple(thinner.values(slot) for thinner in thinners)
+    for mark in select_windows(windows, Path(path), first):
+        marks.add(first + mark.time, mark.kind, mark.text)
+    begin, slot = first + span[0], max(thinner.slot for thinner in thinners)
+    values, seconds = tuple(thinner.values(slot) for thinner in thinners), thinners[0].end - begin
     if not len(values[0]):
-        raise RecordingError(f"{source.path} has no samples from {reading.span[0]:g} to {reading.span[1]:g} s")
-    seconds = thinners[0].end - begin
-    metadata = {key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()}
+        raise RecordingError(f"{source.path} has no samples from {span[0]:g} to {span[1]:g} s")
+    notes = [*source.notes]
+    notes += [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOPIC_CONTENTS.items()
+              if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
+    notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(foreign)]
+    notes += [f"the clock was set by {step:+.10g} s after {time - first:.1f} s: time goes on behind it"
+              for time, step in steady[STATE_TOPIC].jumps]  # fmt: skip
+    if marks.dropped:
+        notes.append(f"{marks.dropped} more marks are not shown: give a part of it by --from and --to")
     return RecordingPage(
         path=source.path,
         begin=begin,
         seconds=seconds,
         slot=slot,
         values=values,
-        marks=crop_marks(reading.marks.sorted(), begin, seconds),
-        curve=reading.curve.content(),
-        messages=messages,
-        metadata=metadata,
+        marks=crop_marks(marks.sorted(), begin, seconds),
+        curve=curve.content(),
+        messages=dict(messages),
+        metadata={key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()},
         attachments=[name for scan in source.scans for name in scan.attachments],
-        notes=[*source.notes, *_lacking(messages, reading)],
+        notes=notes,
     )
 
 
@@ -266,72 +231,50 @@ def crop_marks(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
     return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
 
 
-def _lacking(messages: dict[str, int], reading: _Reading) -> list[str]:
-    notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOPIC_CONTENTS.items()
-             if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
-    notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(reading.foreign)]
-    notes += [f"the clock was set by {step:+.10g} s after {time - reading.begin:.1f} s: time goes on behind it"
-              for time, step in reading.steady[STATE_TOPIC].jumps]  # fmt: skip
-    if reading.marks.dropped:
-        notes.append(f"{reading.marks.dropped} more marks are not shown: give a part of it by --from and --to")
-    return notes
-
-
 _POLICY = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:"
 
 
 def render_page(recorded: RecordingPage) -> str:
     """Return the page as HTML."""
-    imports = {f"./{name}": _module(f"dashboard/page/{name}") for name in ("plots.js", "series.js")}
-    styles = ("dashboard/page/uPlot.min.css", "dashboard/page/page.css", "viewer/page/view.css")
-    return environment("hydro_bridge", "viewer/page").get_template("view.html").render(
-        policy=_POLICY,
-        title=f"{_name(recorded)} - hydro",
-        name=_name(recorded),
-        begin=datetime.fromtimestamp(recorded.begin, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC"),
-        styles=[_text(name) for name in styles],
-        uplot=_text("dashboard/page/uPlot.iife.min.js"),
-        imports=imports,
-        script=_text("viewer/page/view.js"),
-        facts=_facts(recorded),
-        messages=dict(sorted(recorded.messages.items())),
-        notes=recorded.notes,
-        about=_about(recorded),
-        states=_packed(recorded.values[0]),
-        corrections=_packed(recorded.values[1]),
-        laws=_packed(recorded.values[2]),
-    )  # fmt: skip
-
-
-def _name(recorded: RecordingPage) -> str:
     folder = recorded.path.resolve()
-    return f"{folder.parent.name}/{folder.name}" if folder.parent.name else folder.name
-
-
-def _facts(recorded: RecordingPage) -> dict[str, str]:
+    name = f"{folder.parent.name}/{folder.name}" if folder.parent.name else folder.name
     facts = {"length": f"{recorded.seconds:.1f} s", "finest detail": f"{1e3 * recorded.slot:g} ms", **recorded.metadata}
-    return {**facts, **({"attached": ", ".join(recorded.attachments)} if recorded.attachments else {})}
-
-
-def _about(recorded: RecordingPage) -> dict[str, Any]:
-    """Return the script's data as JSON; non-finite values become null."""
-    marks = [{"time": round(mark.time, 3), "kind": mark.kind, "text": mark.text} for mark in recorded.marks]
+    if recorded.attachments:
+        facts["attached"] = ", ".join(recorded.attachments)
     about = {
         "seconds": recorded.seconds,
         "slot": recorded.slot,
         "series": series.column_descriptions(),
-        "marks": marks,
+        "marks": [{"time": round(mark.time, 3), "kind": mark.kind, "text": mark.text} for mark in recorded.marks],
         "curve": recorded.curve,
     }
-    return dict(msgspec.json.decode(msgspec.json.encode(about)))
+    modules = {f"./{file}": _text(f"dashboard/page/{file}") for file in ("plots.js", "series.js")}
+    imports = {file: f"data:text/javascript;base64,{_base64(text.encode())}" for file, text in modules.items()}
+    styles = ("dashboard/page/uPlot.min.css", "dashboard/page/page.css", "viewer/page/view.css")
+    states, corrections, laws = (
+        _base64(gzip.compress(np.ascontiguousarray(values, "<f4").tobytes(), 6, mtime=0)) for values in recorded.values
+    )
+    return environment("hydro_bridge", "viewer/page").get_template("view.html").render(
+        policy=_POLICY,
+        title=f"{name} - hydro",
+        name=name,
+        begin=datetime.fromtimestamp(recorded.begin, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC"),
+        styles=[_text(style) for style in styles],
+        uplot=_text("dashboard/page/uPlot.iife.min.js"),
+        imports=imports,
+        script=_text("viewer/page/view.js"),
+        facts=facts,
+        messages=dict(sorted(recorded.messages.items())),
+        notes=recorded.notes,
+        about=msgspec.json.decode(msgspec.json.encode(about)),  # non-finite values become null
+        states=states,
+        corrections=corrections,
+        laws=laws,
+    )  # fmt: skip
 
 
-def _packed(values: npt.NDArray[np.float32]) -> str:
-    return base64.b64encode(gzip.compress(np.ascontiguousarray(values, "<f4").tobytes(), 6, mtime=0)).decode()
-
-
-def _module(name: str) -> str:
-    return f"data:text/javascript;base64,{base64.b64encode(_text(name).encode()).decode()}"
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
 
 
 @cache

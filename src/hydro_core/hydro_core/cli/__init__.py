@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Utilities of all commands: progress bars, tables, one-sentence errors, the rules of --resume.
-
-May import all of this package; every command may import it.
-"""
+"""Utilities of all commands: progress bars, tables, one-sentence errors, the rules of --resume."""

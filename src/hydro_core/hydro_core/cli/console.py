@@ -166,11 +166,14 @@ class Table:
 
     def text(self) -> str:
         """Return aligned columns below their keys, numbers right-aligned; the keys' meanings follow underneath."""
-        cells = [[_shown(row[key]) for key in self.columns] for row in self.rows]
+        cells = [[shown(row[key]) for key in self.columns] for row in self.rows]
         widths = [max(len(key), *(len(row[n]) for row in cells), 0) for n, key in enumerate(self.columns)]
         right = [bool(self.rows) and not isinstance(self.rows[0][key], str) for key in self.columns]
-        lines = [_line(list(self.columns), widths, right), _line(["-" * width for width in widths], widths, right)]
-        lines += [_line(row, widths, right) for row in cells]
+        table = [list(self.columns), ["-" * width for width in widths], *cells]
+        lines = [
+            "  ".join(f"{cell:{'>' if r else '<'}{w}}" for cell, w, r in zip(row, widths, right, strict=True)).rstrip()
+            for row in table
+        ]
         meanings = [f"{key}: {meaning}" for key, meaning in self.columns.items() if meaning]
         return "\n".join([*([self.title] if self.title else []), *lines, *meanings])
 
@@ -213,12 +216,8 @@ def add_json_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
-    pairs = zip(cells, widths, right, strict=True)
-    return "  ".join(cell.rjust(width) if to_right else cell.ljust(width) for cell, width, to_right in pairs).rstrip()
-
-
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """Return a cell's text: a float with four digits, None as nothing."""
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
@@ -243,25 +242,20 @@ def reject_changed_options(
     or `FIXED_ON_RESUME`. Options that are not listed may change. Raises UserError: the message names each contradicting
     option and the run's own value.
     """
+
+    def word(value: Any) -> str:
+        if isinstance(value, bool):
+            return ""
+        return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
     spelled = {action.dest: action.option_strings[0] for action in parser._actions if action.option_strings}
-    wrong = [
-        f"{spelled[name]} {_as_word(value)}".rstrip() + _instead(begun[name])
-        for name, value in explicit_options(parser, words).items()
-        if name in begun and value != begun[name] and os.path.abspath(str(value)) != begun[name]
-    ]
+    wrong = []
+    for name, value in explicit_options(parser, words).items():
+        if name in begun and value != (had := begun[name]) and os.path.abspath(str(value)) != had:
+            told = had is not FIXED_ON_RESUME and not isinstance(had, bool)
+            instead = f" (it has {'none' if had is None else word(had)})" if told else ""
+            wrong.append(f"{spelled[name]} {word(value)}".rstrip() + instead)
     if wrong:
         raise UserError(
             f"{what} resumes with the options of its start, without {' and '.join(wrong)}: drop that, or start again"
         )
-
-
-def _as_word(value: Any) -> str:
-    if isinstance(value, bool):
-        return ""
-    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-
-
-def _instead(value: Any) -> str:
-    if value is FIXED_ON_RESUME or isinstance(value, bool):
-        return ""
-    return f" (it has {'none' if value is None else _as_word(value)})"

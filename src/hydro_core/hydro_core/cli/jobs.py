@@ -84,7 +84,13 @@ def run(
     JobsError
         At the end, if jobs failed. Each is reported on standard error when it fails.
     """
-    found = {} if kept is None or not kept.exists() else _found(kept)
+    found: dict[str, Any] = {}
+    if kept is not None and kept.exists():
+        content = kept.read_bytes()
+        whole = content[: content.rfind(b"\n") + 1]
+        if whole != content:  # a last line that was cut off, by a full disk or a kill
+            os.truncate(kept, len(whole))
+        found = {entry["key"]: entry["value"] for entry in map(json.loads, whole.splitlines())}
     missing = {name: values for name, values in arguments.items() if name not in found}
     yield from ((name, found[name]) for name in arguments if name in found)
     at_once = min(at_once or len(os.sched_getaffinity(0)), len(missing))
@@ -97,7 +103,9 @@ def run(
             bar.update()
             if error is not None:
                 errors[name] = error
-                bar.write(f"{name}: {_told(error)}", file=sys.stderr)
+                correctable = isinstance(error, UserError) or is_file_error(error)
+                told = user_message(error) if correctable else "".join(format_exception(error)).rstrip()
+                bar.write(f"{name}: {told}", file=sys.stderr)
                 continue
             if kept is not None:
                 with kept.open("a", encoding="utf-8") as file:
@@ -111,15 +119,6 @@ def run_all(function: Callable[..., Any], arguments: Arguments, **how: Any) -> d
     """Return the results of `run` by name, in the order of the names."""
     found = dict(run(function, arguments, **how))
     return {name: found[name] for name in arguments}
-
-
-def _found(kept: Path) -> dict[str, Any]:
-    """Results in a file, from which a last line is taken that was cut off, by a full disk or a kill."""
-    content = kept.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
-    if whole != content:
-        os.truncate(kept, len(whole))
-    return {entry["key"]: entry["value"] for entry in map(json.loads, whole.splitlines())}
 
 
 def _here(function: Callable[..., Any], missing: Arguments) -> Results:
@@ -177,10 +176,3 @@ def _side_by_side(function: Callable[..., Any], missing: Arguments, at_once: int
             if scheduler is None:
                 raise
             raise UserError(f"the scheduler at {scheduler} went away: the same command does what is missing") from error
-
-
-def _told(error: Exception) -> str:
-    """A sentence if the user can correct it, else the traceback."""
-    if isinstance(error, UserError) or is_file_error(error):
-        return user_message(error)
-    return "".join(format_exception(type(error), error, error.__traceback__)).rstrip()

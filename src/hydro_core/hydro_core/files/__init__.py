@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files with validated input and atomic output: bench.yaml, settings, tensors.
-
-May import `errors` and `signals`; everything may import it.
-"""
+"""Files with validated input and atomic output: bench.yaml, settings, tensors."""

@@ -22,7 +22,7 @@ class InvalidTensorError(ValueError):
 
 
 def check_numbers(tensors: Mapping[str, Any]) -> None:
-    """Raise UnsoundError for the first tensor that holds NaN, infinity or an absurdly large number."""
+    """Raise InvalidTensorError for the first tensor that holds NaN, infinity or an absurdly large number."""
     for name, tensor in tensors.items():
         array = np.asarray(tensor)
         if array.dtype.kind != "f":
@@ -35,7 +35,7 @@ def check_numbers(tensors: Mapping[str, Any]) -> None:
 
 
 def check_shapes(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise UnsoundError for the first tensor that is missing or has the wrong shape."""
+    """Raise InvalidTensorError for the first tensor that is missing or has the wrong shape."""
     for name, shape in shapes.items():
         if name not in tensors:
             raise InvalidTensorError(f"{name} is missing")

@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Utilities of all processes: start-up, termination by signals, real-time limits, latency statistics.
-
-May import nothing of hydro but `errors`; every executable may import it.
-"""
+"""Utilities of all processes: start-up, termination by signals, real-time limits, latency statistics."""

@@ -67,9 +67,8 @@ class LazyMain:
 
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
-        endings.install_handlers(
-            endings.exit_during_startup
-        )  # importing takes seconds, and a traceback would not help the user
+        # Importing takes seconds, and a traceback would not help the user.
+        endings.install_handlers(endings.exit_during_startup)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, endings.SIGNALS)  # a companion's are held back until here
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
@@ -78,24 +77,16 @@ class LazyMain:
             return 2
         try:
             status: int | None = import_module(self._module).main()
+            return status
         except UserError as error:  # a file of the user's that is read with the module, such as a grown effect
             endings.print_error(str(error))
-            return 2
         except ModuleNotFoundError as error:
-            return _without_ros(error)
-        finally:
-            endings.install_handlers(
-                signal.SIG_DFL
-            )  # clean-up is complete, and Python's shutdown is not to be interrupted
-        return status
-
-
-def _without_ros(error: ModuleNotFoundError) -> int:
-    """Say that a node was started where no ROS 2 is; another missing module is a fault and is raised."""
-    if (error.name or "").partition(".")[0] not in _ROS:
-        raise error
-    endings.print_error(f"this command is a ROS 2 node, and there is no {error.name} here: source a workspace")
-    return 2
+            if (error.name or "").partition(".")[0] not in _ROS:
+                raise
+            endings.print_error(f"this command is a ROS 2 node, and there is no {error.name} here: source a workspace")
+        finally:  # clean-up is complete, and Python's shutdown is not to be interrupted
+            endings.install_handlers(signal.SIG_DFL)
+        return 2
 
 
 main_of = LazyMain()

@@ -14,8 +14,7 @@ import re
 import shlex
 
 from hydro_bridge.nodes import bridge
-from hydro_bridge.nodes.plant_node import run_plant
-from hydro_bridge.ros.node import ros_arguments
+from hydro_bridge.ros.node import ros_arguments, run_node
 from hydro_core.cli.console import UserError, command
 from hydro_filter.controller.factory import parse_args
 from hydro_filter.nodes.filter import FilterNode
@@ -49,4 +48,4 @@ def main() -> None:
         raise UserError(f"two nodes are here: say which by -r {asked.plant}:__node:=NAME or -r filter:__node:=NAME")
     choice.describe()  # a missing file is refused before ROS starts
     make = PLANTS[asked.plant](words)
-    run_plant(lambda: make(FilterNode(choice, settings, handed=True)), ros)
+    run_node(lambda: make(FilterNode(choice, settings, handed=True)), ros)

@@ -13,9 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode, run_plant
+from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.ros.diagnostics import Status
-from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments
+from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.safety.pace import Pace, PaceSettings, reject_speed_option
@@ -42,7 +42,7 @@ class SimulatedPlant(Simulation):
     """The bench file's effects that are simulated."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
+        """See `hydro_bridge.safety.plant_side.PlantSide`."""
         values = {
             "samples": self.samples,
             "simulated seconds per second": self.mean_speed(),
@@ -142,4 +142,4 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     make = plant_factory(own)
-    run_plant(lambda: make(None), ros)
+    run_node(lambda: make(None), ros)

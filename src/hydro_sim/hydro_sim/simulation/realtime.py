@@ -24,9 +24,9 @@ from functools import partial
 from typing import Annotated, Any
 
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.pace import Pace, PaceSettings, parse_pace
+from hydro_bridge.safety.pace import Pace, parse_pace
+from hydro_bridge.safety.plant_side import PlantSide
 from hydro_bridge.serial.protocol import LawState
-from hydro_core.clock import HostClock, clock_step_message
 from hydro_core.process.realtime import Pacer, disable_timer_slack
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
@@ -58,22 +58,20 @@ class SimSettings:
         parse_pace(self.pace)
 
 
-class Simulation:
+class Simulation(PlantSide):
     """A running simulation.
 
     Parameters
     ----------
-    box, plant, guard
-        The parts; `run` alone touches box and plant.
+    box, plant
+        The parts; `run` alone touches them.
     settings
         Pace and seed.
     on_state
         Called in the thread of `run` with each sample's stamp [ns], ROS time in real time, else the simulation's own,
         and with its record as a tuple in the order of STATE_DTYPE.
-    log
-        Called with a sentence when something changes.
-    pace
-        Knows whose answers each sample waits for.
+    guard, log, pace
+        See `PlantSide`.
     """
 
     def __init__(
@@ -86,21 +84,13 @@ class Simulation:
         log: Callable[[str], None],
         pace: Pace | None = None,
     ) -> None:
-        self.guard, self.settings = guard, settings
-        self.lock = threading.Lock()
-        self.pace, self._answered = pace or Pace(PaceSettings(), log), threading.Event()
+        super().__init__(guard, log, pace=pace)
+        self.settings, self._answered = settings, threading.Event()
         self.pace.go_on = self._answered.set
-        factor = parse_pace(settings.pace)
-        self.paced, self.real_time = factor is None, factor == 1.0
-        """Whether each sample waits for answers; whether stamps are ROS time and commands age by the host's clock."""
-        self.pacer = Pacer(SAMPLE_PERIOD / (factor or 1.0))
-        self.host_clock = HostClock()
-        self.samples = 0
-        self.flags = 0
-        self._box, self._plant = box, plant
-        self._on_state, self._log = on_state, log
+        self._factor = parse_pace(settings.pace)
+        self.pacer = Pacer(SAMPLE_PERIOD / (self._factor or 1.0))
+        self._box, self._plant, self._on_state = box, plant, on_state
         self._stopping = threading.Event()
-        self._confirmed = threading.Condition()
         self._began = time.monotonic()
 
     @property
@@ -108,6 +98,16 @@ class Simulation:
         """State of the force law in the present sample, for `on_state`; None: the paper's law."""
         state = self._box.state[0]
         return law_state(state) if state["acting"]["law"] else None
+
+    @property
+    def real_time(self) -> bool:
+        """Whether stamps are ROS time, and commands age by the host's clock."""
+        return self._factor == 1.0
+
+    @property
+    def paced(self) -> bool:
+        """Whether each sample waits for answers."""
+        return self._factor is None
 
     def now(self) -> float:
         """Time [s] by which commands and leases age: the host's monotonic clock, or the simulation's own."""
@@ -131,13 +131,17 @@ class Simulation:
                 command = self.guard.command(self.now())
             self._box.receive(command, now)
             sample = self._box.tick(measurement, now)
-            stamp = self._stamp()
+            stamp = self.samples * round(1e9 * SAMPLE_PERIOD)
+            if self.real_time:
+                stamp = self._ros_time(self.pacer.deadline_ns)  # without the jitter of waking up
             fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
             if not self.real_time:
                 fields = (*fields[:-1], fields[-1] | Flag.PACED)
             with self.lock:
                 self.guard.note_sample(fields[1], fields[_NOMINAL])
-            self._note_flags(fields[-1])
+            if fields[-1] & ~self.flags & Flag.TRIPPED:
+                self._log(f"tripped: {flag_names(fields[-1])}")
+            self._show(fields[-1])
             publish = partial(self._on_state, stamp, fields)
             if self.paced:
                 self._answered.clear()
@@ -161,27 +165,6 @@ class Simulation:
         if corrects is None:
             self.pace.release()
 
-    def arm(self, arm: bool, timeout: float = 0.5) -> str:
-        """Arm or disarm and wait for the box to confirm; return why not, or nothing. Not for the thread of `run`."""
-        with self.lock:
-            if arm and self.flags & Flag.TRIPPED:
-                return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
-            self.guard.set_arm(arm)
-
-        def done() -> bool:
-            return bool(self.flags & Flag.ARMED) == arm
-
-        if self.paced:
-            confirmed = self.pace.run_until(done)
-        else:
-            with self._confirmed:
-                confirmed = self._confirmed.wait_for(done, timeout)
-        if confirmed:
-            return ""
-        with self.lock:
-            self.guard.set_arm(False)
-        return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
-
     def warm_up(self) -> FloatArray:
         """Compile all kernels before deadlines begin; return the first measurement. Repeated calls cost nothing."""
         begin = time.monotonic()
@@ -193,20 +176,3 @@ class Simulation:
         if taken > 1.0:
             self._log(f"compiled in {taken:.1f} s; the next start takes it from numba's cache")
         return self._plant.reset(self.settings.seed)
-
-    def _stamp(self) -> int:
-        """Stamp [ns] of the present sample: ROS time in real time, else the simulation's own."""
-        if not self.real_time:
-            return self.samples * round(1e9 * SAMPLE_PERIOD)
-        step = self.host_clock.detect_step()
-        if step:
-            self._log(clock_step_message(step))
-        return self.host_clock.ros_time(self.pacer.deadline_ns)  # without the jitter of waking up
-
-    def _note_flags(self, flags: int) -> None:
-        changed, self.flags = flags ^ self.flags, flags
-        if changed & Flag.TRIPPED and flags & Flag.TRIPPED:
-            self._log(f"tripped: {flag_names(flags)}")
-        if changed:
-            with self._confirmed:
-                self._confirmed.notify_all()

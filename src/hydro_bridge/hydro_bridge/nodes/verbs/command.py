@@ -58,56 +58,33 @@ def to_plain(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else value
 
 
-def to_yaml(value: Any) -> str:
-    """Return a message or plain value as YAML, one field per line."""
-    text = yaml.safe_dump(to_plain(value), sort_keys=False, allow_unicode=True, width=float("inf"))
-    return text.removesuffix("...\n")
-
-
-def parse_yaml(text: str) -> dict[str, Any]:
-    """Parse a mapping written as YAML, `{}` for none; raises UserError."""
-    try:
-        values = yaml.safe_load(text) if text.strip() else {}
-    except yaml.YAMLError as error:
-        raise UserError(f"{text!r} is no YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(values, dict):
-        raise UserError(f"{text!r}: give fields as YAML, such as '{{data: true}}'")
-    return values
-
-
 def set_fields(message: Any, values: Mapping[str, Any]) -> None:
     """Set a message's fields from a mapping; raises UserError for an unknown field or a value of the wrong type.
 
     The message must be created with `check_fields=True`: otherwise ROS accepts any value, and fails on sending.
     """
+
+    def made(type_name: str, value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            raise TypeError
+        nested = interface(type_name, "msg")(check_fields=True)
+        set_fields(nested, value)
+        return nested
+
     kinds = message.get_fields_and_field_types()
     for name, value in values.items():
         if name not in kinds:
             raise UserError(f"{type(message).__name__} has no field {name}; it has: {', '.join(kinds) or 'none'}")
+        nested = _ELEMENT.fullmatch(kinds[name])
         try:
-            setattr(message, name, _converted(getattr(message, name), value, kinds[name]))
+            if isinstance(getattr(message, name), float):
+                value = float(value)
+            elif nested is not None:
+                several = isinstance(value, Sequence)
+                value = [made(nested[1], one) for one in value] if several else made(nested[1], value)
+            setattr(message, name, value)
         except (AssertionError, TypeError, ValueError, OverflowError):
-            raise UserError(f"{name}: {value!r} is no {kinds[name]}") from None
-
-
-def _converted(before: Any, value: Any, kind: str) -> Any:
-    """Convert `value` to the type of a field; messages, or lists of them, are made from mappings."""
-    named = _ELEMENT.fullmatch(kind)
-    if isinstance(before, float):
-        return float(value)
-    if named is None:
-        return value
-    if not isinstance(value, Sequence):
-        return _made(named[1], value)
-    return [_made(named[1], entry) for entry in value]
-
-
-def _made(type_name: str, values: Mapping[str, Any]) -> Any:
-    if not isinstance(values, Mapping):
-        raise TypeError
-    message = interface(type_name, "msg")(check_fields=True)
-    set_fields(message, values)
-    return message
+            raise UserError(f"{name}: {values[name]!r} is no {kinds[name]}") from None
 
 
 _SPIN_TIME = 1.0
@@ -149,17 +126,6 @@ def wait_for(condition: Callable[[], object], sentence: str, patience: float = D
         time.sleep(_LOOK)
 
 
-def absolute_name(name: str) -> str:
-    """Return a name with its leading slash."""
-    return name if name.startswith("/") else f"/{name}"
-
-
-def wait_for_types(offered: Callable[[], list[tuple[str, list[str]]]], name: str, sentence: str) -> list[str]:
-    """Return the types of a topic or service once it is in the graph; raises UserError with `sentence`."""
-    wait_for(lambda: name in dict(offered()), sentence)
-    return list(dict(offered())[name])
-
-
 GROUPS = {
     "topic": "topics of the running graph: list, echo, hz",
     "node": "nodes of the running graph: list",
@@ -171,7 +137,6 @@ _WINDOW = 5000
 """Messages that count for a rate."""
 _REPORT = 1.0  # s
 _PUBLISHER = 3.0  # s, for the first publisher to be discovered; a later one is heard, but not its latched message
-_UNITS = ("B", "KiB", "MiB", "GiB")
 
 
 class Parser(argparse.ArgumentParser):
@@ -244,7 +209,8 @@ def _topic_echo(options: argparse.Namespace) -> None:
     done = Future()
 
     def show(message: Any) -> None:
-        print(f"{to_yaml(message)}---", flush=True)
+        text = yaml.safe_dump(to_plain(message), sort_keys=False, allow_unicode=True, width=float("inf"))
+        print(f"{text}---", flush=True)
         if options.once:
             done.set_result(None)
 
@@ -263,7 +229,14 @@ def _topic_hz(options: argparse.Namespace) -> None:
 
     def report() -> None:
         nonlocal new
-        print(_rate(times) if new else "no new messages", flush=True)
+        stamps, told = list(times), "no new messages"
+        steps = [later - earlier for earlier, later in pairwise(stamps)]
+        if new > 0 and sum(steps) > 0.0:
+            told = (
+                f"average rate: {len(steps) / sum(steps):.3f}\n\tmin: {min(steps):.3f}s max: {max(steps):.3f}s "
+                f"std dev: {statistics.pstdev(steps):.5f}s window: {len(stamps)}"
+            )
+        print(told, flush=True)
         new = 0
 
     _listen(options.topic, count, Future(), report)
@@ -286,26 +259,16 @@ def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Calla
         return acted
 
     with temporary_node() as node:
-        topic = absolute_name(topic)
-        kinds = wait_for_types(node.get_topic_names_and_types, topic, f"nobody publishes or hears {topic}")
+        topic = f"/{topic.removeprefix('/')}"
+        wait_for(lambda: topic in dict(node.get_topic_names_and_types()), f"nobody publishes or hears {topic}")
+        kind = interface(dict(node.get_topic_names_and_types())[topic][0], "msg")
         qos, raw = _offered_qos(node, topic), report is not None
-        node.create_subscription(interface(kinds[0], "msg"), topic, guarded(hear), qos, raw=raw)
+        node.create_subscription(kind, topic, guarded(hear), qos, raw=raw)
         if report is not None:
             node.create_timer(_REPORT, guarded(report))
         spin(node, done)
     if done.done():
         done.result()
-
-
-def _rate(times: deque[float]) -> str:
-    stamps = list(times)
-    steps = [later - earlier for earlier, later in pairwise(stamps)]
-    if not steps or not sum(steps):
-        return "no new messages"
-    return (
-        f"average rate: {len(steps) / sum(steps):.3f}\n\tmin: {min(steps):.3f}s max: {max(steps):.3f}s "
-        f"std dev: {statistics.pstdev(steps):.5f}s window: {len(stamps)}"
-    )
 
 
 def _offered_qos(node: Node, topic: str) -> QoSProfile:
@@ -327,11 +290,18 @@ def _offered_qos(node: Node, topic: str) -> QoSProfile:
 
 
 def _service_call(options: argparse.Namespace) -> None:
-    service, kind = absolute_name(options.service), interface(options.type, "srv")
+    service, kind, text = f"/{options.service.removeprefix('/')}", interface(options.type, "srv"), options.values
+    try:
+        values = yaml.safe_load(text) if text.strip() else {}
+    except yaml.YAMLError as error:
+        raise UserError(f"{text!r} is no YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(values, dict):
+        raise UserError(f"{text!r}: give fields as YAML, such as '{{data: true}}'")
     request = kind.Request(check_fields=True)
-    set_fields(request, parse_yaml(options.values))
+    set_fields(request, values)
     with temporary_node() as node:
-        offered = wait_for_types(node.get_service_names_and_types, service, f"nobody offers the service {service}")
+        wait_for(lambda: service in dict(node.get_service_names_and_types()), f"nobody offers the service {service}")
+        offered = dict(node.get_service_names_and_types())[service]
         if f"{kind.__module__.partition('.')[0]}/srv/{kind.__name__}" not in offered:
             raise UserError(f"{service} is of type {', '.join(offered)}, not {options.type}")
         client = node.create_client(kind, service)
@@ -363,27 +333,23 @@ def _bag_info(options: argparse.Namespace) -> None:
         for topic, kind in sorted(kinds.items())
     ]
     begin, end = min(times, default=0), max(times, default=0)
+    size, units = float(sum(scan.path.stat().st_size for scan in source.scans)), ["B", "KiB", "MiB", "GiB"]
+    while size >= 1024.0 and len(units) > 1:
+        size, units = size / 1024.0, units[1:]
+
+    def date(time_ns: int) -> str:
+        seconds, rest = divmod(time_ns, 1_000_000_000)
+        words = datetime.fromtimestamp(seconds, timezone.utc).strftime("%b %d %Y %H:%M:%S")
+        return f"{words}.{rest:09d} UTC ({seconds}.{rest:09d})"
+
     lines = {
         "Files:": "  ".join(scan.path.name for scan in source.scans),
-        "Bag size:": _size(sum(scan.path.stat().st_size for scan in source.scans)),
+        "Bag size:": f"{size:.1f} {units[0]}",
         "Storage id:": "mcap",
         "Duration:": f"{1e-9 * (end - begin):.9f}s",
-        "Start:": _date(begin),
-        "End:": _date(end),
+        "Start:": date(begin),
+        "End:": date(end),
         "Messages:": str(counts.total()),
         "Topic information:": f"\n{'':19}".join(topics),
     }
     print("\n".join([*(f"{name:<19}{value}" for name, value in lines.items()), *source.notes]))
-
-
-def _date(time_ns: int) -> str:
-    seconds, rest = divmod(time_ns, 1_000_000_000)
-    words = datetime.fromtimestamp(seconds, timezone.utc).strftime("%b %d %Y %H:%M:%S")
-    return f"{words}.{rest:09d} UTC ({seconds}.{rest:09d})"
-
-
-def _size(count: float) -> str:
-    unit = 0
-    while count >= 1024.0 and unit < len(_UNITS) - 1:
-        count, unit = count / 1024.0, unit + 1
-    return f"{count:.1f} {_UNITS[unit]}"

@@ -24,8 +24,6 @@ from hydro_bridge.ros.companion import Companion
 from hydro_core.cli.console import UserError
 from hydro_core.process.endings import signals_ignored
 
-_YES, _NO = ("true", "1"), ("false", "0")
-
 
 @dataclass
 class LaunchContext:
@@ -85,12 +83,13 @@ def package_share(package: str) -> str:
 
 def IfCondition(predicate_expression: SomeSubstitutions) -> Callable[[LaunchContext], bool]:
     """Condition on a process; UserError if it is neither true nor false."""
+    values = {"true": True, "1": True, "false": False, "0": False}
 
     def holds(context: LaunchContext) -> bool:
         word = perform_substitution(predicate_expression, context).strip().lower()
-        if word not in _YES + _NO:
+        if word not in values:
             raise UserError(f"{word!r} is neither true nor false")
-        return word in _YES
+        return values[word]
 
     return holds
 
@@ -186,21 +185,9 @@ class ExecuteProcess:
     output: str = "log"
     emulate_tty: bool = False
     sigterm_timeout: SomeSubstitutions = "5"
+    """s that it has to end before SIGKILL."""
     on_exit: Shutdown | None = None
     condition: Callable[[LaunchContext], bool] | None = None
-
-    def shutdown_timeout(self, context: LaunchContext) -> float:
-        """Return the time [s] that the process has to end before SIGKILL."""
-        return float(perform_substitution(self.sigterm_timeout, context))
-
-    def command(self, context: LaunchContext) -> tuple[str, str, list[str]]:
-        """Return package, executable and arguments; raises UserError."""
-        program, *words = self.cmd
-        if not isinstance(program, ExecutableInPackage):
-            raise UserError(
-                f"{perform_substitution(program, context)}: a process that is not an executable of a package"
-            )
-        return program.package, program.executable, [perform_substitution(word, context) for word in words]
 
 
 def Node(
@@ -250,9 +237,6 @@ def load(path: Path) -> LaunchDescriptionEntity:
     return made
 
 
-_LOOK = 0.1  # s
-
-
 def processes(entity: LaunchDescriptionEntity | ExecuteProcess, context: LaunchContext) -> Iterator[ExecuteProcess]:
     """Return all processes of a description whose conditions hold, in its order; raises UserError."""
     if isinstance(entity, ExecuteProcess):
@@ -265,76 +249,68 @@ def processes(entity: LaunchDescriptionEntity | ExecuteProcess, context: LaunchC
         raise UserError(f"{entity!r}: an entry that needs a full ROS 2 Jazzy")
 
 
+_LOOK = 0.1  # s
+
+
 def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
     """Start all processes, and wait until all of them, or one that shuts down the others, have ended.
 
-    Returns
-    -------
-    0, or 1 if a process that ended by itself had a non-zero exit status.
-
-    Raises
-    ------
-    UserError
-        An argument is missing or refused; nothing was started.
-    CompanionError
-        An executable is missing; the processes already started have been ended.
+    Returns 0, or 1 if a process that ended by itself had a non-zero exit status. Raises UserError: an argument is
+    missing or refused; nothing was started. CompanionError: an executable is missing; the processes already started
+    have been ended.
     """
     context = LaunchContext(values)
-    wanted = list(processes(entity, context))
-    planned = [(process, process.shutdown_timeout(context), process.command(context)) for process in wanted]
+    planned = []
+    for process in list(processes(entity, context)):
+        program, *rest = process.cmd
+        if not isinstance(program, ExecutableInPackage):
+            said = perform_substitution(program, context)
+            raise UserError(f"{said}: a process that is not an executable of a package")
+        words = [perform_substitution(word, context) for word in rest]
+        planned.append((process, program, words, float(perform_substitution(process.sigterm_timeout, context))))
     if not planned:
         raise UserError("nothing is to be started")
-    started: list[tuple[Companion, ExecuteProcess, float]] = []
+    started: list[tuple[Companion, float]] = []
+    running: list[tuple[Companion, Shutdown | None]] = []
+    failed = False
     try:
-        for number, (process, seconds, (package, executable, words)) in enumerate(planned, 1):
-            output = partial(print, end="", flush=True)
-            companion = Companion(package, executable, words, name=f"{executable}-{number}", output=output)
-            started.append((companion, process, seconds))
-            print(f"[INFO] [{companion.name}]: process started with pid [{companion.process.pid}]", flush=True)
-        return _follow([(companion, process) for companion, process, _ in started])
+        for number, (process, program, words, patience) in enumerate(planned, 1):
+            name, output = f"{program.executable}-{number}", partial(print, end="", flush=True)
+            companion = Companion(program.package, program.executable, words, name=name, output=output)
+            started.append((companion, patience))
+            running.append((companion, process.on_exit))
+            print(f"[INFO] [{name}]: process started with pid [{companion.process.pid}]", flush=True)
+        while running:
+            time.sleep(_LOOK)
+            for companion, on_exit in [one for one in running if not one[0].running]:
+                running.remove((companion, on_exit))
+                status = companion.process.returncode
+                failed = failed or status != 0
+                how = "process has finished cleanly" if status == 0 else f"process has died, exit code {status}"
+                print(f"[{'ERROR' if status else 'INFO'}] [{companion.name}]: {how}", flush=True)
+                if on_exit is not None:
+                    print(f"[INFO] [launch]: {on_exit.reason or 'shutdown'}", flush=True)
+                    return int(failed)
+        return int(failed)
     finally:
         with signals_ignored():
-            for companion, _, seconds in reversed(started):
-                companion.stop(seconds)
-
-
-def _follow(running: list[tuple[Companion, ExecuteProcess]]) -> int:
-    failed = False
-    while running:
-        time.sleep(_LOOK)
-        for companion, process in list(running):
-            if companion.running:
-                continue
-            running.remove((companion, process))
-            status = companion.process.returncode
-            failed = failed or status != 0
-            how = "process has finished cleanly" if status == 0 else f"process has died, exit code {status}"
-            print(f"[{'ERROR' if status else 'INFO'}] [{companion.name}]: {how}", flush=True)
-            if process.on_exit is not None:
-                print(f"[INFO] [launch]: {process.on_exit.reason or 'shutdown'}", flush=True)
-                return int(failed)
-    return int(failed)
+            for companion, patience in reversed(started):
+                companion.stop(patience)
 
 
 def launch(package: str, rest: list[str]) -> int:
     """Run `ros2 launch PACKAGE REST...`; returns the exit status and raises as `run`."""
     install_modules()
-    file, words = _file(package, rest)
-    return run(load(file), _values(words))
-
-
-def _file(package: str, rest: list[str]) -> tuple[Path, list[str]]:
-    """Return the launch file and the words after it; raises UserError."""
-    if Path(package).is_file():
-        return Path(package), rest
-    files = {path.name: path for path in sorted(Path(package_share(package), "launch").glob("*.launch.py"))}
-    if not rest or rest[0] not in files:
-        raise UserError(f"ros2 launch {package}: which launch file? It has: {', '.join(files) or 'none'}")
-    return files[rest[0]], rest[1:]
-
-
-def _values(words: list[str]) -> dict[str, str]:
+    path, words = Path(package), rest
+    if not path.is_file():
+        files = {file.name: file for file in sorted(Path(package_share(package), "launch").glob("*.launch.py"))}
+        if not rest or rest[0] not in files:
+            raise UserError(f"ros2 launch {package}: which launch file? It has: {', '.join(files) or 'none'}")
+        path, words = files[rest[0]], rest[1:]
+    values = {}
     for word in words:
-        if ":=" not in word:
+        name, given, value = word.partition(":=")
+        if not given:
             raise UserError(f"{word}: must be name:=value")
-    return {name: value for name, _, value in (word.partition(":=") for word in words)}
+        values[name] = value
+    return run(load(path), values)

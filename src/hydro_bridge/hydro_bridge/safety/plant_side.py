@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A plant behind a plant node, in a thread of its own: the bridge's `Link` and the simulation. No ROS."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+from hydro_bridge.safety.guard import CommandGuard
+from hydro_bridge.safety.pace import Pace, PaceSettings
+from hydro_core.clock import HostClock, clock_step_message
+from hydro_core.signals import Flag, flag_names
+
+Say = Callable[[str], None]
+
+
+class PlantSide(ABC):
+    """Arms a plant and stamps its samples.
+
+    `guard`: asked for every command. `log`, `warn`: take a sentence when something changes, and when something is
+    wrong; `log` by default. `pace`: knows whose answers each sample waits for.
+    """
+
+    absent = ""
+    """Why no plant is there; empty: it is."""
+    no_sample_message = ""
+    """Why no samples come of a plant that is there; empty: they do."""
+
+    def __init__(self, guard: CommandGuard, log: Say, warn: Say | None = None, pace: Pace | None = None) -> None:
+        self.guard, self.pace = guard, pace or Pace(PaceSettings(), log)
+        self.lock = threading.Lock()
+        """Held while the guard is used."""
+        self.flags = self.samples = 0
+        """Flags of the last sample; number of samples."""
+        self.host_clock = HostClock()
+        self._log, self._warn = log, warn or log
+        self._news, self._asked = threading.Condition(), False
+
+    @property
+    @abstractmethod
+    def real_time(self) -> bool:
+        """Whether stamps are ROS time, and commands age by the host's clock."""
+
+    @property
+    @abstractmethod
+    def paced(self) -> bool:
+        """Whether each sample waits for the answers to the last one."""
+
+    @abstractmethod
+    def now(self) -> float:
+        """Time [s] by which commands and leases age: the host's monotonic clock, or the plant's own."""
+
+    @abstractmethod
+    def send(self, corrects: int | None = None) -> None:
+        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
+
+    def status(self) -> Any:
+        """Status for /diagnostics, besides flags and guard."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def run(self) -> None:
+        """Run the plant until `stop`; the body of its thread."""
+
+    @abstractmethod
+    def stop(self) -> None:
+        """End `run`."""
+
+    def arm(self, arm: bool, timeout: float = 0.5) -> str:
+        """Arm or disarm, await the box's confirmation and return why it failed, or nothing. Not for `run`'s thread."""
+        with self.lock:
+            if arm and self.absent:
+                return f"there is no box: {self.absent}"
+            if arm and self.flags & Flag.TRIPPED:
+                return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
+            self.guard.set_arm(arm)
+            before = self.samples
+
+        def done() -> bool:
+            return bool(self.absent) or self._confirms(arm, before)
+
+        if self.paced:
+            confirmed = self.pace.run_until(done)
+        else:
+            with self._news:
+                self._asked = True  # each sample is news
+                confirmed = self._news.wait_for(done, timeout)
+                self._asked = False
+        if self.absent:
+            return "the box has gone while it was to be armed: it is not armed" if arm else ""
+        if confirmed:
+            return ""
+        with self.lock:
+            self.guard.set_arm(False)
+        if self.no_sample_message:
+            return f"the box sends no samples: {self.no_sample_message}"
+        return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
+
+    def _confirms(self, arm: bool, before: int) -> bool:
+        """Return whether the last sample confirms an arming or disarming that was asked for after `before` samples."""
+        return bool(self.flags & Flag.ARMED) == arm
+
+    def _show(self, flags: int) -> None:
+        """Take the flags of a new sample."""
+        changed, self.flags = flags ^ self.flags, flags
+        if changed & (Flag.ARMED | Flag.TRIPPED) or self._asked:
+            with self._news:
+                self._news.notify_all()
+
+    def _ros_time(self, monotonic_ns: int) -> int:
+        """Return the ROS time [ns] of a monotonic time [ns], after a look whether the host's clock was set."""
+        if step := self.host_clock.detect_step():
+            self._warn(clock_step_message(step))
+        return self.host_clock.ros_time(monotonic_ns)
