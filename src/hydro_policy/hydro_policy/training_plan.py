@@ -124,7 +124,6 @@ class TrainingPlan(Plan):
         self._good, self._best = best, best
         if best is not None:
             learner.save_policy(best)
-        self._exact = False  # whether the plant waits for the learner, so that a run is a function of its seed
         self._fresh = True  # no episode has passed since the box was armed
         self._trial = self._due()
 
@@ -164,7 +163,7 @@ class TrainingPlan(Plan):
                 self._trial = self.exam.trial
                 return ""
             best = self.add_exam(self.scores, self.policy.digest())
-        self.learner.save(self.state(), best, exact=self._exact)
+        self.learner.save(self.state(), best)
         self._trial = self._due()
         return ""
 
@@ -176,9 +175,8 @@ class TrainingPlan(Plan):
 
     def wait(self, *, exact: bool) -> None:
         """See `Plan`."""
-        self._exact = exact
-        if exact:
-            self.learner.settle()
+        self.learner.exact = exact
+        self.learner.settle()
 
     def poll(self) -> str:
         """See `Plan`."""
@@ -287,7 +285,7 @@ class TrainingPlan(Plan):
 
     def propose(self) -> FloatArray | None:
         """Take the learner's state as candidate; returns its actor's parameters, None if there is no state yet."""
-        self._candidate = self.learner.snapshot(exact=self._exact)
+        self._candidate = self.learner.snapshot()
         return None if self._candidate is None else actor_parameters(self._candidate)
 
     def _accept(self, best: bool = False) -> None:

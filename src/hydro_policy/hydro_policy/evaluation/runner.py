@@ -23,7 +23,7 @@ import numpy as np
 
 from hydro_core.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains
 from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.runs.run import RunRecord
@@ -182,14 +182,17 @@ class TrialRunner(Generic[P]):
                 self._on_trip(flags, sample)
             self._pause(run, self.watch.condition)
             return False
-        held = self.override.gains(now)
-        if held is not None:
-            return self._hold(trial, self._in_law(held), sequence, step)
+        compensated = self.compensation is not None and self.compensation.acting is Law.COMPENSATED
+        if (held := self.override.gains(now)) is not None:
+            if self.compensation is not None and compensated:  # changes of the gains of the law that acts
+                base, law = self.override.base, self.compensation.law
+                held = base[0] + held[0] - law.base_kp, base[1] + held[1] - law.base_ki
+            return self._hold(trial, held, sequence, step)
         if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
             self.watch.acted(now)
-            compensated = self.compensation is not None and self.compensation.acting is Law.COMPENSATED
-            gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
-            return self._hold(trial, gains, sequence, step)
+            return self._hold(
+                trial, (0.0, 0.0) if compensated else FALLBACK, sequence, step
+            )  # as the guard passes them
         if self._run is None:
             if not self.watch.may_begin(now):
                 self._step_ended = False
@@ -201,7 +204,23 @@ class TrialRunner(Generic[P]):
         elif isinstance(self._run.trial.controller, Explorer) and self.watch.unready(now):
             return False  # a person has held the gains: the plant is disarmed, and the episode is begun again
         self.watch.acted(now)
-        return self._advance(self._run, sequence, sample, flags, step)
+        run, explorer = self._run, self._run.trial.controller
+        if not isinstance(explorer, Explorer):
+            self._measure(run, sequence, sample, flags)
+        elif step is not None:
+            reason = None if self.monitor is None else self.monitor.add(step)
+            if reason is not None:
+                self._stop(run.trial, reason, sample)
+            else:
+                explorer.act(step)
+            if explorer.finished and self._run is run:
+                self._end(run)
+        else:
+            return False
+        due = self.plan.trial
+        if self._run is None and due is not None and isinstance(due.controller, Explorer) and not self.watch.calming:
+            self._run = self._begin(due, sequence)  # its first step is the next one
+        return step is not None
 
     def _hold(self, trial: Trial, gains: tuple[float, float], sequence: int, step: Step | None) -> bool:
         """Send gains that are not the controller's: an episode goes on, any other trial is begun again once it may."""
@@ -258,13 +277,6 @@ class TrialRunner(Generic[P]):
             self._add(trial.stopped(why))
         self._run = None
 
-    def _in_law(self, gains: tuple[float, float]) -> tuple[float, float]:
-        """Return changes [1/s], [1/s^2] of the paper's base gains as changes of those of the law that acts."""
-        if self.compensation is None or self.compensation.acting is Law.PAPER:
-            return gains
-        base, law = self.override.base, self.compensation.law
-        return base[0] + gains[0] - law.base_kp, base[1] + gains[1] - law.base_ki
-
     def on_tick(self, now: float) -> None:
         """Handle a tick, some twenty times a second."""
         self.watch.on_tick(now)
@@ -291,25 +303,6 @@ class TrialRunner(Generic[P]):
             self.monitor.reset()
         self._outputs.reference(trial.case.signal)
         return _Run(trial, sequence, sequence - 1)
-
-    def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int, step: Step | None) -> bool:
-        trial, explorer = run.trial, run.trial.controller
-        if isinstance(explorer, Explorer):
-            if step is None:
-                return False
-            reason = None if self.monitor is None else self.monitor.add(step)
-            if reason is not None:
-                self._stop(trial, reason, sample)
-            else:
-                explorer.act(step)
-            if explorer.finished and self._run is run:
-                self._end(run)
-        else:
-            self._measure(run, sequence, sample, flags)
-        due = self.plan.trial
-        if self._run is None and due is not None and isinstance(due.controller, Explorer) and not self.watch.calming:
-            self._run = self._begin(due, sequence)  # its first step is the next one
-        return step is not None
 
     def _measure(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> None:
         trial = run.trial
@@ -344,8 +337,10 @@ class TrialRunner(Generic[P]):
             return
         trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
-        bits = held(flags, k_p, k_i, self._base(controller))
-        if _own(controller) == self._base(controller):
+        bits, asked = held(flags, k_p, k_i, self._base(controller)), None  # None of a policy, whose gains change
+        if isinstance(controller, (FixedGains, Compensated)):
+            asked = controller.proportional, controller.integral
+        if asked is not None and asked == self._base(controller):
             bits = np.zeros_like(bits)  # base gains replace none but themselves
         share = float(np.mean(bits != 0))
         missed, late = run.missed / (run.last - run.first + 1), ""
@@ -356,9 +351,15 @@ class TrialRunner(Generic[P]):
             late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY}"
         if late and share <= REPLACED and self._again(trial, late):
             return
-        if reason := self._replaced(controller, trace, share):
-            self._leave_out(trial, reason)
-            return
+        acted = float(np.median(k_p)), float(np.median(k_i))
+        if asked is None or not np.allclose(acted, np.array(asked, float), rtol=1e-3, atol=1e-3):
+            if share > REPLACED:
+                self._leave_out(trial, f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}")
+                return
+            if asked is not None:
+                gains = "K_p = {:g} and K_i = {:g} acted".format(*acted)
+                self._leave_out(trial, f"{gains}: widen the plant's gain limits (guard.delta_kp_max)")
+                return
         if late:
             self._warn(f"{trace.controller} at {trace.case}: {late}")
         felt = None if self._felt is None else load_force.read_forces(self._felt, trace.states["sequence"])
@@ -410,24 +411,7 @@ class TrialRunner(Generic[P]):
         """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
 
-    def _replaced(self, controller: Controller, trace: Trace, share: float) -> str:
-        """Return why a run tells nothing of its controller: other gains acted; empty if its own did."""
-        k_p, k_i = (float(np.median(trace.states[f"{name}_gain"])) for name in ("proportional", "integral"))
-        asked = _own(controller)
-        fixed = None not in asked  # else a policy, whose gains change
-        if fixed and np.allclose((k_p, k_i), np.array(asked, float), rtol=1e-3, atol=1e-3):
-            return ""
-        if share > REPLACED:
-            return f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}"
-        narrow = f"K_p = {k_p:g} and K_i = {k_i:g} acted: widen the plant's gain limits (guard.delta_kp_max)"
-        return narrow if fixed else ""
-
     def _warn(self, sentence: str) -> None:
         if sentence not in self.warnings:
             self.warnings.append(sentence)
             self._outputs.say(sentence, warning=True)
-
-
-def _own(controller: Controller) -> tuple[float | None, float | None]:
-    """Return the fixed gains of a controller; None of one whose gains change."""
-    return getattr(controller, "proportional", None), getattr(controller, "integral", None)

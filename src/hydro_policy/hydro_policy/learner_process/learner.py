@@ -241,19 +241,6 @@ def run_learner(
     for number in (signal.SIGINT, signal.SIGHUP):  # sent to the whole terminal; the acting process ends this one
         signal.signal(number, signal.SIG_IGN)
     os.nice(niceness)
-    try:
-        compile_updates(settings.sac)
-        learner = Learner(memory, settings, run)  # ready from here on
-        _serve(learner, requests)
-    except Exception as error:
-        with suppress(OSError):
-            requests.send(LearnerFault(str(error) or type(error).__name__))
-        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence is sufficient
-            raise SystemExit(1) from None
-        raise
-
-
-def _serve(learner: Learner, requests: Connection) -> None:
     last: SaveRequest | None = None
 
     def save(request: SaveRequest) -> None:
@@ -263,9 +250,11 @@ def _serve(learner: Learner, requests: Connection) -> None:
             with suppress(OSError):
                 requests.send(LearnerFault(error.strerror or str(error), disk=True))
 
-    while True:
-        worked = learner.work()
-        try:
+    try:
+        compile_updates(settings.sac)
+        learner = Learner(memory, settings, run)  # ready from here on
+        while True:
+            worked = learner.work()
             while requests.poll(0.0 if worked else _IDLE):
                 request = requests.recv()
                 if request == END:
@@ -277,7 +266,12 @@ def _serve(learner: Learner, requests: Connection) -> None:
                 else:
                     last = request
                     save(request)
-        except EOFError:  # the acting process died: save what was learnt
-            if last is not None:
-                save(last)
-            return
+    except EOFError:  # the acting process died: save what was learnt
+        if last is not None:
+            save(last)
+    except Exception as error:
+        with suppress(OSError):
+            requests.send(LearnerFault(str(error) or type(error).__name__))
+        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence is sufficient
+            raise SystemExit(1) from None
+        raise

@@ -29,7 +29,7 @@ from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plant_options import add_rearm_option
+from hydro_policy.nodes.plant_options import add_option
 from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.task.cases import Case, Score
 from hydro_sim.box.box import EMULATED_BOX
@@ -107,7 +107,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--bench", metavar="FILE", help="bench.yaml of the box, kept in the recording (default: as the box says)"
     )
-    add_rearm_option(made)
+    add_option(made, "rearm")
     add_dashboard_option(made)
     return made
 

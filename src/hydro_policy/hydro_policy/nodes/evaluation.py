@@ -127,7 +127,9 @@ def remove_rejected(run: RunDirectory, node: GraphNode, *, made: bool = True) ->
     try:
         yield
     except CompanionError:
-        lost = node.companions.lost and not node.refused  # ended by itself: there is a recording, or it can be resumed
+        lost = (
+            node.companions.lost and not node.companions.refused
+        )  # ended by itself: there is a recording, or it can be resumed
         if made and not lost and node.timing.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(run.path, ignore_errors=True)
         raise

@@ -201,6 +201,13 @@ def network(flat, inputs, hidden, outputs):
 
 
 @njit
+def twins(flat, inputs, hidden):
+    """Return the layers of both critics, whose only output is padded to four."""
+    half = len(flat) // 2
+    return network(flat[:half], inputs, hidden, 4), network(flat[half:], inputs, hidden, 4)
+
+
+@njit
 def passed(net):
     """Return empty activations for a network."""
     hidden, outputs = net.w3.shape
@@ -290,24 +297,16 @@ def learn(agent, c, steps, rows, places, noise, losses):
     n, m, batch, kind = c.observations, c.actions, places.shape[1], agent.targets.dtype
     zero, one, two, share = kind.type(0.0), kind.type(1.0), kind.type(2.0), kind.type(1.0 / batch)
     first_action = four(n)  # row of the inputs
-    inputs, hidden, half = first_action + four(m), four(c.hidden), len(agent.targets) // 2
+    inputs, hidden = first_action + four(m), four(c.hidden)
     actor = network(agent.actor.parameters, first_action, hidden, four(2 * m))
     actor_gradient = network(agent.actor.gradient, first_action, hidden, four(2 * m))
-    q_1 = network(agent.critics.parameters[:half], inputs, hidden, 4)
-    q_2 = network(agent.critics.parameters[half:], inputs, hidden, 4)
-    gradient_1 = network(agent.critics.gradient[:half], inputs, hidden, 4)
-    gradient_2 = network(agent.critics.gradient[half:], inputs, hidden, 4)
-    target_1 = network(agent.targets[:half], inputs, hidden, 4)
-    target_2 = network(agent.targets[half:], inputs, hidden, 4)
-    of_actor, of_1, of_2 = passed(actor), passed(q_1), passed(q_2)
+    q, q_gradient = twins(agent.critics.parameters, inputs, hidden), twins(agent.critics.gradient, inputs, hidden)
+    target = twins(agent.targets, inputs, hidden)
+    of_actor, of_q = passed(actor), (passed(q[0]), passed(q[1]))
     now, following = np.zeros(inputs * ROW, kind), np.zeros(inputs * ROW, kind)  # [o, a] and [o', a'] as columns
-    slope_1, slope_2 = np.zeros(four(m) * ROW, kind), np.zeros(four(m) * ROW, kind)
-    reward, going_on, y, log_pi = (
-        np.empty(batch, kind),
-        np.empty(batch, kind),
-        np.empty(batch, kind),
-        np.empty(batch, kind),
-    )
+    slope = np.zeros(four(m) * ROW, kind), np.zeros(four(m) * ROW, kind)
+    reward, going_on = np.empty(batch, kind), np.empty(batch, kind)
+    y, log_pi = np.empty(batch, kind), np.empty(batch, kind)
     deviation, inside = np.empty((m, batch), kind), np.empty((m, batch), kind)
 
     for update in range(len(places)):
@@ -325,44 +324,43 @@ def learn(agent, c, steps, rows, places, noise, losses):
 
         # targets: y = c r + gamma (1 - d) (min_i Q'_i(o', a') - alpha log pi(a'|o')), a' ~ pi(o')
         sample(actor, c, following, noise[update, 0], of_actor, log_pi, deviation, inside)
-        forward(target_1, following, of_1, batch)
-        forward(target_2, following, of_2, batch)
+        for i in range(2):
+            forward(target[i], following, of_q[i], batch)
         for k in range(batch):
-            value = min(of_1.y[k], of_2.y[k]) - alpha * log_pi[k]
+            value = min(of_q[0].y[k], of_q[1].y[k]) - alpha * log_pi[k]
             y[k] = c.reward_scale * reward[k] + c.gamma * going_on[k] * value
 
         # critics: gradient of 1/2 sum_i mean (Q_i(o, a) - y)^2
-        forward(q_1, now, of_1, batch)
-        forward(q_2, now, of_2, batch)
+        for i in range(2):
+            forward(q[i], now, of_q[i], batch)
         squares = 0.0
         for k in range(batch):
-            error_1, error_2 = of_1.y[k] - y[k], of_2.y[k] - y[k]
-            of_1.gy[k], of_2.gy[k] = share * error_1, share * error_2
+            error_1, error_2 = of_q[0].y[k] - y[k], of_q[1].y[k] - y[k]
+            of_q[0].gy[k], of_q[1].gy[k] = share * error_1, share * error_2
             squares += error_1 * error_1 + error_2 * error_2
-        backward(q_1, now, of_1, batch, gradient_1)
-        backward(q_2, now, of_2, batch, gradient_2)
+        for i in range(2):
+            backward(q[i], now, of_q[i], batch, q_gradient[i])
         adam(agent.critics, step)
         losses[update, 0] = 0.5 * squares / batch
 
         # actor: gradient of mean(alpha log pi(a|o) - min_i Q_i(o, a)), a = tanh(u), u = mu + sigma eps
         sample(actor, c, now, noise[update, 1], of_actor, log_pi, deviation, inside)
-        forward(q_1, now, of_1, batch)
-        forward(q_2, now, of_2, batch)
+        for i in range(2):
+            forward(q[i], now, of_q[i], batch)
         total = 0.0
         for k in range(batch):  # only the smaller critic passes its gradient on
-            of_1.gy[k], of_2.gy[k] = (one, zero) if of_1.y[k] <= of_2.y[k] else (zero, one)
-            total += alpha * log_pi[k] - min(of_1.y[k], of_2.y[k])
-        backpropagate(q_1, of_1, batch)
-        backpropagate(q_2, of_2, batch)
-        to_actions_1, to_actions_2 = q_1.w1[first_action:].T.copy(), q_2.w1[first_action:].T.copy()
-        for at in range(0, batch, BLOCK):  # dQ/da
-            affine(to_actions_1, np.zeros(four(m), kind), of_1.g1, slope_1, at)
-            affine(to_actions_2, np.zeros(four(m), kind), of_2.g1, slope_2, at)
+            of_q[0].gy[k], of_q[1].gy[k] = (one, zero) if of_q[0].y[k] <= of_q[1].y[k] else (zero, one)
+            total += alpha * log_pi[k] - min(of_q[0].y[k], of_q[1].y[k])
+        for i in range(2):  # dQ_i/da
+            backpropagate(q[i], of_q[i], batch)
+            to_actions = q[i].w1[first_action:].T.copy()
+            for at in range(0, batch, BLOCK):
+                affine(to_actions, np.zeros(four(m), kind), of_q[i].g1, slope[i], at)
         for j in range(m):
             for k in range(batch):
                 # d log pi/du = 2 a, da/du = 1 - a^2, du/d log sigma = sigma eps, and log N has -log sigma
                 a = now[(first_action + j) * ROW + k]
-                to_u = two * alpha * a - (slope_1[j * ROW + k] + slope_2[j * ROW + k]) * (one - a * a)
+                to_u = two * alpha * a - (slope[0][j * ROW + k] + slope[1][j * ROW + k]) * (one - a * a)
                 of_actor.gy[j * ROW + k] = share * to_u
                 of_actor.gy[(m + j) * ROW + k] = share * (to_u * deviation[j, k] - alpha) * inside[j, k]
         backward(actor, now, of_actor, batch, actor_gradient)

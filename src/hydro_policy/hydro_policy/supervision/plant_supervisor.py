@@ -41,15 +41,9 @@ def plant_requirement(ready: Callable[[], bool]) -> Requirement:
 
 def corrections_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the filter's corrections reach the plant, which else continues at base gains."""
-    hint = HOW_TO_GET_A_FILTER
-    return Requirement(name="the filter", ready=ready, hint=hint, within=90.0, missing=NO_FILTER, essential=False)
-
-
-def fitting_filter_requirement(ready: Callable[[], bool]) -> Requirement:
-    """Return the requirement that the filter's monitor accepts its model for this bench."""
-    hint = f"its model is not this bench's: {RECOMMISSION_HINT}"
-    missing = f"the filter says MISMATCH for 300 s: {hint}"
-    return Requirement(name="a filter that fits", ready=ready, hint=hint, within=300.0, missing=missing)
+    return Requirement(
+        name="the filter", ready=ready, hint=HOW_TO_GET_A_FILTER, within=90.0, missing=NO_FILTER, essential=False
+    )
 
 
 def learner_requirement(ready: Callable[[], bool]) -> Requirement:
@@ -96,7 +90,7 @@ TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so t
 
 
 class Outputs(Protocol):
-    """Outputs of a session to the graph. No call blocks."""
+    """Outputs of a session to the graph; gains in [1/s] and [1/s^2]. No call blocks."""
 
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track."""
@@ -108,24 +102,16 @@ class Outputs(Protocol):
         """Report a sentence to the user."""
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        """Publish gains [1/s], [1/s^2]."""
+        """Publish changes of the gains."""
 
     def command_law(self, command: LawCommand, step: int) -> None:
         """Publish the force law to run; a plant of which none is asked runs the paper's."""
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """Report a learning policy's result of `step`, once its gains are sent; see `PolicyStep.msg`.
+        """Report a learning policy's result of `step`, as given to `gains`, once these are sent; see `PolicyStep.msg`.
 
-        Parameters
-        ----------
-        step
-            As given to `gains`.
-        mean
-            Gains of the mean action [1/s], [1/s^2].
-        reward
-            Reward of the previous step; NaN if there is none.
-        weights
-            Digest of the weights that acted.
+        `mean`: gains of the mean action. `reward`: of the previous step; NaN if there is none. `weights`: digest of
+        those that acted.
         """
 
 
@@ -157,29 +143,34 @@ class PlantSupervisor:
     ) -> None:
         self.outputs, self.override = outputs, override or GainOverride()
         self._alone = rearm
-        self._arm_after = math.inf  # time to arm after a disarm, s
-        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
-        self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed, s
-        self._prompted = ""  # condition in which a person was asked to arm
         samples = plant_requirement(lambda: not self.lost)
         answers = corrections_requirement(
-            lambda: self.mismatched or self._bypassed or not self._flags & Flag.FILTER_STALE
-        )
-        fitting = fitting_filter_requirement(lambda: not self.mismatched)
+            lambda: self.mismatched or not self._flags & Flag.FILTER_STALE
+            or (self._status == CorrectionStatus.BYPASSED and self._silent < HEARD_WITHIN)
+        )  # fmt: skip
+        unfit = f"its model is not this bench's: {RECOMMISSION_HINT}"
+        fitting = Requirement(
+            name="a filter that fits", ready=lambda: not self.mismatched, hint=unfit, within=300.0,
+            missing=f"the filter says MISMATCH for 300 s: {unfit}",
+        )  # fmt: skip
         needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
-        self._seen = -math.inf
-        self._acted = -math.inf  # time of the last action of a controller, or of arming
-        self._armed_at = -math.inf
         self.trips = 0
         """Trips in a row, but by silence, within `CALM` of arming."""
-        self._spoilt = TOO_EARLY  # why no controller may act: it has been armed for an unknown time
         self._flags = int(Flag.FILTER_STALE)
-        self._told: str | None = None
+        self._seen = -math.inf  # time of the last sample, s; -inf: lost
+        self._armed_at = -math.inf
+        self._acted = -math.inf  # time of the last action of a controller, or of arming
+        self._spoilt = TOO_EARLY  # why no controller may act: it has been armed for an unknown time
         self._calm_until: float | None = None  # math.inf: requested, but not armed yet
+        self._arm_after = math.inf  # time to arm after a disarm
+        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm
+        self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed
+        self._prompted = ""  # condition in which a person was asked to arm
+        self._told: str | None = None  # condition last reported
         self._status: int = CorrectionStatus.PASS  # the filter's last one
         self._heard = False  # a correction since the last tick
-        self._silent, self._ticked = math.inf, math.inf  # s without one at the last tick, and its time
+        self._silent = self._ticked = math.inf  # s without one at the last tick, and its time
 
     @property
     def lost(self) -> bool:
@@ -192,11 +183,6 @@ class PlantSupervisor:
         return self._status == CorrectionStatus.MISMATCH
 
     @property
-    def _bypassed(self) -> bool:
-        """Whether a filter that decides nothing is heard."""
-        return self._status == CorrectionStatus.BYPASSED and self._silent < HEARD_WITHIN
-
-    @property
     def armed(self) -> bool:
         """Whether samples arrive and the last one was armed."""
         return not self.lost and bool(self._flags & Flag.ARMED)
@@ -204,14 +190,11 @@ class PlantSupervisor:
     @property
     def condition(self) -> str:
         """Condition of the plant as text."""
-        if self.lost:
-            return "no plant"
-        if self._flags & Flag.ARMED:
-            return "armed"
-        faults = [flag.name or "" for flag in (Flag.FORCE_LIMIT, Flag.SENSOR_FAULT) if self._flags & flag]
-        return ("tripped" if self._flags & Flag.TRIPPED else "disarmed") + (
-            f" ({', '.join(faults).lower()})" if faults else ""
-        )
+        if self.lost or self.armed:
+            return "no plant" if self.lost else "armed"
+        faults = [f"{flag.name}".lower() for flag in (Flag.FORCE_LIMIT, Flag.SENSOR_FAULT) if self._flags & flag]
+        state = "tripped" if self._flags & Flag.TRIPPED else "disarmed"
+        return f"{state} ({', '.join(faults)})" if faults else state
 
     @property
     def summary(self) -> str:
@@ -293,39 +276,35 @@ class PlantSupervisor:
         self.readiness.look(now)
         if self.armed or self.lost:
             self._arm_after, self._asked, self._not_before, self._prompted = math.inf, -math.inf, -math.inf, ""
-            why = self.unready(now) if self.armed else ""
-            if why and not (self.calming or self.override.active):
-                self._lower(now, why)
+            why = self.unready(now) if self.armed and not (self.calming or self.override.active) else ""
+            if why and now - self._lowered > RETRY:
+                if self._lowered == -math.inf:
+                    self.outputs.say(why, warning=True)
+                self._lowered = now
+                self.outputs.reference(ReferenceSignal())
+                self.outputs.arm(False)
         else:
-            self._seek_arming(now)
-        self._tell(now)
-
-    def _seek_arming(self, now: float) -> None:
-        """Arm where that is allowed without a person and all is ready; what a person asked for is done once it is."""
-        self._lowered = -math.inf
-        if not self.readiness.complete:
-            if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
+            self._lowered = -math.inf
+            if not self.readiness.complete:
+                if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
+                    self._arm_after = math.inf
+            elif now >= self._arm_after:
                 self._arm_after = math.inf
-        elif now >= self._arm_after:
-            self._arm_after = math.inf
-            self.outputs.arm(True)
-        elif self._alone and now - self._asked > RETRY and now >= self._not_before:
-            self._arm_anew(now)
+                self.outputs.arm(True)
+            elif self._alone and now - self._asked > RETRY and now >= self._not_before:
+                self._arm_anew(now)
+        condition, hint = self.condition, ""
+        waits = not (self.armed or self.lost or self._alone) and self.readiness.complete and now - self._asked > RETRY
+        if waits and condition != self._prompted:  # once in each condition
+            self._prompted, hint = condition, f": {HOW_TO_ARM}"
+        if hint or self._told not in (None, condition):
+            self.outputs.say(f"plant: {condition}{hint}", warning=not self.armed)
+        self._told = condition
 
     def _arm_anew(self, now: float) -> None:
         """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
         self.outputs.arm(False)
         self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
-
-    def _lower(self, now: float, why: str) -> None:
-        """Disarm with reference 0 N and report why; on each tick as long as it stays armed."""
-        if now - self._lowered <= RETRY:
-            return
-        if self._lowered == -math.inf:
-            self.outputs.say(why, warning=True)
-        self._lowered = now
-        self.outputs.reference(ReferenceSignal())
-        self.outputs.arm(False)
 
     def defer_to_person(self, now: float) -> None:
         """Request arming again after `REMINDER` only: the plant refused since a person disarmed it."""
@@ -342,16 +321,6 @@ class PlantSupervisor:
             self._prompted = ""
             sentence = f"not armed, still waiting for {self.readiness.missing_names}: you are asked once all is ready"
             self.outputs.say(sentence, warning=True)
-
-    def _tell(self, now: float) -> None:
-        """Report the plant's condition when it changes, and once in each what a person has to do."""
-        condition, ready, hint = self.condition, self.readiness.complete, ""
-        waits = not (self.armed or self.lost or self._alone) and ready and now - self._asked > RETRY
-        if waits and condition != self._prompted:
-            self._prompted, hint = condition, HOW_TO_ARM
-        if hint or self._told not in (None, condition):
-            self.outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
-        self._told = condition
 
 
 class Session(Protocol):
