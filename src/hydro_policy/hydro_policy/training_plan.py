@@ -46,30 +46,26 @@ LEAD = 16.0
 What arming or other gains leave in the box's integral fades with K_p / K_i, which is 6 s for (90, 15) and up to 18 s.
 """
 
-EXAMINED = "policy"
-"""Name of the policy in an examination's scores."""
+EXAMINED = "policy"  # name of the policy in an examination's scores
 
 
 @dataclass
 class Progress:
     """Progress of a run; part of the checkpoint."""
 
-    episode: int = 0
-    """Episodes finished."""
+    episode: int = 0  # episodes finished
     total_steps: int = 0
     interruptions: int = 0
     last_return: float = math.nan
     last_rmse: float = math.nan
     best_lag: float = math.inf
     rollbacks: int = 0
-    examined: int = -1
-    """Finished episodes at the last examination; -1: none yet."""
+    examined: int = -1  # finished episodes at the last examination; -1: none yet
     reference_rmse: list[float] = field(default_factory=list)
     """RMSE [N] of the fixed gains that scores are relative to, one per sine; empty until they are examined."""
     best_score: float = math.inf
     """Score of the best policy so far: mean over the sines of its RMSE over the reference's."""
-    passed_at: int = -1
-    """Finished episodes when a policy first beat the reference at every sine; -1: not yet."""
+    passed_at: int = -1  # finished episodes when a policy first beat the reference at every sine; -1: not yet
     exams: list[dict[str, Any]] = field(default_factory=list)
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -77,18 +73,8 @@ class Progress:
 class TrainingPlan(Plan):
     """Episodes and examinations, with the learner that they are for.
 
-    Parameters
-    ----------
-    settings
-        Settings of the run.
-    learner
-        Running learner, which stores accepted agents.
-    outputs
-        The graph.
-    state, best
-        `state()` and best agent of the run to continue, or None.
-    record
-        Record of events.
+    `settings`: settings of the run. `learner`: running learner, which stores accepted agents. `outputs`: the graph.
+    `state`, `best`: `state()` and best agent of the run to continue, or None. `record`: record of events.
     """
 
     training = True
@@ -105,21 +91,16 @@ class TrainingPlan(Plan):
     ) -> None:
         self.settings, self.learner, self.record = settings, learner, record or RunRecord()
         self.progress = Progress() if state is None else Progress(**state["progress"])
-        self.gave_up = ""
-        """Why the run ended before its last episode; empty if it did not."""
-        self.last_stop = ""
-        """Why a policy was last stopped; empty if none was."""
-        self.rollbacks_in_a_row = 0
-        """Rollbacks since a policy was last accepted."""
+        self.gave_up = ""  # why the run ended before its last episode; empty if it did not
+        self.last_stop = ""  # why a policy was last stopped; empty if none was
+        self.rollbacks_in_a_row = 0  # rollbacks since a policy was last accepted
         self.explorer = Explorer(settings, learner.replay, outputs, learner.new_weights, learner.wake)
         self.explorer.published = self.explorer.total_steps = self.progress.total_steps
         if state is not None:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.policy = self.explorer.policy
-        self.exam: Comparison | None = None
-        """The present examination."""
-        self.scores: list[Score] = []
-        """Of the present examination."""
+        self.exam: Comparison | None = None  # the present examination
+        self.scores: list[Score] = []  # of the present examination
         self._candidate: bytes | None = None
         self._good, self._best = best, best
         if best is not None:

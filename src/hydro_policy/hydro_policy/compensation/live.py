@@ -22,8 +22,7 @@ from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawComma
 from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 
-RECENT = 50
-"""Samples for which the last message about the law holds; there is none while the paper's law acts."""
+RECENT = 50  # samples for which the last message about the law holds; there is none while the paper's law acts
 
 _KEPT = RECENT // SAMPLES_PER_STEP + 2
 """Policy steps under way: messages about the law that still count find their samples, on a busy machine too."""
@@ -57,8 +56,7 @@ class LiveCompensation:
         network: Network | None = None,
     ) -> None:
         self.law, self.cell = law, cell
-        self.held = 0
-        """Policy steps whose samples did not count."""
+        self.held = 0  # policy steps whose samples did not count
         self._estimator = Compensator(1, settings, law, cell)
         self._residual = Residual(1, network, self._estimator.settings.force_scale)
         self._adapted = AdaptedLaw(self._estimator, self._residual)

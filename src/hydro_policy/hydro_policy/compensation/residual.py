@@ -44,10 +44,8 @@ from hydro_core.signals import SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_sim.files import weights
 
-LONGEST = 400
-"""Policy steps, 4 s: of a period."""
-LEAST_WINDOW = 50
-"""Policy steps over which a difference is averaged at least."""
+LONGEST = 400  # policy steps, 4 s: of a period
+LEAST_WINDOW = 50  # policy steps over which a difference is averaged at least
 ALIKE, UNLIKE = 0.01, 1.0
 """Squared difference over the reference's variance: below it a lag is a period, above it values are unlike."""
 _POWER = 1.0 / 300.0  # per step, of the variance
@@ -62,8 +60,7 @@ class Period:
         self._unlike: FloatArray = np.zeros((count, LONGEST))
         self._mean: FloatArray = np.zeros(count)
         self._variance: FloatArray = np.zeros(count)
-        self.steps: FloatArray = np.zeros(count)
-        """Period [policy steps], shape (n,); 0: none is seen."""
+        self.steps: FloatArray = np.zeros(count)  # period [policy steps], shape (n,); 0: none is seen
         self.trust: FloatArray = np.zeros(count)
         """0 to 1: how alike the reference is to itself a period earlier, shape (n,)."""
 
@@ -117,65 +114,46 @@ class Past:
         return (1.0 - between) * late + between * early
 
 
-STRUCTURE = "residual"
-"""Structure in the header of a weights file."""
+STRUCTURE = "residual"  # structure in the header of a weights file
 NOMINAL_SCALE = 300.0
 """N, force scale of the benches on which it was trained; forces of another bench are brought to it."""
 
-BACK = np.array((0, 5, 10, 20, 35, 55, 90))
-"""Samples before the last one of which f_r' is seen."""
+BACK = np.array((0, 5, 10, 20, 35, 55, 90))  # samples before the last one of which f_r' is seen
 AHEAD, HALF, SIGMA, LATE = 16, 24, 8.0, 12
 """Samples: from the last one to the correction's; of S to each side; its width; from a step's begin to its p.
 
 In the graph a_3 acts from the fifth sample behind the one that it was decided on (`benchmarks.residual`)."""
 KERNEL = np.exp(-0.5 * (np.arange(-HALF, HALF + 1) / SIGMA) ** 2)
 KERNEL /= KERNEL.sum()
-DELAY = 4
-"""Policy steps after which a needed correction is known."""
-KEPT = 12
-"""Policy steps of which samples are kept."""
-MEMORY = 400
-"""Needed corrections that are remembered, 4 s."""
-LAGS = (0, 2, 5, 10, 20, 40)
-"""Of the corrections needed of late, policy steps before the last one."""
-WIDTHS = (0.25, 0.6)
-"""Of the kernels over similar z."""
-REPEATS = (1.0, 0.5, 0.25)
-"""Weights of the corrections needed one, two and three periods ago."""
-SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0
-"""Of these corrections, over policy steps."""
+DELAY = 4  # policy steps after which a needed correction is known
+KEPT = 12  # policy steps of which samples are kept
+MEMORY = 400  # needed corrections that are remembered, 4 s
+LAGS = (0, 2, 5, 10, 20, 40)  # of the corrections needed of late, policy steps before the last one
+WIDTHS = (0.25, 0.6)  # of the kernels over similar z
+REPEATS = (1.0, 0.5, 0.25)  # weights of the corrections needed one, two and three periods ago
+SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0  # of these corrections, over policy steps
 REMEMBERED = DELAY + 1 + len(SMOOTHING) // 2
 """Policy steps after which the smoothed corrections of a step and the next are known."""
-SETTLING = KEPT + 100
-"""Policy steps from the begin of which no correction is repeated: the law settles."""
-STALE = 1.0
-"""N at `NOMINAL_SCALE`: change of the law's f_c since then at which one counts half."""
-REPEAT_GAIN = 0.9
-"""Share of a repeated correction that is applied."""
-FORGETTING = 0.01 / 1.5
-"""Per policy step, of the correlations."""
+SETTLING = KEPT + 100  # policy steps from the begin of which no correction is repeated: the law settles
+STALE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since then at which one counts half
+REPEAT_GAIN = 0.9  # share of a repeated correction that is applied
+FORGETTING = 0.01 / 1.5  # per policy step, of the correlations
 
-TERMS = 3 * len(BACK) + 4
-"""Entries of z."""
+TERMS = 3 * len(BACK) + 4  # entries of z
 INPUTS = 2 * TERMS + 6 + len(LAGS) + 2 * len(WIDTHS)
 OUTPUTS = 2
 WEIGHTING = np.array([0.5, 0.7, 1.0] * len(BACK) + [1.5, 0.7, 1.0, 0.0])
 """Of z in the distance between two situations."""
 
-BEGIN, RAMP = 65, 50
-"""Policy steps after which it acts, and over which it is let in."""
+BEGIN, RAMP = 65, 50  # policy steps after which it acts, and over which it is let in
 PAUSE, AGAIN = 100, 15
 """Policy steps without samples that count after which it starts again, and over which it is let in after fewer."""
 ASKED, LATELY = 9.0, 0.03
 """N at `NOMINAL_SCALE`, RMS of w with which half of the prediction is applied; per policy step, of its mean square."""
-PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0
-"""N at `NOMINAL_SCALE`, of p and of w."""
-GAIN = 0.8
-"""Share of the prediction that is applied."""
-AVERAGED, FOLLOWS = 0.01, 0.03
-"""Per policy step: of the products that the authority follows, and its rate."""
-LEAST_POWER = 0.01
-"""N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect."""
+PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0  # N at `NOMINAL_SCALE`, of p and of w
+GAIN = 0.8  # share of the prediction that is applied
+AVERAGED, FOLLOWS = 0.01, 0.03  # per policy step: of the products that the authority follows, and its rate
+LEAST_POWER = 0.01  # N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect
 
 
 @dataclass(frozen=True)
@@ -184,8 +162,7 @@ class Network:
 
     mean: FloatArray
     spread: FloatArray
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
-    """(weight, bias) of each layer, shapes (in, out) and (out,)."""
+    layers: tuple[tuple[FloatArray, FloatArray], ...]  # (weight, bias) of each layer, shapes (in, out) and (out,)
 
     @classmethod
     def load(cls, path: Path | None = None) -> Network:
@@ -228,19 +205,15 @@ class Residual:
     def reset(self) -> None:
         """Start again, knowing nothing of the bench."""
         n, samples = self._count, KEPT * SAMPLES_PER_STEP
-        self.value: FloatArray = np.zeros(n)
-        """w [N], to be added to a_3 of the next policy step, shape (n,)."""
-        self.inputs: FloatArray = np.zeros((n, INPUTS))
-        """Of the network at the last step, shape (n, `INPUTS`)."""
+        self.value: FloatArray = np.zeros(n)  # w [N], to be added to a_3 of the next policy step, shape (n,)
+        self.inputs: FloatArray = np.zeros((n, INPUTS))  # of the network at the last step, shape (n, `INPUTS`)
         self.needed: FloatArray = np.zeros(n)
         """Correction [N at `NOMINAL_SCALE`] needed `DELAY` steps ago, shape (n,)."""
-        self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)
-        """Policy steps since it started, shape (n,)."""
+        self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # policy steps since it started, shape (n,)
         self._counting: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # last policy steps that counted
         self._pause: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # that did not
         self._asked: FloatArray = np.zeros(n)  # mean square of w of late with full authority
-        self.authority: FloatArray = np.ones(n)
-        """Share of p that is applied, by whether it helps, shape (n,)."""
+        self.authority: FloatArray = np.ones(n)  # share of p that is applied, by whether it helps, shape (n,)
         self._product, self._power = np.zeros(n), np.zeros(n)
         self._rate: FloatArray = np.zeros((n, samples))
         self._error: FloatArray = np.zeros((n, samples))
@@ -394,8 +367,7 @@ class AdaptedLaw:
     def __init__(self, estimator: Compensator, residual: Residual | None = None) -> None:
         self.estimator, self.residual = estimator, residual
         self._low, self._high = estimator.law.coefficient_min[3], estimator.law.coefficient_max[3]
-        self.learned = residual is not None
-        """Whether the residual acts."""
+        self.learned = residual is not None  # whether the residual acts
         self.added: FloatArray = np.zeros(len(estimator.coefficients))
         """To a_3 of the present policy step [N], shape (n,)."""
 

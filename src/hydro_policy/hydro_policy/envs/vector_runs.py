@@ -49,10 +49,8 @@ def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
 class Step:
     """What ten samples of all benches gave."""
 
-    samples: StateArray
-    """Shape (n, 10); overwritten by the next step."""
-    counted: npt.NDArray[np.bool_]
-    """Which of them are measured, behind settling and within the run, shape (n, 10)."""
+    samples: StateArray  # shape (n, 10); overwritten by the next step
+    counted: npt.NDArray[np.bool_]  # which of them are measured, behind settling and within the run, shape (n, 10)
 
 
 def rmse(

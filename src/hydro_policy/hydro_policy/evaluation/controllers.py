@@ -48,8 +48,7 @@ class FixedGains(Controller):
     proportional: float
     integral: float
     base: tuple[float, float] = BASE
-    kind: str = "fixed"
-    """For tables."""
+    kind: str = "fixed"  # for tables
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.proportional) and math.isfinite(self.integral)):

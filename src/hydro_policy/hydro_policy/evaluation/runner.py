@@ -33,14 +33,12 @@ from hydro_policy.task.cases import SPOILT, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, held
 from hydro_sim.files import load_force
 
-REPEATS = 2
-"""Times that a run is started again in which the machine was held up."""
+REPEATS = 2  # times that a run is started again in which the machine was held up
 
 SILENCE = "the box heard nothing for too long and tripped: the machine was held up"
 
 BUSY = "if the machine is busy, close other programs"
-REPLACED = 0.5
-"""The same above which a run tells nothing of its controller."""
+REPLACED = 0.5  # the same above which a run tells nothing of its controller
 
 UNFILTERED = "no filter of this bench decides, or it comes late (`ros2 topic echo /diagnostics` tells)"
 
@@ -57,13 +55,10 @@ class _Run:
 
     trial: Trial
     first: int
-    last: int
-    """Sequence of the last sample."""
-    missed: int = 0
-    """Samples that did not arrive."""
+    last: int  # sequence of the last sample
+    missed: int = 0  # samples that did not arrive
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    clock: StepClock = field(default_factory=StepClock)
-    """Of its own steps: the one in which it begins is not whole."""
+    clock: StepClock = field(default_factory=StepClock)  # of its own steps: the one in which it begins is not whole
 
 
 class Rest:
@@ -106,21 +101,11 @@ P = TypeVar("P", bound=Plan)
 class TrialRunner(Generic[P]):
     """Makes a plan's trials.
 
-    Parameters
-    ----------
-    plan
-        The trials.
-    watch
-        Supervision of the plant.
-    monitor
-        Stops a trial that goes wrong before the box has to; None: only the box does.
-    compensation
-        Estimator of the controller under the compensated law, if there is one.
-    felt
-        File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one.
-    record, kind
-        Takes each score, but of a training, as an event of this kind. Those that it has of an interrupted run are taken
-        from it: their trials are not made again.
+    `plan`: the trials. `watch`: supervision of the plant. `monitor`: stops a trial that goes wrong before the box has
+    to; None: only the box does. `compensation`: estimator of the controller under the compensated law, if there is one.
+    `felt`: file of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one. `record`, `kind`:
+    takes each score, but of a training, as an event of this kind. Those that it has of an interrupted run are taken
+    from it: their trials are not made again.
     """
 
     def __init__(

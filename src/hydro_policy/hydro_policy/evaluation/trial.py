@@ -22,10 +22,8 @@ class Trial:
     controller: Controller
     case: Case
     repeat: int = 0
-    settle: float
-    """s that do not count."""
-    measure: float
-    """s that count."""
+    settle: float  # s that do not count
+    measure: float  # s that count
     judged: bool = True
     """Whether it is scored, and made again where the machine was held up; otherwise only its end is told."""
 
@@ -45,12 +43,9 @@ class Trial:
 class Plan(ABC):
     """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`."""
 
-    training: bool = False
-    """Whether its trials follow each other by policy steps, and nobody keeps their samples."""
-    total: float = 0.0
-    """Trials, or s of them, for a progress bar; 0: not known."""
-    done: float = 0.0
-    """How many of them are over."""
+    training: bool = False  # whether its trials follow each other by policy steps, and nobody keeps their samples
+    total: float = 0.0  # trials, or s of them, for a progress bar; 0: not known
+    done: float = 0.0  # how many of them are over
 
     @property
     @abstractmethod
@@ -83,14 +78,8 @@ class Comparison(Plan):
 
     Those of the compensated law are last, since the plant is disarmed for another law.
 
-    Parameters
-    ----------
-    settings
-        References and lengths of the trials.
-    controllers
-        At least one.
-    lead
-        s that each controller's first trial settles longer; then each controller makes all its trials before the next.
+    `settings`: references and lengths of the trials. `controllers`: at least one. `lead`: s that each controller's
+    first trial settles longer; then each controller makes all its trials before the next.
     """
 
     def __init__(self, settings: EvaluationSettings, controllers: Sequence[Controller], lead: float = 0.0) -> None:

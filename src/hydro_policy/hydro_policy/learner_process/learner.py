@@ -35,8 +35,7 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from hydro_sim.files.pairing import with_provenance
 
-CHUNK = 8
-"""Updates between two publications and looks at the pipe, some 1 to 2 ms."""
+CHUNK = 8  # updates between two publications and looks at the pipe, some 1 to 2 ms
 _IDLE = 0.05  # s between two looks for work without a wake
 
 CONTEXT = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads

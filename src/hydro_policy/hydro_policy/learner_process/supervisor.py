@@ -35,14 +35,10 @@ from hydro_policy.learner_process.learner import (
 from hydro_policy.runs.run import Checkpoint, RunDirectory, TrainingSettings
 from hydro_policy.sac.sac import Losses, dump
 
-NICENESS = 10
-"""Of a learner for which the plant does not wait."""
-SETTLE_TIMEOUT = 60.0
-"""s of wall clock within which a learner that is waited for has done what is due."""
-RESTARTS, RESTART_WINDOW = 5, 60.0
-"""More restarts than this within so many seconds are a systematic fault."""
-STOP_TIMEOUT = 15.0
-"""s, for the last checkpoint."""
+NICENESS = 10  # of a learner for which the plant does not wait
+SETTLE_TIMEOUT = 60.0  # s of wall clock within which a learner that is waited for has done what is due
+RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
+STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 _GLANCE = 2e-4  # s between two looks at the progress of a learner that is waited for
 
 
@@ -53,18 +49,9 @@ class LearnerError(UserError):
 class LearnerSupervisor:
     """Owns the shared memory and one learner process at a time.
 
-    Parameters
-    ----------
-    settings
-        Settings of the run.
-    run
-        Folder of the checkpoints.
-    resumed
-        Checkpoint to resume, or None.
-    start
-        Initial agent, as returned by `sac.dump`, or None: freshly initialised networks.
-    real_time
-        Whether the plant does not wait for it, so that it gives way to what acts.
+    `settings`: settings of the run. `run`: folder of the checkpoints. `resumed`: checkpoint to resume, or None.
+    `start`: initial agent, as returned by `sac.dump`, or None: freshly initialised networks. `real_time`: whether the
+    plant does not wait for it, so that it gives way to what acts.
 
     Raises ValueError: the agent of the checkpoint, or the initial one, is not whole.
     """

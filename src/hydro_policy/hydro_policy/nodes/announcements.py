@@ -41,8 +41,7 @@ class Announcer:
     """Output of a trainer or an evaluation to terminal and log; failures of either never stop the run."""
 
     def __init__(self) -> None:
-        self.log: IO[str] | None = None
-        """Destination of sentences besides the terminal."""
+        self.log: IO[str] | None = None  # destination of sentences besides the terminal
         self.journal: Callable[[str, bool], None] = lambda sentence, warning: None
         """Publisher of sentences for recordings."""
         self._flood = RepeatFilter(8)
@@ -99,8 +98,7 @@ class CompanionWatch:
         self._running, self._unrecorded = list(companions), unrecorded
         self.refused = ""
         """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
-        self.lost = ""
-        """Message about an essential companion that ended, and its consequence."""
+        self.lost = ""  # message about an essential companion that ended, and its consequence
 
     def ended(self) -> list[str]:
         """Return sentences about those that ended since the last call."""

@@ -24,11 +24,10 @@ from hydro_bridge.ros.companion import Companion, CompanionError, add_dashboard_
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_core.cli.console import UserError, bounded_number, command, writable_file, writable_folder
-from hydro_core.process.endings import signals_ignored
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Plan, Trial
-from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.graph_node import Ending, GraphNode
 from hydro_policy.nodes.plant_options import add_option
 from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.task.cases import Case, Score
@@ -37,15 +36,11 @@ from hydro_sim.excitation import ExcitationRange, Segment, draw_schedule, load_s
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
-SECONDS = 600.0
-"""s of a schedule, by default."""
-REST = 1.0
-"""s recorded before arming: the still bench."""
+SECONDS = 600.0  # s of a schedule, by default
+REST = 1.0  # s recorded before arming: the still bench
 TRIPS_IN_A_ROW = 3
-AUTHORITY_WITHIN = 5.0
-"""s for the plant to grant the lease: longer than it keeps that of one who was killed."""
-TRIPPED = 3
-"""Exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there."""
+AUTHORITY_WITHIN = 5.0  # s for the plant to grant the lease: longer than it keeps that of one who was killed
+TRIPPED = 3  # exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there
 
 
 class SchedulePlan(Plan):
@@ -61,8 +56,7 @@ class SchedulePlan(Plan):
             for one in schedule
         ]  # fmt: skip
         self.total = sum(one.seconds for one in schedule)
-        self.played = 0.0
-        """s of the segments that were played to their end."""
+        self.played = 0.0  # s of the segments that were played to their end
         self.trips = self.in_a_row = 0
 
     @property
@@ -156,7 +150,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
     Raises UserError: it was interrupted, or the recorder ended; PairingError, before anything is recorded: the box
     believes another bench; NotReadyError: another node commands the plant; CompanionError: the box is another one now.
     """
-    with ExitStack() as quiet, ExitStack() as stack:
+    with Ending() as stack:
         node = GraphNode("collect", alone_within=AUTHORITY_WITHIN)
         stack.callback(leave_graph, node)
         refuse_unknown_parameters(node)
@@ -180,10 +174,10 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         words = ["--out", str(options.out), "--metadata", f"plant={plant or 'unknown'}"]
         words += [] if options.schedule else [f"seed={options.seed}"]
         words += ["--attach", str(scratch / "schedule.yaml"), str(scratch / "bench.yaml")]
+        behind = stack.enter_context(ExitStack())  # what is undone once the recorder has ended
         recorder = stack.enter_context(Companion("hydro_bridge", "recorder", words))
         node.watch_companions([recorder], options.out, "the plant is disarmed")
         stack.callback(node.disarm, still=True)
-        stack.callback(quiet.enter_context, signals_ignored())  # a second Ctrl-C waits
         runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
         bar = stack.enter_context(TrialProgress(runner, "collecting"))
 
@@ -204,7 +198,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
                 raise UserError(f"interrupted: {kept}")
         except (NotReadyError, CompanionError, UserError):
             if not node.timing.response.count and recorder.running:  # nothing played: no folder
-                quiet.callback(rmtree, options.out, ignore_errors=True)  # once the recorder has ended, if it made one
+                behind.callback(rmtree, options.out, ignore_errors=True)
             raise
     return plan
 

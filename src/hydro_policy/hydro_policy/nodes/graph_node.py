@@ -10,7 +10,7 @@ import math
 import queue
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,12 +72,9 @@ class GainTiming:
     """Latencies of policy steps."""
 
     def __init__(self) -> None:
-        self.response = Latency()
-        """From the sample's arrival in this process to the gains' publication."""
-        self.age = Latency()
-        """From the sample's stamp to the gains' stamp: total latency."""
-        self.jitter = Latency()
-        """|interval between gains - 10 ms|; pauses of five intervals or more are excluded."""
+        self.response = Latency()  # from the sample's arrival in this process to the gains' publication
+        self.age = Latency()  # from the sample's stamp to the gains' stamp: total latency
+        self.jitter = Latency()  # |interval between gains - 10 ms|; pauses of five intervals or more are excluded
         self._published = 0.0
 
     def add(self, arrived: float, published: float, age: float) -> None:
@@ -89,13 +86,21 @@ class GainTiming:
             self.jitter.add(abs(interval - _PERIOD))
 
 
+class Ending(ExitStack):
+    """A stack of what a run has to undo; no second Ctrl-C interrupts that."""
+
+    def __exit__(self, *error: Any) -> bool | None:
+        """Undo all, the last first."""
+        with endings.signals_ignored():
+            return super().__exit__(*error)
+
+
 TICK = 0.05  # s
 NICE = -15
 """Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
 
 
-SILENT = 60.0
-"""s of wall clock without a sample after which the time of a plant that goes by its own clock runs on."""
+SILENT = 60.0  # s of wall clock without a sample after which the time of a plant that goes by its own clock runs on
 _TICK_SAMPLES = round(TICK / SAMPLE_PERIOD)
 
 
@@ -121,22 +126,18 @@ class GraphNode(Node):
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
         """Requirements of this node's sessions before arming, besides those of every session."""
-        self.corrected = False
-        """Whether a correction has arrived, of those that are listened to."""
+        self.corrected = False  # whether a correction has arrived, of those that are listened to
         self.timing = GainTiming()
         self.override = GainOverride(say=self.warn)
-        self.box: KnownBox | None = None
-        """Description of the plant's box, once received."""
+        self.box: KnownBox | None = None  # description of the plant's box, once received
         self.box_fault: Callable[[KnownBox], str] = lambda box: ""
         """Returns why a box is not the one of this run, or nothing; called at each description of a box."""
-        self.law: BoxLaw | None = None
-        """The box's compensated law, once received; None: not yet, or it has none."""
+        self.law: BoxLaw | None = None  # the box's compensated law, once received; None: not yet, or it has none
         self.compensation: LiveCompensation | None = None
         """Estimator that follows the box's compensated law; see `compensate`."""
         self.load_force: Path | None = None
         """File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one."""
-        self.successor = ""
-        """Name of the node that receives the plant at the end; empty: the first to ask."""
+        self.successor = ""  # name of the node that receives the plant at the end; empty: the first to ask
         self._session: Session | None = None
         self._meeting: Readiness | None = None  # while waiting for a plant to describe its box
         self._readiness = Readiness([], self.warn)  # of what a session awaits by the wall clock

@@ -26,12 +26,9 @@ if TYPE_CHECKING:
     from hydro_policy.runs.initial_agent import InitialAgent
 
 PLANTS = ("sim", "emulator", "bench", "external")
-NO_FILTER = ("none",)
-"""Words of `--filter none`."""
-LAWS = ("both", "paper", "compensated")
-"""Values of `evaluate --law`."""
-SCRATCH = "scratch"
-"""Value of `--from` for no agent, besides a run's folder."""
+NO_FILTER = ("none",)  # words of `--filter none`
+LAWS = ("both", "paper", "compensated")  # values of `evaluate --law`
+SCRATCH = "scratch"  # value of `--from` for no agent, besides a run's folder
 
 
 def _option(*only: str, **words: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
@@ -76,16 +73,11 @@ class PlantOptions:
         "does not")] = None
     # fmt: on
 
-    recording: Path | None = None
-    """Folder for the recording; None: none."""
-    metadata: tuple[str, ...] = ()
-    """key=value words kept in the recording."""
-    attachments: tuple[Path, ...] = ()
-    """Files kept in the recording, besides the bench file."""
-    policies: tuple[Path, ...] = ()
-    """Policy files that act in this run; the recording keeps their digests."""
-    seed: int = 0
-    """Of the noise of simulation or emulator."""
+    recording: Path | None = None  # folder for the recording; None: none
+    metadata: tuple[str, ...] = ()  # key=value words kept in the recording
+    attachments: tuple[Path, ...] = ()  # files kept in the recording, besides the bench file
+    policies: tuple[Path, ...] = ()  # policy files that act in this run; the recording keeps their digests
+    seed: int = 0  # of the noise of simulation or emulator
     controller: str = ""
     """Name of the node that commands the plant: the first sample waits for it, as for recorder and filter."""
 
@@ -100,8 +92,7 @@ _OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     for name, hint in get_type_hints(PlantOptions, include_extras=True).items()
     if get_origin(hint) is Annotated
 }
-_KEPT = _OPTIONS.keys() - {"hand_over"}
-"""Options that a resumed run keeps."""
+_KEPT = _OPTIONS.keys() - {"hand_over"}  # options that a resumed run keeps
 
 
 def add_plant_options(parser: argparse.ArgumentParser) -> None:

@@ -42,8 +42,7 @@ from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL
 from hydro_sim.plotting import BLUE, add_legend, figure
 
-SOURCE = "pretrain.yaml"
-"""File name in a run's folder, beside config.yaml."""
+SOURCE = "pretrain.yaml"  # file name in a run's folder, beside config.yaml
 
 
 def new_pretraining(source: SimulationSetup, training: TrainingSettings) -> Pretraining:
@@ -72,8 +71,7 @@ def load_simulation_setup(folder: Path) -> SimulationSetup:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error
 
 
-CURVE = "curve.png"
-"""File name of the learning curve in a pretraining's folder."""
+CURVE = "curve.png"  # file name of the learning curve in a pretraining's folder
 
 
 def curve_table(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray) -> Table:
@@ -117,11 +115,9 @@ def draw_curve(history: Sequence[dict[str, Any]], cases: Sequence[Case], referen
         add_legend(ratios)
 
 
-SAVE_PERIOD = 20.0
-"""Minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk."""
+SAVE_PERIOD = 20.0  # minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk
 
-REPLAY_MAX = 1_152_000
-"""Maximum number of transitions in a pretraining's replay buffer, 138 MB: 640 episodes."""
+REPLAY_MAX = 1_152_000  # maximum number of transitions in a pretraining's replay buffer, 138 MB: 640 episodes
 
 
 def pretrain(options: argparse.Namespace) -> int:

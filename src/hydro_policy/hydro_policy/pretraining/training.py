@@ -37,33 +37,20 @@ from hydro_policy.task.mdp.events import Randomisation, RandomisedBench
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
-REFERENCE_GAINS = (90.0, 15.0)
-"""K_p, K_i of the paper's controller III, which scores are relative to."""
+REFERENCE_GAINS = (90.0, 15.0)  # K_p, K_i of the paper's controller III, which scores are relative to
 
 BEARABLE = 0.02
 """Minimum share of drawn benches on which the reference gains do not trip, so that there is a basis of comparison."""
 
-TRIPPED = 10.0
-"""Score of a run in which the box trips, in RMSE of the reference gains."""
+TRIPPED = 10.0  # score of a run in which the box trips, in RMSE of the reference gains
 
 
 class Examination:
     """Examination of a policy on fixed cases (see the module's docstring).
 
-    Parameters
-    ----------
-    fleet
-        Returns a fleet of the given number of the known bench.
-    believed
-        Bench assumed by the boxes.
-    evaluation
-        Cases.
-    draw
-        Returns the drawn bench of a number; None: only the known bench.
-    drawn
-        Number of drawn benches: the first ones on which the reference gains do not trip.
-    base
-        K_p [1/s], K_i [1/s^2] of the boxes.
+    `fleet`: returns a fleet of the given number of the known bench. `believed`: bench assumed by the boxes.
+    `evaluation`: cases. `draw`: returns the drawn bench of a number; None: only the known bench. `drawn`: number of
+    drawn benches: the first ones on which the reference gains do not trip. `base`: K_p [1/s], K_i [1/s^2] of the boxes.
 
     Raises
     ------
@@ -157,13 +144,11 @@ class Pretraining:
         self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
         self.policy = Policy(training.sac, training.task.size)
         self.rng = np.random.default_rng(training.seed)
-        self.episode = 0
-        """Episodes finished."""
+        self.episode = 0  # episodes finished
         self.history: list[dict[str, Any]] = []
         """One entry per round: episode, mean return, trips, RMSE at each frequency, scores (`examination`)."""
         self.best_score = math.inf
-        self.best: bytes | None = None
-        """Agent (`sac.dump`) with the best score so far; not part of `state`."""
+        self.best: bytes | None = None  # agent (`sac.dump`) with the best score so far; not part of `state`
         self._take_weights()
         draw = None if settings.randomisation is None else self._examined_bench
         self._exam = Examination(

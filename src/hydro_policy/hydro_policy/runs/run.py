@@ -192,8 +192,7 @@ def _numbered(name: str, value: Any) -> list[tuple[str, float]]:
     return [(name, float(value))] if isinstance(value, (int, float)) and math.isfinite(value) else []
 
 
-_TRAINED = ("episode", "exam", "stop")
-"""Kinds of events after which a policy is another one."""
+_TRAINED = ("episode", "exam", "stop")  # kinds of events after which a policy is another one
 
 
 class RunRecord:

@@ -20,13 +20,7 @@ from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_core.size import Size
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import (
-    ACTIONS,
-    OBSERVATION_NAMES,
-    OBSERVATIONS,
-    GainRange,
-    normalization,
-)
+from hydro_policy.task.mdp import ACTIONS, OBSERVATION_NAMES, OBSERVATIONS, GainRange, normalization
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.model.bench import NOMINAL

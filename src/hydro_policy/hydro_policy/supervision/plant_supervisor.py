@@ -58,15 +58,13 @@ FALLBACK = (PAPER_RANGES.delta_kp_max, PAPER_RANGES.delta_ki_max)
 """Changes of K_p, K_i held while the filter reports MISMATCH: the upper end of the range that the guard then passes,
 the paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
 
-CALM = 1.0
-"""s, armed, between a stop and the next run."""
+CALM = 1.0  # s, armed, between a stop and the next run
 
 TRIALS = 3
 """Trips in a row within `CALM` of arming after which a session may try another force law, and no more is armed."""
 UNHELD = f"the box tripped {TRIALS} times within {CALM:g} s of arming: its base gains do not hold this bench"
 
-IDLE = 2.0
-"""s armed without a controller after which none may begin (measurements in decision 0056)."""
+IDLE = 2.0  # s armed without a controller after which none may begin (measurements in decision 0056)
 
 LOST_AFTER = 0.1  # s without a sample
 
@@ -118,18 +116,10 @@ class Outputs(Protocol):
 class PlantSupervisor:
     """Tracks the box's flags and requests arming.
 
-    Parameters
-    ----------
-    outputs
-        Outputs of the requests.
-    rearm
-        Whether a disarmed or tripped box may be armed without the user (simulation: yes; bench: on purpose only).
-    requirements
-        Requirements before arming, besides plant and filter.
-    override
-        Gains held by a person: under them a plant is not idle.
-    filtered
-        Whether a filter that answers and fits is required, too.
+    `outputs`: outputs of the requests. `rearm`: whether a disarmed or tripped box may be armed without the user
+    (simulation: yes; bench: on purpose only). `requirements`: requirements before arming, besides plant and filter.
+    `override`: gains held by a person: under them a plant is not idle. `filtered`: whether a filter that answers and
+    fits is required, too.
     """
 
     def __init__(
@@ -155,8 +145,7 @@ class PlantSupervisor:
         )  # fmt: skip
         needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
-        self.trips = 0
-        """Trips in a row, but by silence, within `CALM` of arming."""
+        self.trips = 0  # trips in a row, but by silence, within `CALM` of arming
         self._flags = int(Flag.FILTER_STALE)
         self._seen = -math.inf  # time of the last sample, s; -inf: lost
         self._armed_at = -math.inf
