@@ -81,7 +81,14 @@ class GridSearch:
         self._fine = [pair for pair in self._fine if pair[0] < self._edge]
         while not self._rising and not self._fine and self._round < self.settings.refinements:
             self._round += 1
-            self._fine = [pair for pair in self._neighbours() if pair not in self.tried and pair[0] < self._edge]
+            limits, (kp, ki), half = self.settings, self.best, 0.5**self._round
+            spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else 2.0 * ki
+            beside = [(kp + i * half * limits.kp_step, ki + j * half * spacing) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+            self._fine = [
+                (p, i) for p, i in beside
+                if limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max
+                and (p, i) not in self.tried and p < self._edge
+            ]  # fmt: skip
         return self._rising[0] if self._rising else self._fine[0] if self._fine else None
 
     def tell(self, pair: Gains, rmse: Sequence[float]) -> None:
@@ -93,7 +100,7 @@ class GridSearch:
             if (
                 higher[0] <= self.settings.kp_max
                 and higher[0] < self._edge
-                and self.scores[pair] < self.settings.hopeless * self._best_score
+                and self.scores[pair] < self.settings.hopeless * min(self.scores.values())
             ):
                 self._rising.insert(0, higher)
         else:
@@ -116,20 +123,9 @@ class GridSearch:
         return min(scores, key=scores.__getitem__)
 
     @property
-    def _best_score(self) -> float:
-        return min(self.scores.values())
-
-    @property
     def _edge(self) -> float:
         """Smallest K_p [1/s] that had to be stopped: neither it nor any above is tried again."""
         return min((kp for (kp, _), rmse in self.tried.items() if not np.isfinite(rmse).all()), default=np.inf)
-
-    def _neighbours(self) -> list[Gains]:
-        limits, (kp, ki) = self.settings, self.best
-        spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else 2.0 * ki
-        kp_step, ki_step = limits.kp_step / 2.0**self._round, spacing / 2.0**self._round
-        pairs = [(kp + i * kp_step, ki + j * ki_step) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        return [(p, i) for p, i in pairs if limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max]
 
 
 class GridPlan(Plan):
