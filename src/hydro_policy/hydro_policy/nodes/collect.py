@@ -145,11 +145,7 @@ def main() -> int:
 
 
 def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
-    """Record while the schedule plays; returns it as it ended.
-
-    Raises UserError: it was interrupted, or the recorder ended; PairingError, before anything is recorded: the box
-    believes another bench; NotReadyError: another node commands the plant; CompanionError: the box is another one now.
-    """
+    """Record while the schedule plays; returns it as it ended."""
     with Ending() as stack:
         node = GraphNode("collect", alone_within=AUTHORITY_WITHIN)
         stack.callback(leave_graph, node)

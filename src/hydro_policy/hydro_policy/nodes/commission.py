@@ -284,10 +284,7 @@ NAMES = tuple(gate.name for gate in GATES)
 
 
 def _moved(at: Site, name: str, settings: EvaluationSettings, share: float = 1.0) -> float:
-    """Move by this share of the amplitude under the compensated law without a filter; returns the largest RMSE [N].
-
-    Raises GateError: it was stopped.
-    """
+    """Move by this share of the amplitude under the compensated law without a filter; returns the largest RMSE [N]."""
     amplitude = share * at.record.amplitude
     scores = at.compare(name, replace(settings, amplitude=amplitude)).scores
     for score in scores:

@@ -61,10 +61,7 @@ from hydro_sim.model.bench import NOMINAL
 
 
 def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Controller]:
-    """Create the controllers named on the command line, for this box.
-
-    Raises ValueError: a controller cannot be used; PairingError: a policy was made for another box.
-    """
+    """Create the controllers named on the command line, for this box."""
     for path in options.policy:
         require_matching_policy(path, box)
     controllers: list[Controller] = [policy_controller(path) for path in options.policy]
@@ -94,11 +91,7 @@ def required_gain_range(
 
 @contextmanager
 def evaluation_folder(options: argparse.Namespace) -> Iterator[RunDirectory]:
-    """Create runs/NAME, by default evaluate- with date and time, which is removed if it stays empty; or resume one.
-
-    Raises FileExistsError: the name is taken; OSError: the folder cannot be created; UserError: there is nothing to
-    resume.
-    """
+    """Create runs/NAME, by default evaluate- with date and time, which is removed if it stays empty; or resume one."""
     parent = Path(options.runs)
     run = RunDirectory(options.resume or parent / (options.name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
     first = not options.resume and not parent.exists()
@@ -257,10 +250,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
 
 
 def begin_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
-    """Return the record of an evaluation, whose first event says what is compared.
-
-    Raises UserError: the evaluation that is resumed compared something else.
-    """
+    """Return the record of an evaluation, whose first event says what is compared."""
     record = RunRecord(run.record)
     known = json.loads(encode_json(about))
     if record.events and any(record.events[0].get(key) != value for key, value in known.items()):

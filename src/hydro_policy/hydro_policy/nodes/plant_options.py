@@ -137,10 +137,7 @@ def apply_site(options: argparse.Namespace) -> None:
 
 
 def load_cell(options: argparse.Namespace) -> LoadCell | None:
-    """Return the load cell of --load-cell.
-
-    Raises UserError: the compensated law is not to run; ValueError, OSError: as `LoadCell.load`.
-    """
+    """Return the load cell of --load-cell."""
     if options.load_cell is not None and getattr(options, "law", LAWS[0]) == "paper":
         raise UserError("--load-cell is of no use with --law paper")
     return None if options.load_cell is None else LoadCell.load(options.load_cell)
@@ -152,10 +149,7 @@ def may_rearm(options: argparse.Namespace) -> bool:
 
 
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
-    """Return the plant options from the command line; `more` are further fields.
-
-    Raises UserError: an option that does not apply to this plant: refused rather than ignored; SettingsError: --pace.
-    """
+    """Return the plant options from the command line; `more` are further fields."""
     given = {name: value for name in _OPTIONS if (value := getattr(options, name))}
     for name in given:
         plants, _ = _OPTIONS[name]
@@ -174,9 +168,6 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
     """Return the expected box: by --bench and --base-gains, or the nominal one.
 
     Of a plant that runs already nothing is expected but what --bench says.
-
-    Raises ValueError: the bench file cannot be used; UserError: the box of a running plant is specified, or the model
-    is not a file.
     """
     plant_options(options)
     if options.model is not None and not options.model.is_file():

@@ -42,10 +42,7 @@ LOAD_FORCE = "load_force"
 
 
 def describe_policy(path: Path) -> str:
-    """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings.
-
-    Raises ValueError: the file is not a policy.
-    """
+    """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings."""
     return f"policy {path}: weights {load_policy(path)[0].digest()}, SHA-256 {_digest(path)}"
 
 
@@ -54,10 +51,7 @@ def _digest(path: Path) -> str:
 
 
 def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, LoopFilterSettings]:
-    """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program.
-
-    Raises PairingError: its metric and model are not this bench's: nothing is started, and no guard is widened for it.
-    """
+    """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program."""
     from hydro_filter.controller.factory import parse_args
 
     choice, settings, _ = parse_args([*(["--bench", str(bench)] if bench else []), *words])
@@ -89,9 +83,6 @@ def start_plant(
     """Start page, plant and companions, which `node` watches; returns what the filter leaves uncovered (safety.md).
 
     `gains`: range that the guard has to pass. `folder`: of port and pipes of an emulator, and of its load force.
-
-    Raises PairingError before anything runs: the filter does not fit; CompanionError: the packages are not built or
-    sourced.
     """
     start_dashboard(stack, node, wanted=page, keep=node.announcer.keep)
     if options.plant == "external":

@@ -81,8 +81,6 @@ class Site:
         """Run an executable that needs the machine or the port for itself to its end; returns its last line.
 
         Its output goes into the log, and to the terminal if it is `loud`.
-
-        Raises GateError: it did not end with status 0; the reason is its last line.
         """
         self._disconnect()
         self._log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
@@ -100,10 +98,7 @@ class Site:
         return said
 
     def free_port(self) -> str:
-        """Return the port, which nothing of ours uses; an emulated one appears at the first call.
-
-        Raises UserError: the emulator does not start.
-        """
+        """Return the port, which nothing of ours uses; an emulated one appears at the first call."""
         self._disconnect()
         if self.record.plant != EMULATED or self._emulator is not None:
             return self._port
@@ -121,10 +116,7 @@ class Site:
         return self._port
 
     def rest(self, name: str, seconds: float) -> None:
-        """Record so many seconds at rest as recordings/NAME.
-
-        Raises NotReadyError, CompanionError: as `GraphNode.run_session`; KeyboardInterrupt: a signal arrived.
-        """
+        """Record so many seconds at rest as recordings/NAME."""
         with self._recorded(name, required_gain_range([])) as (node, recorder):
             watch = node.supervisor(recorder, rearm=False, filtered=False)
             if not node.run_session(Rest(seconds, watch), lambda: None):
@@ -139,8 +131,6 @@ class Site:
         `name`: of recording and report. `settings`, `controllers`: references and lengths; controllers besides that
         law. `words`: of the filter's command line. `learned`: whether that law is also run with the learned residual.
         `policies`: files whose digests the recording keeps.
-
-        Raises NotReadyError: the box has not that law; and as `rest`.
         """
         run = RunDirectory(self.folder / site.REPORTS / name)
         shutil.rmtree(run.path, ignore_errors=True)

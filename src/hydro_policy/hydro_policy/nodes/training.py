@@ -79,8 +79,6 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
 
     Invalid input is refused before anything is created. Where the plant runs already its box is awaited, whose base
     gains the configuration's range of total gains is then relative to.
-
-    Raises KeyboardInterrupt: a signal arrived before there was a box; and as `expected_box`, `check_run`.
     """
     start, checkpoint, box = None, None, expected_box(options)
     if options.plant != "external":
