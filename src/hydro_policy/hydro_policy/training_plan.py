@@ -26,7 +26,7 @@ import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
-from hydro_policy.evaluation.exploration import EpisodeRecord, Explorer
+from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison, Plan, Trial
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
@@ -136,7 +136,18 @@ class TrainingPlan(Plan):
             return self._stop(score.stopped)
         if self.exam is None:
             self._fresh = False
-            best = self._add_episode(self.explorer.current)
+            progress, done = self.progress, self.explorer.current
+            progress.episode += 1
+            progress.last_return, progress.last_rmse = done.episode_return, done.force_rmse
+            learnt = {"entropy_coefficient": self.learner.entropy_coefficient, "updates": self.learner.updates}
+            losses = {f"{name}_loss": loss for name, loss in self.learner.losses._asdict().items()}
+            progress.history.append({**done.summary(), **learnt, **losses})
+            self.record.add("episode", "", **progress.history[-1])
+            best = not self.settings.exam.every and done.lag < progress.best_lag
+            if not self.settings.exam.every:  # all that is known is that it completed the episode
+                self.propose()
+                self._accept(best)
+            progress.best_lag = min(done.lag, progress.best_lag)
         else:
             self.scores.append(score)
             self.exam.add(score)
@@ -190,23 +201,6 @@ class TrainingPlan(Plan):
         return Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, judged=False)
 
     # ---------------------------------------------------------------------------------------------------- results
-
-    def _add_episode(self, done: EpisodeRecord) -> bool:
-        """Add a completed episode; returns True if its policy is the best so far."""
-        progress = self.progress
-        progress.episode += 1
-        progress.last_return, progress.last_rmse = done.episode_return, done.force_rmse
-        learnt = {"entropy_coefficient": self.learner.entropy_coefficient, "updates": self.learner.updates}
-        losses = {f"{name}_loss": loss for name, loss in self.learner.losses._asdict().items()}
-        progress.history.append({**done.summary(), **learnt, **losses})
-        self.record.add("episode", "", **progress.history[-1])
-        best = False
-        if not self.settings.exam.every:  # all that is known is that it completed the episode
-            best = done.lag < progress.best_lag
-            self.propose()
-            self._accept(best)
-        progress.best_lag = min(done.lag, progress.best_lag)
-        return best
 
     def add_exam(self, scores: Sequence[Score], digest: str = "") -> bool:
         """Add an examination completed by the policy of this digest; returns True if it is significantly the best.

@@ -127,6 +127,12 @@ class LoadCell:
     def __post_init__(self) -> None:
         check(self)
 
+    @property
+    def inverse(self) -> tuple[float, ...]:
+        """Polynomial in s from its reading to the force in front of it."""
+        omega = 2.0 * math.pi * self.bandwidth
+        return 1.0, 2.0 * self.damping / omega, 1.0 / omega**2
+
     @classmethod
     def load(cls, path: Path) -> LoadCell:
         """Read the cell of a bench file or of a diagnosis' corrected.yaml.
@@ -205,9 +211,13 @@ class Compensator:
         valve = 1.0 / force, omega, omega * force, omega * force
         scale = np.array((1.0, omega, omega**2, 1.0 / force, *valve, *[omega] * len(PLAYS)))
         least, most, share = self.law.coefficient_min, self.law.coefficient_max, -self.law.coefficient_min[1]
+        inverse = (1.0,) if cell is None else cell.inverse
+        regressors = np.zeros((3, ORDER))
+        for row in range(3):
+            regressors[row, row : row + len(inverse)] = inverse
         self._constants = _Constants(
             *_filter(self.settings.bandwidth),
-            regressors=_regressors(cell) / scale[:3, np.newaxis] / force,
+            regressors=regressors / scale[:3, np.newaxis] / force,
             scale=scale,
             weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * (len(START) - 4)),
             least=np.array((*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAYS))),
@@ -281,18 +291,6 @@ class Compensator:
         self._take(self._numbers, self._constants, self._memory, samples, active, self.frozen, self.counted,
                    self.coefficients)  # fmt: skip
         return self.coefficients.copy()
-
-
-def _regressors(cell: LoadCell | None) -> FloatArray:
-    """Matrix from the filtered force and its derivatives to those of the force to control, shape (3, `ORDER`)."""
-    inverse: tuple[float, ...] = (1.0,)
-    if cell is not None:
-        omega = 2.0 * math.pi * cell.bandwidth
-        inverse = (1.0, 2.0 * cell.damping / omega, 1.0 / omega**2)
-    result = np.zeros((3, ORDER))
-    for row in range(3):
-        result[row, row : row + len(inverse)] = inverse
-    return result
 
 
 def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:

@@ -345,8 +345,9 @@ class TrialRunner(Generic[P]):
                 gains = "K_p = {:g} and K_i = {:g} acted".format(*acted)
                 self._leave_out(trial, f"{gains}: widen the plant's gain limits (guard.delta_kp_max)")
                 return
-        if late:
-            self._warn(f"{trace.controller} at {trace.case}: {late}")
+        if late and (warning := f"{trial.name}: {late}") not in self.warnings:
+            self.warnings.append(warning)
+            self._outputs.say(warning, warning=True)
         felt = None if self._felt is None else load_force.read_forces(self._felt, trace.states["sequence"])
         if not self.plan.training:
             self.traces.append(trace)
@@ -395,8 +396,3 @@ class TrialRunner(Generic[P]):
     def _base(self, controller: Controller) -> tuple[float, float] | None:
         """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
-
-    def _warn(self, sentence: str) -> None:
-        if sentence not in self.warnings:
-            self.warnings.append(sentence)
-            self._outputs.say(sentence, warning=True)
