@@ -104,17 +104,16 @@ class CompanionWatch:
         """Return sentences about those that ended since the last call."""
         gone = [companion for companion in self._running if not companion.running]
         self._running = [companion for companion in self._running if companion not in gone]
+        told = []
         for companion in gone:
-            if companion.process.returncode == _REFUSED:
+            code, outcome = companion.process.returncode, "no samples come from then on, and the box disarms itself"
+            if companion.name == "recorder":
+                outcome = f"what it had written stays readable, {self._unrecorded}"
+            status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+            told.append(f"{companion.name} ended by itself ({status}): {outcome}")
+            if code == _REFUSED:
                 said = companion.last_line.removeprefix("error: ").removeprefix(f"{companion.name}: ")
                 self.refused = self.refused or f"{companion.name}: {said}"
             elif companion.name != "recorder":
-                self.lost = self.lost or self._sentence(companion)
-        return [self._sentence(companion) for companion in gone]
-
-    def _sentence(self, gone: Companion) -> str:
-        code, outcome = gone.process.returncode, "no samples come from then on, and the box disarms itself"
-        if gone.name == "recorder":
-            outcome = f"what it had written stays readable, {self._unrecorded}"
-        status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-        return f"{gone.name} ended by itself ({status}): {outcome}"
+                self.lost = self.lost or told[-1]
+        return told
