@@ -76,9 +76,6 @@ class Period:
         difference = (reference[:, np.newaxis] - self._past) ** 2
         self._unlike = np.where(seen > 0, self._unlike + share * (difference - self._unlike), 0.0)
         self._past = np.concatenate((reference[:, np.newaxis], self._past[:, :-1]), axis=1)
-        self._find(seen)
-
-    def _find(self, seen: npt.NDArray[np.int64]) -> None:
         d, power = self._unlike, self._variance[:, np.newaxis] + 1e-12
         behind = np.maximum.accumulate(d, axis=1) > UNLIKE * power
         inner = d[:, 1:-1]
@@ -257,8 +254,12 @@ class Residual:
         self._learn()
         now = np.where(np.isfinite(reference[:, -1]), reference[:, -1], 0.0) / self._scale
         self._period.step(now, self.age)
-        z = self._situation(now)
-        self._remember(now, a)
+        past = self._rate[:, self._rate.shape[1] - 1 - BACK]
+        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01  # f_r''
+        shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
+        plain = (now / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
+        z = np.concatenate((shaped, np.stack(plain, axis=1)), axis=1)
+        self._remember(now, second, a)
         self._seen = np.concatenate((self._seen[:, 1:], z[:, np.newaxis]), axis=1)
         self.inputs = self._inputs(z, a)
         self._predict(a)
@@ -289,14 +290,6 @@ class Residual:
         self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, 1e3)
         self._steps += 1
 
-    def _situation(self, reference: FloatArray) -> FloatArray:
-        """z, shape (n, `TERMS`)."""
-        past = self._rate[:, self._rate.shape[1] - 1 - BACK]
-        shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
-        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01
-        plain = (reference / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
-        return np.concatenate((shaped, np.stack(plain, axis=1)), axis=1)
-
     def _inputs(self, z: FloatArray, a: FloatArray) -> FloatArray:
         """What the network is given, shape (n, `INPUTS`)."""
         level = a[:, 3] / self._scale
@@ -315,9 +308,8 @@ class Residual:
         correlation = self._zy / (self._zz + 0.02)
         return np.concatenate((z, correlation * z, np.stack((*law, *late, *alike), axis=1)), axis=1)
 
-    def _remember(self, reference: FloatArray, a: FloatArray) -> None:
+    def _remember(self, reference: FloatArray, second: FloatArray, a: FloatArray) -> None:
         """Enter the corrections needed at the step `REMEMBERED` ago and at the one behind it, its law and reference."""
-        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01
         shape = np.stack((self.needed, *a.T[:3], a[:, 3] / self._scale, reference, self._rate[:, -1], second), axis=1)
         shape = np.concatenate((shape, np.ones((self._count, 1))), axis=1)
         late = self._lately = np.concatenate((self._lately[:, 1:], shape[:, np.newaxis]), axis=1)
@@ -326,23 +318,20 @@ class Residual:
         acted = (1.0 - part) * late[:, 1, 5:] + part * late[:, 2, 5:]
         self._past.push(np.concatenate((np.stack(corrections, axis=1), late[:, 0, 1:5], acted), axis=1))
 
-    def _repeated(self, a: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean of the corrections needed whole periods ago and how far it is trusted, shapes (n, 2) and (n, 1)."""
-        total: FloatArray = np.zeros((self._count, OUTPUTS))
-        weight: FloatArray = np.zeros((self._count, 1))
-        for number, usual in enumerate(REPEATS):
-            back = (number + 1) * self._period.steps - REMEMBERED
-            known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
-            then = self._past.at(np.where(known, back, 0.0))
-            changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - a) * then[:, OUTPUTS + 4 :], axis=1)
-            share = (usual * known / (1.0 + (changed / STALE) ** 2))[:, np.newaxis]
-            total, weight = total + share * then[:, :OUTPUTS], weight + share
-        return total / np.maximum(weight, 1e-6), self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
-
     def _predict(self, a: FloatArray) -> None:
         predicted: FloatArray = np.zeros((self._count, OUTPUTS))
         if self._network is not None:
-            repeated, trust = self._repeated(a / np.array((1.0, 1.0, 1.0, self._scale)))
+            law = a / np.array((1.0, 1.0, 1.0, self._scale))
+            total, weight = np.zeros((self._count, OUTPUTS)), np.zeros((self._count, 1))
+            for number, usual in enumerate(REPEATS):  # corrections needed whole periods ago
+                back = (number + 1) * self._period.steps - REMEMBERED
+                known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
+                then = self._past.at(np.where(known, back, 0.0))
+                changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - law) * then[:, OUTPUTS + 4 :], axis=1)
+                share = (usual * known / (1.0 + (changed / STALE) ** 2))[:, np.newaxis]
+                total, weight = total + share * then[:, :OUTPUTS], weight + share
+            repeated = total / np.maximum(weight, 1e-6)
+            trust = self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
             predicted = (1.0 - trust) * GAIN * self._network(self.inputs) + trust * REPEAT_GAIN * repeated
         let_in = np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0) * np.clip(self._counting / AGAIN, 0.0, 1.0)
         let_in = let_in[:, np.newaxis]

@@ -134,7 +134,7 @@ class TrialRunner(Generic[P]):
         self._record, self._kind = None, kind
         for event in record.unfinished(kind) if record is not None else ():
             made, due = Score.of_event(event), plan.trial
-            same = due is not None and due.stopped("").run == made.run
+            same = due is not None and due.blank().run == made.run
             if not same:
                 break
             self._add(made)
@@ -259,7 +259,7 @@ class TrialRunner(Generic[P]):
         """Score what is left under this force law, which comes next in the plan, as stopped."""
         self._outputs.say(f"{why}: what is left under the {law.name.lower()} law is left out", warning=True)
         while (trial := self.plan.trial) is not None and trial.controller.law.law is law:
-            self._add(trial.stopped(why))
+            self._add(trial.blank(why))
         self._run = None
 
     def on_tick(self, now: float) -> None:
@@ -317,8 +317,7 @@ class TrialRunner(Generic[P]):
         trial, self._run = run.trial, None
         controller, case = trial.controller, trial.case
         if not trial.judged:
-            frequency = case.signal.frequency
-            self._add(Score(controller=controller.name, case=case.name, frequency=frequency, repeat=trial.repeat))
+            self._add(trial.blank())
             return
         trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
@@ -366,7 +365,7 @@ class TrialRunner(Generic[P]):
         if self._repeats == REPEATS:
             return False
         self._repeats += 1
-        self._outputs.say(f"{trial.controller.name} at {trial.case.name} is started again: {why}", warning=True)
+        self._outputs.say(f"{trial.name} is started again: {why}", warning=True)
         return True
 
     def _stop(self, trial: Trial, reason: str, sample: FloatArray) -> None:
@@ -379,7 +378,7 @@ class TrialRunner(Generic[P]):
 
     def _leave_out(self, trial: Trial, reason: str) -> None:
         """Score a trial as stopped."""
-        told = self._add(trial.stopped(reason)) or f"{trial.controller.name} at {trial.case.name}: {reason}"
+        told = self._add(trial.blank(reason)) or f"{trial.name}: {reason}"
         self._outputs.say(told, warning=True)
 
     def _on_trip(self, flags: int, sample: FloatArray) -> None:

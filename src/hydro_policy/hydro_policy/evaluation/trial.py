@@ -32,8 +32,8 @@ class Trial:
         """For sentences: `fixed (90, 15) at 2 Hz`."""
         return f"{self.controller.name} at {self.case.name}"
 
-    def stopped(self, why: str) -> Score:
-        """Return the score of this trial, stopped."""
+    def blank(self, why: str = "") -> Score:
+        """Return the score of this trial without figures; `why`: it was stopped."""
         return Score(
             controller=self.controller.name, case=self.case.name, frequency=self.case.signal.frequency,
             repeat=self.repeat, stopped=why,

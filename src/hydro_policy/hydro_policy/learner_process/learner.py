@@ -7,8 +7,8 @@
     transition   -> replay buffer -------------------------->  batches, updates
     policy       <- `latest`: counters, networks, moments <--  after each chunk of updates; a successor starts there
     good policy  -> `good`: the same ----------------------->  continues from there on a rollback
-    progress     <- `status`: updates, temperature, losses <-
-    requests     -> pipe: wake, roll back, save, end ------->  checkpoints; faults come back
+    rollbacks    <> `status`: asked for, done; updates, temperature, losses
+    requests     -> pipe: wake, save, end ------------------>  checkpoints; faults come back
 
 All but the pipe are shared memory, so that nothing is lost when the learner dies.
 """
@@ -83,10 +83,10 @@ class Latest:
         return bool(self._version[0] > self._seen)
 
 
-STATUS = np.dtype(
-    [(name, np.float64) for name in ("updates", "alpha", "ready", "checkpoints", "rollbacks", *Losses._fields)]
-)
-"""Progress of a learner: updates done, alpha, 1 once there are weights, checkpoints written, rollbacks done, losses."""
+_COUNTS = ("updates", "alpha", "ready", "checkpoints", "rollbacks", "rollbacks_asked")
+STATUS = np.dtype([(name, np.float64) for name in (*_COUNTS, *Losses._fields)])
+"""Progress of a learner: updates done, alpha, 1 once there are weights, checkpoints written, rollbacks done and asked
+for, which the acting process counts, losses."""
 
 
 class LearnerMemory:
@@ -115,7 +115,7 @@ def agent(settings: TrainingSettings, blob: bytes | None = None) -> Sac:
     return sac
 
 
-WAKE, ROLL_BACK, END = "wake", "roll back", "end"
+WAKE, END = "wake", "end"
 """Requests. WAKE, once a transition is stored: an idle learner looks for work only now and then."""
 
 
@@ -152,7 +152,8 @@ class Learner:
         return self.settings.updates_due(self.replay.produced) - self.sac.updates
 
     def work(self) -> int:
-        """Perform up to `CHUNK` of the pending updates and publish; returns how many were done."""
+        """Roll back if asked, perform up to `CHUNK` of the pending updates and publish; returns how many were done."""
+        self._obey()
         count = min(self.pending_updates, CHUNK)
         if count > 0:
             self.sac.learn(self.replay, count)
@@ -173,6 +174,10 @@ class Learner:
             status[name] = loss
         status["alpha"], status["updates"], status["ready"] = sac.entropy_coefficient, sac.updates, 1.0
 
+    def _obey(self) -> None:
+        if self._status["rollbacks"] < self._status["rollbacks_asked"]:
+            self.roll_back()
+
     def roll_back(self) -> None:
         """Continue from the last good state; the updates done stay counted, or they would be due again.
 
@@ -184,11 +189,12 @@ class Learner:
             self.sac.state[:] = good
             self.sac.updates = updates
         self.publish()
-        self._status["rollbacks"] += 1  # last: a reader that sees the count finds the weights
+        self._status["rollbacks"] = self._status["rollbacks_asked"]  # last: who sees the count finds the weights
 
     def save(self, request: SaveRequest) -> None:
         """Write the checkpoint and, if it has changed, the policy's file. Raises OSError: as `write_run`."""
         assert self._run is not None
+        self._obey()
         best, good = None, self._good.read()
         if request.best and good is not None:
             kept = agent(self.settings)
@@ -260,11 +266,8 @@ def run_learner(
                     return
                 if request == WAKE:
                     break
-                if request == ROLL_BACK:
-                    learner.roll_back()
-                else:
-                    last = request
-                    save(request)
+                last = request
+                save(request)
     except EOFError:  # the acting process died: save what was learnt
         if last is not None:
             save(last)

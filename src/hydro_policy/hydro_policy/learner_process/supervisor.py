@@ -23,7 +23,6 @@ from hydro_core.signals import FloatArray
 from hydro_policy.learner_process.learner import (
     CONTEXT,
     END,
-    ROLL_BACK,
     WAKE,
     LearnerFault,
     LearnerMemory,
@@ -71,7 +70,6 @@ class LearnerSupervisor:
         self.replay, self._latest, self._good, self._status = self._memory.open()
         for name in Losses._fields:
             self._status[name] = np.nan
-        self._rollbacks, self._unheard = 0, False  # requested; whether the last request could not be delivered
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             start = resumed.learner
@@ -100,9 +98,13 @@ class LearnerSupervisor:
 
         Also None until a requested rollback is done: earlier weights must not act.
         """
-        if self._status["rollbacks"] < self._rollbacks or not self._latest.changed or not self._read():
+        if not self._rolled_back or not self._latest.changed or not self._read():
             return None
         return self._copy.actor_parameters()
+
+    @property
+    def _rolled_back(self) -> bool:
+        return bool(self._status["rollbacks"] >= self._status["rollbacks_asked"])
 
     def snapshot(self) -> bytes | None:
         """Return the learner's whole state; None before the first."""
@@ -122,7 +124,7 @@ class LearnerSupervisor:
     def settle(self) -> None:
         """Where it is `exact`, wait until all updates and rollbacks that are due are done."""
         due = self._settings.updates_due(self.replay.produced)
-        self._await(lambda: self._status["updates"] >= due and self._status["rollbacks"] >= self._rollbacks)
+        self._await(lambda: self._rolled_back and self.updates >= due)
 
     def _await(self, done: Callable[[], bool]) -> None:
         """Wait, where it is `exact`, but for no learner that is dead, starts, or takes more than a minute."""
@@ -136,8 +138,8 @@ class LearnerSupervisor:
 
     def roll_back(self) -> None:
         """Make the learner return to the last good state."""
-        self._rollbacks = int(self._status["rollbacks"]) + 1
-        self._unheard = not self._ask(ROLL_BACK)  # `restart_if_dead` repeats the request to it or its successor
+        self._status["rollbacks_asked"] += 1  # of this learner or its successor
+        self.wake()
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Request a checkpoint, written on return where it is `exact`; returns False if the learner is not running."""
@@ -159,8 +161,6 @@ class LearnerSupervisor:
                     raise self._unwritten(fault.sentence)
                 self._said = fault.sentence
         if self.alive:
-            if self._unheard:
-                self._unheard = not self._ask(ROLL_BACK)
             return None
         if self._said and not self.ready:
             raise LearnerError(f"the learner cannot begin: {self._said}")
@@ -172,8 +172,6 @@ class LearnerSupervisor:
         self.restarts += 1
         self._requests.close()
         self._start()
-        if self._status["rollbacks"] < self._rollbacks:  # it died before the rollback
-            self._unheard = not self._ask(ROLL_BACK)
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
 
     def stop(self, trainer: dict[str, Any]) -> None:

@@ -504,17 +504,15 @@ class GraphNode(Node):
         try:
             if request.whom not in ("", own):
                 raise ValueError(f"{own} chooses the gains here, not {request.whom}")
-            if request.active:
-                answer.message = self.override.hold(*gains, request.seconds, self.now())
-            else:
-                answer.message = self.override.release()
-            answer.success = True
-        except ValueError as error:
+            hold = self.override.hold
+            told = hold(*gains, request.seconds, self.now()) if request.active else self.override.release()
+            answer.success, answer.message = True, told
+        except (ValueError, OSError) as error:
             answer.success, answer.message = False, str(error)
-            self.warn(f"override refused: {error}")
-        except OSError as error:  # the run's record cannot be written, which ends the run
-            answer.success, answer.message = False, str(error)
-            self.fail(error)
+            if isinstance(error, ValueError):
+                self.warn(f"override refused: {error}")
+            else:  # the run's record cannot be written, which ends the run
+                self.fail(error)
         wanted = "hold ({:g}, {:g}) for {:g} s".format(*gains, request.seconds)
         told = answer.message if answer.success else f"refused: {answer.message}"
         self._log_call(

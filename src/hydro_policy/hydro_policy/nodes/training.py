@@ -283,10 +283,10 @@ def train(options: argparse.Namespace) -> int:
         record.add("digest", run_digest=digest, circumstances=circumstances())
     record.flush()
     try:
-        curves.draw_curve(record.events, run.learning_curve)
+        curves.draw_curve(record, run.learning_curve)
     except OSError as error:
         print(f"no learning curve: {error.strerror or error}", file=sys.stderr)
-    found += curves.sections(record.events, run.learning_curve)
+    found += curves.sections(record, run.learning_curve)
     curves.write_page(run, f"Training {run.path.name}", notes, found)
     print_files(run, plant.recording, finished, options, time.monotonic() - began)
     if digest:

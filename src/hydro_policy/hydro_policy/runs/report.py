@@ -12,7 +12,7 @@ from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import Table, plural, print_above_progress
 from hydro_core.files.atomic import write_whole
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 Events = Sequence[Mapping[str, Any]]
@@ -22,9 +22,9 @@ _LOSSES = ("critics_loss", "actor_loss")
 _TOLD = ("start", "uncovered", "stop", "override", "end")
 
 
-def sections(events: Events, curve: Path) -> list[Section]:
+def sections(record: RunRecord, curve: Path) -> list[Section]:
     """Return the sections of a training's page; `curve` is the picture of `draw_curve`."""
-    episodes, exams, stops = (_of(events, kind) for kind in ("episode", "exam", "stop"))
+    episodes, exams, stops = (record.of(kind) for kind in ("episode", "exam", "stop"))
     last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
     summary = f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}."
     if exams and episodes and not any(exam["best"] and exam["episode"] > 0 for exam in exams):
@@ -33,7 +33,7 @@ def sections(events: Events, curve: Path) -> list[Section]:
     if exams:
         found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=_table(exams)))
     happened = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
-    for event in events:
+    for event in record.events:
         if event["kind"] in _TOLD:
             happened.add(time=_utc(str(event.get("time", ""))), event=event["kind"], sentence=_sentence(event))
     return [*found, Section(heading="What happened", table=happened)]
@@ -49,9 +49,9 @@ def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections
     refresh_index(run.path)
 
 
-def draw_curve(events: Events, path: Path) -> None:
+def draw_curve(record: RunRecord, path: Path) -> None:
     """Draw return and force RMSE of episodes, scores of examinations and rollbacks; draws nothing without data."""
-    episodes, exams = _of(events, "episode"), _of(events, "exam")
+    episodes, exams = record.of("episode"), record.of("exam")
     if not episodes and not exams:
         return
     learnt = [event for event in episodes if event.get(_LOSSES[0]) is not None]
@@ -77,7 +77,7 @@ def draw_curve(events: Events, path: Path) -> None:
             axis.plot([event["episode"] for event in learnt], losses, color=color, marker=".", label="last updates")
             axis.set(ylabel=name.replace("_", " "))
         stops, episode = [], 0.5  # rollbacks, half an episode behind the last one
-        for event in events:
+        for event in record.events:
             episode = event["episode"] + 0.5 if event["kind"] == "episode" else episode
             stops += [episode] if event["kind"] == "stop" else []
         for panel in axes:
@@ -122,7 +122,3 @@ def _sentence(event: Mapping[str, Any]) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"  # non-finite values are null
-
-
-def _of(events: Events, kind: str) -> list[Mapping[str, Any]]:
-    return [event for event in events if event["kind"] == kind]

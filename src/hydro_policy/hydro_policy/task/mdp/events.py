@@ -153,8 +153,8 @@ def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping
     return {**effect, "parameters": parameters}
 
 
-def episode_bench(settings: Randomisation | None, source: Bench, episode: int, seed: int) -> RandomisedBench | None:
+def episode_bench(settings: Randomisation, source: Bench, episode: int, seed: int) -> RandomisedBench | None:
     """Return the bench of an episode, drawn around `source`; None: the one that is known."""
-    if settings is None or _stream(seed, episode, KNOWN).random() < settings.known_share:
+    if _stream(seed, episode, KNOWN).random() < settings.known_share:
         return None
     return draw_bench(settings, source, stream_seed(seed, episode, BENCH))
