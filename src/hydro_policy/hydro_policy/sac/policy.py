@@ -39,7 +39,7 @@ class Policy:
         self.biases = [np.zeros(o) for o in self.sizes[1:]]
 
     def load_flat(self, parameters: FloatArray) -> None:
-        """Take over the actor's flat parameters (order of `algorithm.StackedMlp`), any float type."""
+        """Take over the actor's flat parameters (in the order of `sac.layers`), any float type."""
         offset = 0
         for weight, bias in zip(self.weights, self.biases, strict=True):
             for array in (weight, bias):

@@ -123,46 +123,31 @@ def four(count):
     return (count + 3) // 4 * 4
 
 
-class Sizes(NamedTuple):
-    """Sizes of `members` perceptrons with two equal hidden layers, in one flat vector, one after the other.
+Layer = tuple[Places, Places]
+"""Where the weights [member, fan_in, fan_out] and the biases [member, fan_out] of a layer lie."""
 
-    Every layer is padded with zeros to a multiple of four. The gradients there are zero, so that they stay zero.
+
+def layers(members: int, inputs: tuple[int, ...], hidden: int, outputs: int) -> tuple[int, list[Layer]]:
+    """Return the length of the flat vector of `members` perceptrons with two equal hidden layers, and their layers.
+
+    Every layer is padded with zeros to a multiple of four. The gradients there are zero, so that they stay zero. In the
+    order of the layers, without padding, weights and biases are in files and in `Policy.load_flat`. `inputs`: numbers
+    of the inputs of each kind, observations, then actions; each kind is padded.
     """
-
-    members: int
-    inputs: tuple[int, ...]
-    """Numbers of the inputs of each kind, observations, then actions; each kind is padded."""
-    hidden: int
-    outputs: int
-
-    @property
-    def padded(self) -> tuple[int, int, int]:
-        """Padded inputs, hidden units, outputs."""
-        return sum(map(four.py_func, self.inputs)), four.py_func(self.hidden), four.py_func(self.outputs)
-
-    @property
-    def length(self) -> int:
-        """Length of the flat vector."""
-        inputs, hidden, outputs = self.padded
-        return self.members * ((inputs + hidden + 2) * hidden + (hidden + 1) * outputs)
-
-    def places(self) -> list[tuple[Places, Places]]:
-        """Return where the weights [member, fan_in, fan_out] and the biases [member, fan_out] of each layer lie.
-
-        In this order, without padding, they are in files and in `Policy.load_flat`.
-        """
-        starts = np.cumsum([0, *map(four.py_func, self.inputs)])
-        inputs = np.concatenate([start + np.arange(n) for start, n in zip(starts, self.inputs, strict=False)])
-        units = [inputs, np.arange(self.hidden), np.arange(self.hidden), np.arange(self.outputs)]
-        members = np.arange(self.length).reshape(self.members, -1)
-        networks = [network.py_func(flat, *self.padded) for flat in members]
-        return [
-            (
-                np.stack([each[2 * k][np.ix_(units[k], units[k + 1])] for each in networks]),
-                np.stack([each[2 * k + 1][units[k + 1]] for each in networks]),
-            )
-            for k in range(3)
-        ]
+    starts = np.cumsum([0, *map(four.py_func, inputs)])
+    padded = int(starts[-1]), four.py_func(hidden), four.py_func(outputs)
+    length = (padded[0] + padded[1] + 2) * padded[1] + (padded[1] + 1) * padded[2]
+    of_inputs = np.concatenate([start + np.arange(n) for start, n in zip(starts, inputs, strict=False)])
+    units = [of_inputs, np.arange(hidden), np.arange(hidden), np.arange(outputs)]
+    networks = [network.py_func(flat, *padded) for flat in np.arange(members * length).reshape(members, -1)]
+    found = [
+        (
+            np.stack([each[2 * k][np.ix_(units[k], units[k + 1])] for each in networks]),
+            np.stack([each[2 * k + 1][units[k + 1]] for each in networks]),
+        )
+        for k in range(3)
+    ]
+    return members * length, found
 
 
 class Network(NamedTuple):
@@ -451,15 +436,15 @@ class Sac:
 
     def __init__(self, observations: int, actions: int, settings: SacSettings, dtype: Any = np.float32) -> None:
         self.settings = settings
-        actor = Sizes(1, (observations,), settings.hidden_size, 2 * actions)
-        critics = Sizes(2, (observations, actions), settings.hidden_size, 1)
-        self.sizes = {"actor": actor, "critics": critics}
+        actor, of_actor = layers(1, (observations,), settings.hidden_size, 2 * actions)
+        critics, of_critics = layers(2, (observations, actions), settings.hidden_size, 1)
+        self.layers = {"actor": of_actor, "critics": of_critics}
         self.places = {
-            name: np.concatenate([places.ravel() for layer in sizes.places() for places in layer])
-            for name, sizes in self.sizes.items()
+            name: np.concatenate([places.ravel() for layer in found for places in layer])
+            for name, found in self.layers.items()
         }
         """Of the networks' numbers in their padded vectors, in the order of files."""
-        lengths = [actor.length] * 3 + [critics.length] * 3 + [1] * 3 + [critics.length]
+        lengths = [actor] * 3 + [critics] * 3 + [1] * 3 + [critics]
         numbers = -(-sum(lengths) * np.dtype(dtype).itemsize // 8)
         self.state: NDArray[np.int64] = np.zeros(2 + numbers, np.int64)
         """Everything that the next update depends on: counters, then all vectors of `agent`, which are views of it."""
@@ -471,8 +456,8 @@ class Sac:
         ]
         self.agent = Agent(optimizers[0], optimizers[1], optimizers[2], vectors[9])
         rng = np.random.default_rng(settings.seed).spawn(1)[0]  # exploration has the seed itself
-        for sizes, optimizer in ((actor, self.agent.actor), (critics, self.agent.critics)):
-            for layer in sizes.places():
+        for found, optimizer in ((of_actor, self.agent.actor), (of_critics, self.agent.critics)):
+            for layer in found:
                 bound = 1.0 / math.sqrt(layer[0].shape[1])
                 for places in layer:
                     optimizer.parameters[places] = rng.uniform(-bound, bound, places.shape)
