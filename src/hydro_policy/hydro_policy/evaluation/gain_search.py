@@ -9,8 +9,8 @@ score     mean over the references of the RMSE relative to the best of any pair 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -62,49 +62,42 @@ def coarse_grid(gains: GainRange, base: tuple[float, float]) -> GridSettings:
     )  # fmt: skip
 
 
-@dataclass
 class GridSearch:
     """Chooses the next pair of gains; independent of the bench."""
 
-    settings: GridSettings
-    tried: dict[Gains, FloatArray] = field(default_factory=dict)
-    """RMSE [N] on each reference; infinite where the run was stopped."""
-    _rising: list[Gains] = field(default_factory=list)
-    _fine: list[Gains] = field(default_factory=list)
-    _round: int = 0
-
-    def __post_init__(self) -> None:
-        self._rising = [(self.settings.kp_min, ki) for ki in self.settings.ki_values]
+    def __init__(self, settings: GridSettings) -> None:
+        self.settings = settings
+        self.tried: dict[Gains, FloatArray] = {}
+        """RMSE [N] on each reference; infinite where the run was stopped."""
+        self._pairs = self._search()
+        self._next = next(self._pairs, None)
 
     def next(self) -> Gains | None:
         """Return the next pair to try; None when the search is complete."""
-        self._fine = [pair for pair in self._fine if pair[0] < self._edge]
-        while not self._rising and not self._fine and self._round < self.settings.refinements:
-            self._round += 1
-            limits, (kp, ki), half = self.settings, self.best, 0.5**self._round
-            spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else 2.0 * ki
-            beside = [(kp + i * half * limits.kp_step, ki + j * half * spacing) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-            self._fine = [
-                (p, i) for p, i in beside
-                if limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max
-                and (p, i) not in self.tried and p < self._edge
-            ]  # fmt: skip
-        return self._rising[0] if self._rising else self._fine[0] if self._fine else None
+        return self._next
 
     def tell(self, pair: Gains, rmse: Sequence[float]) -> None:
         """Record a pair's RMSE on each reference; infinite or NaN: it was stopped."""
         self.tried[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
-        if self._rising:
-            self._rising.pop(0)
-            higher = (pair[0] + self.settings.kp_step, pair[1])
-            if (
-                higher[0] <= self.settings.kp_max
-                and higher[0] < self._edge
-                and self.scores[pair] < self.settings.hopeless * min(self.scores.values())
-            ):
-                self._rising.insert(0, higher)
-        else:
-            self._fine.remove(pair)
+        self._next = next(self._pairs, None)
+
+    def _search(self) -> Iterator[Gains]:
+        limits = self.settings
+        for ki in limits.ki_values:  # coarse
+            kp, promising = limits.kp_min, True
+            while promising:
+                yield kp, ki
+                promising = self.scores[kp, ki] < limits.hopeless * min(self.scores.values())
+                kp += limits.kp_step
+                promising = promising and kp <= limits.kp_max and kp < self._edge
+        spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else None
+        for halving in range(1, limits.refinements + 1):  # fine
+            (kp, ki), half = self.best, 0.5**halving
+            steps = half * limits.kp_step, half * (2.0 * ki if spacing is None else spacing)
+            for p, i in [(kp + i * steps[0], ki + j * steps[1]) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
+                allowed = limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max
+                if allowed and (p, i) not in self.tried and p < self._edge:
+                    yield p, i
 
     @property
     def scores(self) -> dict[Gains, float]:

@@ -175,9 +175,8 @@ class TrialRunner(Generic[P]):
             return self._hold(trial, held, sequence, step)
         if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
             self.watch.acted(now)
-            return self._hold(
-                trial, (0.0, 0.0) if compensated else FALLBACK, sequence, step
-            )  # as the guard passes them
+            gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
+            return self._hold(trial, gains, sequence, step)
         if self._run is None:
             if not self.watch.may_begin(now):
                 self._step_ended = False
