@@ -183,13 +183,13 @@ class Learner:
 
         Transitions of the failed policy stay in the replay buffer: they are what there is to learn from.
         """
-        good = self._good.read()
+        asked, good = self._status["rollbacks_asked"], self._good.read()
         if good is not None:
             updates = self.sac.updates
             self.sac.state[:] = good
             self.sac.updates = updates
         self.publish()
-        self._status["rollbacks"] = self._status["rollbacks_asked"]  # last: who sees the count finds the weights
+        self._status["rollbacks"] = asked  # last: who sees the count finds the weights
 
     def save(self, request: SaveRequest) -> None:
         """Write the checkpoint and, if it has changed, the policy's file. Raises OSError: as `write_run`."""
