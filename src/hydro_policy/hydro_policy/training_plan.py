@@ -106,7 +106,7 @@ class TrainingPlan(Plan):
         if best is not None:
             learner.save_policy(best)
         self._fresh = True  # no episode has passed since the box was armed
-        self._trial = self._due()
+        self._trial = self._due()  # a stop, or a pause, leads back: no generator
 
     # ---------------------------------------------------------------------------------------------------- trials
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task on a fleet of benches, the counterpart of `TrainingSession` without the graph's interruptions.
+"""The task on a fleet of benches, as a training has it on a running one, without the graph's interruptions.
 
 Observation, reward, gains and penalty are computed by the same functions of `task.mdp`; each episode starts from rest.
 """

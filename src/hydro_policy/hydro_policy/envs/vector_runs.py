@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parallel evaluation runs without a graph: each bench of a fleet runs one case under one controller.
 
-The protocol is that of `evaluation.session`: start from rest, settling, then whole periods over which e counts.
+As in `evaluation.runner`: start from rest, settling, then whole periods over which e counts.
 """
 
 from __future__ import annotations

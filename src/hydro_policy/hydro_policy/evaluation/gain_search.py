@@ -9,7 +9,7 @@ score     mean over the references of the RMSE relative to the best of any pair 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -129,30 +129,23 @@ class GridPlan(Plan):
 
     def __init__(self, settings: GridSettings, evaluation: EvaluationSettings, base: tuple[float, float]) -> None:
         self.search, self.evaluation, self._base = GridSearch(settings), evaluation, base
-        self._pair = self.search.next()
-        self._rmse: list[float] = []
+        super().__init__(self._pair_by_pair())
 
-    @property
-    def trial(self) -> Trial | None:
-        """See `Plan`."""
-        if self._pair is None:
-            return None
-        case = self.evaluation.cases[len(self._rmse)]
-        measure = self.evaluation.measured(case)
-        controller = FixedGains(*self._pair, self._base)
-        return Trial(controller=controller, case=case, settle=self.evaluation.settle, measure=measure)
-
-    def add(self, score: Score) -> str:
-        """See `Plan`. A trial in which the machine was held up tells nothing for its gains."""
-        assert self._pair is not None
-        self.done += 1
-        cases = len(self.evaluation.cases)
-        useless = bool(score.stopped) or score.spoilt
-        self._rmse = [np.inf] * cases if useless else [*self._rmse, score.rmse]
-        if len(self._rmse) == cases:
-            self.search.tell(self._pair, self._rmse)
-            self._pair, self._rmse = self.search.next(), []
-        return ""
+    def _pair_by_pair(self) -> Generator[Trial, Score, None]:
+        cases = self.evaluation.cases
+        while (pair := self.search.next()) is not None:
+            controller, rmse = FixedGains(*pair, self._base), list[float]()
+            for case in cases:
+                score = yield Trial(
+                    controller=controller, case=case, settle=self.evaluation.settle,
+                    measure=self.evaluation.measured(case),
+                )  # fmt: skip
+                self.done += 1
+                if score.stopped or score.spoilt:  # one in which the machine was held up tells nothing
+                    rmse = [np.inf] * len(cases)
+                    break
+                rmse.append(score.rmse)
+            self.search.tell(pair, rmse)
 
     @property
     def best(self) -> FixedGains:

@@ -7,8 +7,7 @@ A trial is one controller over one reference: seconds to settle, then seconds th
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 from hydro_policy.evaluation.controllers import Controller
@@ -40,21 +39,32 @@ class Trial:
         )  # fmt: skip
 
 
-class Plan(ABC):
-    """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`."""
+class Plan:
+    """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`.
+
+    `trials`: yields each, and is sent its score.
+    """
 
     training: bool = False  # whether its trials follow each other by policy steps, and nobody keeps their samples
     total: float = 0.0  # trials, or s of them, for a progress bar; 0: not known
     done: float = 0.0  # how many of them are over
 
+    def __init__(self, trials: Generator[Trial, Score, None]) -> None:
+        self._trials = trials
+        self._trial = next(trials, None)
+
     @property
-    @abstractmethod
     def trial(self) -> Trial | None:
         """The trial that is due; None: no more."""
+        return self._trial
 
-    @abstractmethod
     def add(self, score: Score) -> str:
         """Take the score of the trial that was due; returns what to tell the user of a stop, if more is known here."""
+        try:
+            self._trial = self._trials.send(score)
+        except StopIteration:
+            self._trial = None
+        return ""
 
     def begin(self, trial: Trial) -> None:
         """Prepare the trial that was due, which begins now, or begins again."""
@@ -99,18 +109,15 @@ class Comparison(Plan):
                       measure=settings.measured(case))
             )  # fmt: skip
 
+        super().__init__(self._in_turn())
+
+    def _in_turn(self) -> Generator[Trial, Score, None]:
+        for trial in self.trials:
+            yield trial
+            self.done += 1
+
     def __len__(self) -> int:
         return len(self.trials)
-
-    @property
-    def trial(self) -> Trial | None:
-        """See `Plan`."""
-        return self.trials[round(self.done)] if self.done < len(self.trials) else None
-
-    def add(self, score: Score) -> str:
-        """See `Plan`."""
-        self.done += 1
-        return ""
 
     @property
     def seconds(self) -> float:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from math import inf
 from pathlib import Path
@@ -50,34 +50,28 @@ class SchedulePlan(Plan):
     """
 
     def __init__(self, schedule: Sequence[Segment], base: tuple[float, float]) -> None:
-        self._left = [
-            Trial(controller=FixedGains(one.kp, one.ki, base), case=Case(one.waveform, one.signal), settle=0.0,
-                  measure=one.seconds, judged=False)
-            for one in schedule
-        ]  # fmt: skip
+        self._schedule, self._base = schedule, base
         self.total = sum(one.seconds for one in schedule)
         self.played = 0.0  # s of the segments that were played to their end
         self.trips = self.in_a_row = 0
+        super().__init__(self._in_turn())
 
-    @property
-    def trial(self) -> Trial | None:
-        """See `hydro_policy.evaluation.trial.Plan`."""
-        return self._left[0] if self._left and not self.ended else None
+    def _in_turn(self) -> Generator[Trial, Score, None]:
+        for one in self._schedule:
+            controller, case = FixedGains(one.kp, one.ki, self._base), Case(one.waveform, one.signal)
+            score = yield Trial(controller=controller, case=case, settle=0.0, measure=one.seconds, judged=False)
+            self.trips += bool(score.stopped)
+            self.in_a_row = self.in_a_row + 1 if score.stopped else 0
+            self.done += one.seconds
+            self.played += 0.0 if score.stopped else one.seconds
+            if self.ended:
+                return
 
     @property
     def ended(self) -> str:
         """Reason for ending before the schedule does; empty if there is none."""
         many = self.in_a_row >= TRIPS_IN_A_ROW
         return f"the plant tripped {self.in_a_row} times in a row: it is left disarmed" if many else ""
-
-    def add(self, score: Score) -> str:
-        """See `hydro_policy.evaluation.trial.Plan`."""
-        self.trips += bool(score.stopped)
-        self.in_a_row = self.in_a_row + 1 if score.stopped else 0
-        seconds = self._left.pop(0).measure
-        self.done += seconds
-        self.played += 0.0 if score.stopped else seconds
-        return ""
 
 
 def parser() -> argparse.ArgumentParser:

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from hydro_filter.controller.loop_filter import LoopFilterSettings
 
 LOAD_FORCE = "load_force"
-"""File, in the folder of the companions, of the last forces on the emulated load (`evaluation.load_force`)."""
+"""File, in the folder of the companions, of the last forces on the emulated load (`hydro_sim.files.load_force`)."""
 
 
 def describe_policy(path: Path) -> str:
