@@ -17,7 +17,7 @@ at its beginning, and examinations and checkpoints are of that state.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, field
 from statistics import NormalDist
 from typing import Any
@@ -106,7 +106,7 @@ class TrainingPlan(Plan):
         if best is not None:
             learner.save_policy(best)
         self._fresh = True  # no episode has passed since the box was armed
-        self._trial = self._due()  # a stop, or a pause, leads back: no generator
+        self.follow(self._in_turn())
 
     # ---------------------------------------------------------------------------------------------------- trials
 
@@ -134,36 +134,46 @@ class TrainingPlan(Plan):
         """See `Plan`: a policy that was stopped is rolled back."""
         if score.stopped and score.controller in (EXAMINED, self.explorer.name):
             return self._stop(score.stopped)
-        if self.exam is None:
-            self._fresh = False
-            progress, done = self.progress, self.explorer.current
-            progress.episode += 1
-            progress.last_return, progress.last_rmse = done.episode_return, done.force_rmse
-            learnt = {"entropy_coefficient": self.learner.entropy_coefficient, "updates": self.learner.updates}
-            losses = {f"{name}_loss": loss for name, loss in self.learner.losses._asdict().items()}
-            progress.history.append({**done.summary(), **learnt, **losses})
-            self.record.add("episode", "", **progress.history[-1])
-            best = not self.settings.exam.every and done.lag < progress.best_lag
-            if not self.settings.exam.every:  # all that is known is that it completed the episode
-                self.propose()
-                self._accept(best)
-            progress.best_lag = min(done.lag, progress.best_lag)
-        else:
-            self.scores.append(score)
-            self.exam.add(score)
-            if self.exam.trial is not None:
-                self._trial = self.exam.trial
-                return ""
-            best = self.add_exam(self.scores, self.policy.digest())
-        self.learner.save(self.state(), best)
-        self._trial = self._due()
-        return ""
+        return super().add(score)
+
+    def _in_turn(self) -> Generator[Trial, Score, None]:
+        """Examinations before the first episode, at intervals, and after the last, once each; episodes between them."""
+        task, exam, progress, learner = self.settings.task, self.settings.exam, self.progress, self.learner
+        while True:
+            self.exam, self.scores, done = None, [], progress.episode
+            if exam.every and progress.examined < done and (self.trained or done % exam.every == 0):
+                controllers: list[Controller] = [PolicyController(self.policy, task.gains, EXAMINED)]
+                if reference_too := not progress.reference_rmse:
+                    controllers.append(FixedGains(exam.reference_kp, exam.reference_ki, self.settings.base_gains))
+                self.exam = Comparison(exam.evaluation, controllers, LEAD if self._fresh or reference_too else 0.0)
+                for trial in self.exam.trials:
+                    self.scores.append((yield trial))
+                best = self.add_exam(self.scores, self.policy.digest())
+            elif self.trained:
+                return
+            else:
+                case = Case(f"episode {done + 1}", events.reference(task, done, self.settings.seed))
+                seconds = task.steps_per_episode * SAMPLES_PER_STEP * SAMPLE_PERIOD
+                yield Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, judged=False)
+                episode, self._fresh = self.explorer.current, False
+                progress.episode += 1
+                progress.last_return, progress.last_rmse = episode.episode_return, episode.force_rmse
+                learnt = {"entropy_coefficient": learner.entropy_coefficient, "updates": learner.updates}
+                losses = {f"{name}_loss": loss for name, loss in learner.losses._asdict().items()}
+                progress.history.append({**episode.summary(), **learnt, **losses})
+                self.record.add("episode", "", **progress.history[-1])
+                best = not exam.every and episode.lag < progress.best_lag
+                if not exam.every:  # all that is known is that it completed the episode
+                    self.propose()
+                    self._accept(best)
+                progress.best_lag = min(episode.lag, progress.best_lag)
+            learner.save(self.state(), best)
 
     def pause(self) -> None:
         """See `Plan`: an examination begins anew."""
         self.progress.interruptions += 1
         self._fresh = True
-        self._trial = self._due()
+        self.follow(self._in_turn())
 
     def wait(self, *, exact: bool) -> None:
         """See `Plan`."""
@@ -180,25 +190,6 @@ class TrainingPlan(Plan):
         progress.total_steps = self.explorer.total_steps
         summary = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
         return {**summary, "progress": asdict(progress), "random_state": self.explorer.rng.bit_generator.state}
-
-    def _due(self) -> Trial | None:
-        """Return the first trial of an examination, the episode after the finished ones, or None.
-
-        Examinations are due before the first episode, at intervals, and after the last; once each.
-        """
-        self.exam, self.scores = None, []
-        task, done, exam = self.settings.task, self.progress.episode, self.settings.exam
-        if exam.every and self.progress.examined < done and (self.trained or done % exam.every == 0):
-            controllers: list[Controller] = [PolicyController(self.policy, task.gains, EXAMINED)]
-            if reference_too := not self.progress.reference_rmse:
-                controllers.append(FixedGains(exam.reference_kp, exam.reference_ki, self.settings.base_gains))
-            self.exam = Comparison(exam.evaluation, controllers, LEAD if self._fresh or reference_too else 0.0)
-            return self.exam.trial
-        if self.trained:
-            return None
-        case = Case(f"episode {done + 1}", events.reference(task, done, self.settings.seed))
-        seconds = task.steps_per_episode * SAMPLES_PER_STEP * SAMPLE_PERIOD
-        return Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, judged=False)
 
     # ---------------------------------------------------------------------------------------------------- results
 
@@ -247,7 +238,7 @@ class TrainingPlan(Plan):
             self.gave_up = f"{self.rollbacks_in_a_row} rollbacks in a row, the last: {reason}"
             sentence += f"; that was once too often ({most} in a row): the run ends"
         self.record.add("stop", sentence, reason=reason, rollbacks=self.progress.rollbacks)
-        self._trial = self._due()
+        self.follow(self._in_turn())
         return sentence
 
     # ----------------------------------------------------------------------------------------------------- agents

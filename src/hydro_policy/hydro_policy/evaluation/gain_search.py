@@ -129,7 +129,7 @@ class GridPlan(Plan):
 
     def __init__(self, settings: GridSettings, evaluation: EvaluationSettings, base: tuple[float, float]) -> None:
         self.search, self.evaluation, self._base = GridSearch(settings), evaluation, base
-        super().__init__(self._pair_by_pair())
+        self.follow(self._pair_by_pair())
 
     def _pair_by_pair(self) -> Generator[Trial, Score, None]:
         cases = self.evaluation.cases

@@ -40,18 +40,15 @@ class Trial:
 
 
 class Plan:
-    """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`.
-
-    `trials`: yields each, and is sent its score.
-    """
+    """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`."""
 
     training: bool = False  # whether its trials follow each other by policy steps, and nobody keeps their samples
     total: float = 0.0  # trials, or s of them, for a progress bar; 0: not known
     done: float = 0.0  # how many of them are over
 
-    def __init__(self, trials: Generator[Trial, Score, None]) -> None:
-        self._trials = trials
-        self._trial = next(trials, None)
+    def follow(self, trials: Generator[Trial, Score, None]) -> None:
+        """Make these trials from now on; `trials` yields each, and is sent its score."""
+        self._trials, self._trial = trials, next(trials, None)
 
     @property
     def trial(self) -> Trial | None:
@@ -109,7 +106,7 @@ class Comparison(Plan):
                       measure=settings.measured(case))
             )  # fmt: skip
 
-        super().__init__(self._in_turn())
+        self.follow(self._in_turn())
 
     def _in_turn(self) -> Generator[Trial, Score, None]:
         for trial in self.trials:

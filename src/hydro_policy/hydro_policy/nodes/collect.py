@@ -54,7 +54,7 @@ class SchedulePlan(Plan):
         self.total = sum(one.seconds for one in schedule)
         self.played = 0.0  # s of the segments that were played to their end
         self.trips = self.in_a_row = 0
-        super().__init__(self._in_turn())
+        self.follow(self._in_turn())
 
     def _in_turn(self) -> Generator[Trial, Score, None]:
         for one in self._schedule:
