@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from math import inf
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -394,3 +394,7 @@ class TrialRunner(Generic[P]):
     def _base(self, controller: Controller) -> tuple[float, float] | None:
         """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
+
+
+Session = Rest | TrialRunner[Any]
+"""What controls a plant."""

@@ -57,10 +57,11 @@ from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import PolicyStep
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.compensation.live import LiveCompensation
+from hydro_policy.evaluation.runner import Session
 from hydro_policy.nodes.announcements import UNRECORDED, Announcer, CompanionWatch
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor, Session
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the plant: present, armed and ready for a run; shared by sessions, whose interfaces are here, too.
+"""Supervision of the plant: present, armed and ready for a run; shared by sessions, whose outputs are here, too.
 
 no state for 100 ms      lost: disarming is requested, so that a reconnected plant is not armed
 requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`); if found armed: disarmed
@@ -24,7 +24,7 @@ from typing import Protocol
 from hydro_bridge.safety.limits import PAPER_RANGES
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_core.files.site import RECOMMISSION_HINT
-from hydro_core.signals import FAULTS, CorrectionStatus, Flag, FloatArray, LawCommand, ReferenceSignal
+from hydro_core.signals import FAULTS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
 COMPILES = "loading takes some seconds, and a minute more after a change without `make setup`"
@@ -310,23 +310,3 @@ class PlantSupervisor:
             self._prompted = ""
             sentence = f"not armed, still waiting for {self.readiness.missing_names}: you are asked once all is ready"
             self.outputs.say(sentence, warning=True)
-
-
-class Session(Protocol):
-    """Controls a plant: a `TrialRunner`, or `Rest`."""
-
-    watch: PlantSupervisor
-    override: GainOverride
-
-    @property
-    def finished(self) -> bool:
-        """Whether it needs no more samples."""
-
-    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Process a sample; returns True if gains were sent."""
-
-    def on_correction(self, after: float, status: int) -> None:
-        """Process the filter's result of a sample: M_c [1/s] under its correction, and the status."""
-
-    def on_tick(self, now: float) -> None:
-        """Handle a tick, some twenty times a second."""
