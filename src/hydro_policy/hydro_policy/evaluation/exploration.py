@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import FloatArray, LawCommand, ReferenceSignal
+from hydro_core.signals import FloatArray, ReferenceSignal
+from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.supervision.plant_supervisor import Outputs
@@ -74,18 +75,18 @@ class EpisodeRecord:
         }
 
 
-class Explorer:
+class Explorer(Controller):
     """Controller that learns: it acts by policy steps, and appends their transitions to the replay buffer.
 
-    An episode goes on under gains that a person holds, which are not learnt from. Its end is a truncation: the next
-    state's value is bootstrapped. Only a trip by the box or a stop by the monitor is a termination.
+    An episode goes on where the one before it ended, and under gains that a person holds, which are not learnt from.
+    Its end is a truncation: the next state's value is bootstrapped. Only a trip by the box or a stop by the monitor is
+    a termination.
 
     `settings`: settings of the run. `replay`: of the transitions. `outputs`: the graph. `new_weights`, `wake`: return
     the actor's parameters if they are newer; tell the learner of a transition.
     """
 
     name = EXPLORING
-    law = LawCommand()
 
     def __init__(
         self,
@@ -110,9 +111,6 @@ class Explorer:
     def finished(self) -> bool:
         """Whether the episode has all its steps."""
         return self.current.steps >= self.task.steps_per_episode
-
-    def reset(self) -> None:
-        """See `Controller`: an episode goes on where the one before it ended."""
 
     def begin(self, episode: int, signal: ReferenceSignal) -> None:
         """Begin an episode, or begin it again."""

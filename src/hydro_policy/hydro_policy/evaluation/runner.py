@@ -23,7 +23,7 @@ import numpy as np
 
 from hydro_core.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGains
+from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.runs.run import RunRecord
@@ -320,9 +320,7 @@ class TrialRunner(Generic[P]):
             return
         trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
-        bits, asked = held(flags, k_p, k_i, self._base(controller)), None  # None of a policy, whose gains change
-        if isinstance(controller, (FixedGains, Compensated)):
-            asked = controller.proportional, controller.integral
+        bits, asked = held(flags, k_p, k_i, self._base(controller)), controller.fixed
         if asked is not None and asked == self._base(controller):
             bits = np.zeros_like(bits)  # base gains replace none but themselves
         share = float(np.mean(bits != 0))
