@@ -39,7 +39,7 @@ def last_actor_layer(factor: float) -> Callable[[Sac], None]:
     """Scale the actor's last layer, so that every mean begins near zero and sigma near one."""
 
     def change(sac: Sac) -> None:
-        for places in sac.sizes["actor"].places()[-1]:
+        for places in sac.layers["actor"][-1]:
             sac.agent.actor.parameters[places] *= factor
 
     return change
@@ -49,7 +49,7 @@ def log_std(value: float) -> Callable[[Sac], None]:
     """Let log sigma begin at a value."""
 
     def change(sac: Sac) -> None:
-        weights, biases = sac.sizes["actor"].places()[-1]
+        weights, biases = sac.layers["actor"][-1]
         sac.agent.actor.parameters[weights[..., 2:]], sac.agent.actor.parameters[biases[..., 2:]] = 0.0, value
 
     return change
@@ -61,7 +61,7 @@ def normal_weights(gain: float) -> Callable[[Sac], None]:
     def change(sac: Sac) -> None:
         rng = np.random.default_rng((sac.settings.seed, 1))
         for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
-            for weights, biases in sac.sizes[name].places():
+            for weights, biases in sac.layers[name]:
                 deviation = gain / math.sqrt(weights.shape[1])
                 adam.parameters[weights], adam.parameters[biases] = rng.normal(0.0, deviation, weights.shape), 0.0
         sac.agent.targets[:] = sac.agent.critics.parameters
@@ -78,14 +78,14 @@ def he_and_small_actor(sac: Sac) -> None:
 def zero_biases(sac: Sac) -> None:
     """Let all biases begin at zero."""
     for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
-        for _, biases in sac.sizes[name].places():
+        for _, biases in sac.layers[name]:
             adam.parameters[biases] = 0.0
     sac.agent.targets[:] = sac.agent.critics.parameters
 
 
 def zero_critics(sac: Sac) -> None:
     """Let both critics begin at zero everywhere."""
-    for places in sac.sizes["critics"].places()[-1]:
+    for places in sac.layers["critics"][-1]:
         sac.agent.critics.parameters[places] = 0.0
     sac.agent.targets[:] = sac.agent.critics.parameters
 
@@ -146,7 +146,7 @@ class Actors:
     """The policies of several agents, evaluated at once."""
 
     def __init__(self, agents: Sequence[Sac]) -> None:
-        self._agents, self._places = agents, agents[0].sizes["actor"].places()
+        self._agents, self._places = agents, agents[0].layers["actor"]
         self._bounds = agents[0].settings.log_std_min, agents[0].settings.log_std_max
 
     def distribution(self, observations: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,10 +24,11 @@ from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Corrector
 from hydro_policy.compensation.live import LiveCompensation
+from hydro_policy.evaluation.runner import Session
 from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, agent
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.sac import Losses, dump
-from hydro_policy.supervision.plant_supervisor import Outputs, Session
+from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant

@@ -17,7 +17,7 @@ at its beginning, and examinations and checkpoints are of that state.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import asdict, dataclass, field
 from statistics import NormalDist
 from typing import Any
@@ -26,7 +26,7 @@ import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
-from hydro_policy.evaluation.exploration import EpisodeRecord, Explorer
+from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison, Plan, Trial
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
@@ -46,30 +46,26 @@ LEAD = 16.0
 What arming or other gains leave in the box's integral fades with K_p / K_i, which is 6 s for (90, 15) and up to 18 s.
 """
 
-EXAMINED = "policy"
-"""Name of the policy in an examination's scores."""
+EXAMINED = "policy"  # name of the policy in an examination's scores
 
 
 @dataclass
 class Progress:
     """Progress of a run; part of the checkpoint."""
 
-    episode: int = 0
-    """Episodes finished."""
+    episode: int = 0  # episodes finished
     total_steps: int = 0
     interruptions: int = 0
     last_return: float = math.nan
     last_rmse: float = math.nan
     best_lag: float = math.inf
     rollbacks: int = 0
-    examined: int = -1
-    """Finished episodes at the last examination; -1: none yet."""
+    examined: int = -1  # finished episodes at the last examination; -1: none yet
     reference_rmse: list[float] = field(default_factory=list)
     """RMSE [N] of the fixed gains that scores are relative to, one per sine; empty until they are examined."""
     best_score: float = math.inf
     """Score of the best policy so far: mean over the sines of its RMSE over the reference's."""
-    passed_at: int = -1
-    """Finished episodes when a policy first beat the reference at every sine; -1: not yet."""
+    passed_at: int = -1  # finished episodes when a policy first beat the reference at every sine; -1: not yet
     exams: list[dict[str, Any]] = field(default_factory=list)
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -77,18 +73,8 @@ class Progress:
 class TrainingPlan(Plan):
     """Episodes and examinations, with the learner that they are for.
 
-    Parameters
-    ----------
-    settings
-        Settings of the run.
-    learner
-        Running learner, which stores accepted agents.
-    outputs
-        The graph.
-    state, best
-        `state()` and best agent of the run to continue, or None.
-    record
-        Record of events.
+    `settings`: settings of the run. `learner`: running learner, which stores accepted agents. `outputs`: the graph.
+    `state`, `best`: `state()` and best agent of the run to continue, or None. `record`: record of events.
     """
 
     training = True
@@ -105,28 +91,22 @@ class TrainingPlan(Plan):
     ) -> None:
         self.settings, self.learner, self.record = settings, learner, record or RunRecord()
         self.progress = Progress() if state is None else Progress(**state["progress"])
-        self.gave_up = ""
-        """Why the run ended before its last episode; empty if it did not."""
-        self.last_stop = ""
-        """Why a policy was last stopped; empty if none was."""
-        self.rollbacks_in_a_row = 0
-        """Rollbacks since a policy was last accepted."""
+        self.gave_up = ""  # why the run ended before its last episode; empty if it did not
+        self.last_stop = ""  # why a policy was last stopped; empty if none was
+        self.rollbacks_in_a_row = 0  # rollbacks since a policy was last accepted
         self.explorer = Explorer(settings, learner.replay, outputs, learner.new_weights, learner.wake)
         self.explorer.published = self.explorer.total_steps = self.progress.total_steps
         if state is not None:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.policy = self.explorer.policy
-        self.exam: Comparison | None = None
-        """The present examination."""
-        self.scores: list[Score] = []
-        """Of the present examination."""
+        self.exam: Comparison | None = None  # the present examination
+        self.scores: list[Score] = []  # of the present examination
         self._candidate: bytes | None = None
         self._good, self._best = best, best
         if best is not None:
             learner.save_policy(best)
-        self._exact = False  # whether the plant waits for the learner, so that a run is a function of its seed
         self._fresh = True  # no episode has passed since the box was armed
-        self._trial = self._due()
+        self.follow(self._in_turn())
 
     # ---------------------------------------------------------------------------------------------------- trials
 
@@ -154,31 +134,51 @@ class TrainingPlan(Plan):
         """See `Plan`: a policy that was stopped is rolled back."""
         if score.stopped and score.controller in (EXAMINED, self.explorer.name):
             return self._stop(score.stopped)
-        if self.exam is None:
-            self._fresh = False
-            best = self._add_episode(self.explorer.current)
-        else:
-            self.scores.append(score)
-            self.exam.add(score)
-            if self.exam.trial is not None:
-                self._trial = self.exam.trial
-                return ""
-            best = self.add_exam(self.scores, self.policy.digest())
-        self.learner.save(self.state(), best, exact=self._exact)
-        self._trial = self._due()
-        return ""
+        return super().add(score)
+
+    def _in_turn(self) -> Generator[Trial, Score, None]:
+        """Examinations before the first episode, at intervals, and after the last, once each; episodes between them."""
+        task, exam, progress, learner = self.settings.task, self.settings.exam, self.progress, self.learner
+        while True:
+            self.exam, self.scores, done = None, [], progress.episode
+            if exam.every and progress.examined < done and (self.trained or done % exam.every == 0):
+                controllers: list[Controller] = [PolicyController(self.policy, task.gains, EXAMINED)]
+                if reference_too := not progress.reference_rmse:
+                    controllers.append(FixedGains(exam.reference_kp, exam.reference_ki, self.settings.base_gains))
+                self.exam = Comparison(exam.evaluation, controllers, LEAD if self._fresh or reference_too else 0.0)
+                for trial in self.exam.trials:
+                    self.scores.append((yield trial))
+                best = self.add_exam(self.scores, self.policy.digest())
+            elif self.trained:
+                return
+            else:
+                case = Case(f"episode {done + 1}", events.reference(task, done, self.settings.seed))
+                seconds = task.steps_per_episode * SAMPLES_PER_STEP * SAMPLE_PERIOD
+                yield Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, judged=False)
+                episode, self._fresh = self.explorer.current, False
+                progress.episode += 1
+                progress.last_return, progress.last_rmse = episode.episode_return, episode.force_rmse
+                learnt = {"entropy_coefficient": learner.entropy_coefficient, "updates": learner.updates}
+                losses = {f"{name}_loss": loss for name, loss in learner.losses._asdict().items()}
+                progress.history.append({**episode.summary(), **learnt, **losses})
+                self.record.add("episode", "", **progress.history[-1])
+                best = not exam.every and episode.lag < progress.best_lag
+                if not exam.every:  # all that is known is that it completed the episode
+                    self.propose()
+                    self._accept(best)
+                progress.best_lag = min(episode.lag, progress.best_lag)
+            learner.save(self.state(), best)
 
     def pause(self) -> None:
         """See `Plan`: an examination begins anew."""
         self.progress.interruptions += 1
         self._fresh = True
-        self._trial = self._due()
+        self.follow(self._in_turn())
 
     def wait(self, *, exact: bool) -> None:
         """See `Plan`."""
-        self._exact = exact
-        if exact:
-            self.learner.settle()
+        self.learner.exact = exact
+        self.learner.settle()
 
     def poll(self) -> str:
         """See `Plan`."""
@@ -191,43 +191,7 @@ class TrainingPlan(Plan):
         summary = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
         return {**summary, "progress": asdict(progress), "random_state": self.explorer.rng.bit_generator.state}
 
-    def _due(self) -> Trial | None:
-        """Return the first trial of an examination, the episode after the finished ones, or None.
-
-        Examinations are due before the first episode, at intervals, and after the last; once each.
-        """
-        self.exam, self.scores = None, []
-        task, done, exam = self.settings.task, self.progress.episode, self.settings.exam
-        if exam.every and self.progress.examined < done and (self.trained or done % exam.every == 0):
-            controllers: list[Controller] = [PolicyController(self.policy, task.gains, EXAMINED)]
-            if reference_too := not self.progress.reference_rmse:
-                controllers.append(FixedGains(exam.reference_kp, exam.reference_ki, self.settings.base_gains))
-            self.exam = Comparison(exam.evaluation, controllers, LEAD if self._fresh or reference_too else 0.0)
-            return self.exam.trial
-        if self.trained:
-            return None
-        case = Case(f"episode {done + 1}", events.reference(task, done, self.settings.seed))
-        seconds = task.steps_per_episode * SAMPLES_PER_STEP * SAMPLE_PERIOD
-        return Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, judged=False)
-
     # ---------------------------------------------------------------------------------------------------- results
-
-    def _add_episode(self, done: EpisodeRecord) -> bool:
-        """Add a completed episode; returns True if its policy is the best so far."""
-        progress = self.progress
-        progress.episode += 1
-        progress.last_return, progress.last_rmse = done.episode_return, done.force_rmse
-        learnt = {"entropy_coefficient": self.learner.entropy_coefficient, "updates": self.learner.updates}
-        losses = {f"{name}_loss": loss for name, loss in self.learner.losses._asdict().items()}
-        progress.history.append({**done.summary(), **learnt, **losses})
-        self.record.add("episode", "", **progress.history[-1])
-        best = False
-        if not self.settings.exam.every:  # all that is known is that it completed the episode
-            best = done.lag < progress.best_lag
-            self.propose()
-            self._accept(best)
-        progress.best_lag = min(done.lag, progress.best_lag)
-        return best
 
     def add_exam(self, scores: Sequence[Score], digest: str = "") -> bool:
         """Add an examination completed by the policy of this digest; returns True if it is significantly the best.
@@ -274,7 +238,7 @@ class TrainingPlan(Plan):
             self.gave_up = f"{self.rollbacks_in_a_row} rollbacks in a row, the last: {reason}"
             sentence += f"; that was once too often ({most} in a row): the run ends"
         self.record.add("stop", sentence, reason=reason, rollbacks=self.progress.rollbacks)
-        self._trial = self._due()
+        self.follow(self._in_turn())
         return sentence
 
     # ----------------------------------------------------------------------------------------------------- agents
@@ -287,7 +251,7 @@ class TrainingPlan(Plan):
 
     def propose(self) -> FloatArray | None:
         """Take the learner's state as candidate; returns its actor's parameters, None if there is no state yet."""
-        self._candidate = self.learner.snapshot(exact=self._exact)
+        self._candidate = self.learner.snapshot()
         return None if self._candidate is None else actor_parameters(self._candidate)
 
     def _accept(self, best: bool = False) -> None:

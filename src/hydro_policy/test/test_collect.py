@@ -41,7 +41,7 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_schedule_goes_on_behind_a_trip_and_ends_after_three_in_a_row() -> None:
     plan = SchedulePlan([Segment(seconds=1.0, kp=60.0) for _ in range(6)], (15.0, 5.0))
     assert plan.trial is not None and plan.trial.controller.gains(np.zeros(14)) == (45.0, 10.0)
-    done, tripped = plan.trial.stopped(""), plan.trial.stopped("tripped")
+    done, tripped = plan.trial.blank(), plan.trial.blank("tripped")
     for each in (tripped, tripped, done, tripped, tripped):
         plan.add(each)
     assert plan.trial is not None and not plan.ended

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hydro_core.signals import Flag, FloatArray, ReferenceSignal, StateArray, Wa
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_policy.commissioning import checks
 from hydro_policy.commissioning.record import GateError
+from hydro_policy.task.cases import Score
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -79,10 +81,10 @@ def test_lost_samples_and_late_commands_count() -> None:
 
 
 def test_of_an_evaluation_single_late_runs_do_not_count_and_many_do() -> None:
-    runs = [{"samples": 3000, "lost": 20, "held": 0}, {"samples": 0, "lost": 0, "held": 0}]
-    runs += [{"samples": 3000, "lost": 0, "held": 40}]
-    assert checks.disturbed_share({"runs": runs}) == pytest.approx(0.01)
-    assert checks.disturbed_share({"runs": runs[1:2]}) == 0.0
+    run = Score(controller="any", case="1 Hz", frequency=1.0, repeat=0, samples=3000)
+    stopped = replace(run, samples=0, stopped="tripped")
+    assert checks.disturbed_share([replace(run, lost=20), stopped, replace(run, held=40)]) == pytest.approx(0.01)
+    assert checks.disturbed_share([stopped]) == 0.0
 
 
 def test_a_model_that_is_not_this_bench_is_told_before_the_valve_moves_behind_its_filter() -> None:

@@ -176,7 +176,7 @@ def test_an_interrupted_comparison_makes_only_the_trials_that_are_missing(tmp_pa
     made = len(graph.gains_published)
     graph.run(resumed, 20.0)
     assert resumed.finished and made == 0 and len(resumed.scores) == len(resumed.plan)
-    assert [score.run for score in resumed.scores] == [trial.stopped("").run for trial in resumed.plan.trials]
+    assert [score.run for score in resumed.scores] == [trial.blank().run for trial in resumed.plan.trials]
     assert len(resumed.traces) < len(resumed.plan)
     for last in ({"kind": "end", "complete": True}, {"kind": "episode"}):  # compared, or another policy
         record.events.append(last)

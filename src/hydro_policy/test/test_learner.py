@@ -68,7 +68,7 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
     restore(sac, checkpoint.learner)
     assert sac.updates == 600
     policy, _, notes = load_policy(run.policy)
-    weights = sac.agent.actor.parameters[sac.sizes["actor"].places()[0][0][0]]
+    weights = sac.agent.actor.parameters[sac.layers["actor"][0][0][0]]
     np.testing.assert_array_equal(policy.weights[0].astype(np.float32), weights)
     assert notes["episode"] == 5
 

@@ -17,7 +17,7 @@ from hydro_policy.sac.settings import SacSettings
 def leaves(sac: Sac, name: str) -> list[Tensor]:
     """Copies of weights [member, fan_in, fan_out] and biases [member, 1, fan_out] of `actor` or `critics`, in turn."""
     flat = getattr(sac.agent, name).parameters
-    arrays = [flat[places] for layer in sac.sizes[name].places() for places in layer]
+    arrays = [flat[places] for layer in sac.layers[name] for places in layer]
     return [torch.from_numpy(a if a.ndim == 3 else a[:, np.newaxis]).requires_grad_() for a in arrays]
 
 
@@ -90,7 +90,7 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
     """Five updates on the same draws: equal to rounding; a buffer's tail, and a sigma at its bound, do not count."""
     sac = Sac(5, 2, SacSettings(batch_size=rows, hidden_size=30, seed=4), torch.empty(0, dtype=dtype).numpy().dtype)
     if rows == 100:
-        sac.agent.actor.parameters[sac.sizes["actor"].places()[-1][1][0, 2]] = -8.0  # sigma at its lower bound
+        sac.agent.actor.parameters[sac.layers["actor"][-1][1][0, 2]] = -8.0  # sigma at its lower bound
     equations = Equations(sac)
     rng, memory = np.random.default_rng(1), ReplayBuffer(5, 2, 500)
     table = rng.normal(size=(400, 14)).astype(np.float32)

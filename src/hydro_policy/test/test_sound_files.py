@@ -164,7 +164,7 @@ def test_the_acting_policy_equals_the_trained_actor(tmp_path: Path) -> None:
     loaded, gains, notes = load_policy(tmp_path / "policy.safetensors")
     assert gains == GainRange(delta_kp_max=285.0) and notes == {"episode": 7}
     observations = np.random.default_rng(1).normal(size=(500, OBSERVATIONS)).astype(np.float32)
-    layers = [sac.agent.actor.parameters[places[0]] for layer in sac.sizes["actor"].places() for places in layer]
+    layers = [sac.agent.actor.parameters[places[0]] for layer in sac.layers["actor"] for places in layer]
     hidden = np.maximum(np.maximum(observations @ layers[0] + layers[1], 0.0) @ layers[2] + layers[3], 0.0)
     expected = np.tanh((hidden @ layers[4] + layers[5])[:, :2])
     for actor in (policy, loaded):

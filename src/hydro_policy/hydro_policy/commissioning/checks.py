@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,20 +13,15 @@ from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, Flag, FloatArray, Law, St
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
 from hydro_policy.commissioning.record import GateError
+from hydro_policy.task.cases import Score
 from hydro_sim.model.bench import Bench
 
-LOST_MAX = 0.01
-"""Share of lost samples, and of those for which commands were late, in a recording."""
-FOLLOWS = 0.8
-"""Least correlation of two readings of the same motion."""
-SWING = (0.4, 1.5)
-"""Least and largest swing of the load force over that of its reference."""
-STILL = 0.9
-"""RMSE of a sine over that of a force that stands, from which on the load force did not follow it."""
-SLOW = 0.5
-"""Hz, of the motion by which signs are checked."""
-_LONGEST_GAP = 1000
-"""Samples missing in a row beyond which the recording was interrupted on purpose."""
+LOST_MAX = 0.01  # share of lost samples, and of those for which commands were late, in a recording
+FOLLOWS = 0.8  # least correlation of two readings of the same motion
+SWING = (0.4, 1.5)  # least and largest swing of the load force over that of its reference
+STILL = 0.9  # RMSE of a sine over that of a force that stands, from which on the load force did not follow it
+SLOW = 0.5  # Hz, of the motion by which signs are checked
+_LONGEST_GAP = 1000  # samples missing in a row beyond which the recording was interrupted on purpose
 
 
 def sample_loss(states: StateArray, seconds: float) -> tuple[float, float]:
@@ -117,10 +112,10 @@ def unusable_share(armed: StateArray) -> float:
     return float((lost[lost < _LONGEST_GAP].sum() + late.sum()) / len(armed))
 
 
-def disturbed_share(content: Mapping[str, Any]) -> float:
-    """Return the share of an evaluation's samples, from its JSON, that were lost or in which base gains were held."""
-    spoilt = sum(run["lost"] + run["held"] for run in content["runs"])
-    return float(spoilt / max(sum(run["samples"] for run in content["runs"]), 1))
+def disturbed_share(scores: Sequence[Score]) -> float:
+    """Return the share of an evaluation's samples that were lost or in which base gains were held."""
+    spoilt = sum(score.lost + score.held for score in scores)
+    return float(spoilt / max(sum(score.samples for score in scores), 1))
 
 
 def hardly_follows(entry: Mapping[str, Any], amplitude: float) -> bool:
@@ -131,12 +126,7 @@ def hardly_follows(entry: Mapping[str, Any], amplitude: float) -> bool:
 def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None:
     """Raise GateError if the filter would say MISMATCH in a recording: its model predicts this bench too badly.
 
-    Parameters
-    ----------
-    states
-        Samples of the bench, armed or not.
-    loop_filter
-        A new one.
+    `states`: samples of the bench, armed or not. `loop_filter`: A new one.
     """
     compensated = LawState(Law.COMPENSATED, 0.0, 0.0, NEUTRAL, 0.0, 1.0)  # any law: only the model is judged
     law = compensated if loop_filter.missing_certificate(compensated=False) else None

@@ -19,7 +19,7 @@ from hydro_bridge.pages import Section, results_page
 from hydro_core.cli.console import Table, UserError
 from hydro_core.files.atomic import encode_json, write_whole
 from hydro_core.files.site import RECORD
-from hydro_policy.task.cases import relative_scores
+from hydro_policy.task.cases import Score, relative_scores
 
 PAGE = "report.html"
 PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
@@ -42,12 +42,9 @@ class GateResult:
     """Result of one gate."""
 
     name: str
-    status: str = PENDING
-    """passed, failed, skipped (not asked for) or pending."""
-    seconds: float = 0.0
-    """Wall time of its last run, s."""
-    reason: str = ""
-    """What was found, or why it failed, as a sentence."""
+    status: str = PENDING  # passed, failed, skipped (not asked for) or pending
+    seconds: float = 0.0  # wall time of its last run, s
+    reason: str = ""  # what was found, or why it failed, as a sentence
     files: dict[str, str] = field(default_factory=dict)
     """SHA-256 of each file or folder of the site that it read or wrote, by its name."""
 
@@ -56,23 +53,17 @@ class GateResult:
 class Record:
     """What is known of a site; the fields are the keys of commission.json."""
 
-    plant: str = ""
-    """The port, or `emulator`."""
+    plant: str = ""  # the port, or `emulator`
     gates: list[GateResult] = field(default_factory=list)
-    amplitude: float = 0.0
-    """Amplitude of the sines [N]."""
-    base_gains: list[float] = field(default_factory=list)
-    """K_p [1/s], K_i [1/s^2] of the box."""
-    causes: list[dict[str, Any]] = field(default_factory=list)
-    """`effects` of the diagnosis' report.json."""
+    amplitude: float = 0.0  # amplitude of the sines [N]
+    base_gains: list[float] = field(default_factory=list)  # K_p [1/s], K_i [1/s^2] of the box
+    causes: list[dict[str, Any]] = field(default_factory=list)  # `effects` of the diagnosis' report.json
     certified_gains: dict[str, list[float]] = field(default_factory=dict)
     """Range of K_p [1/s] that the metric certifies, by force law: `paper`, `compensated`."""
     comparison: dict[str, dict[str, Any]] = field(default_factory=dict)
     """By controller: `name`, `rmse` [N] by reference (null: stopped) and `trips`, stopped runs."""
-    adopted: str = ""
-    """Key of the best in `comparison`."""
-    watch: list[str] = field(default_factory=list)
-    """What to watch, in sentences."""
+    adopted: str = ""  # key of the best in `comparison`
+    watch: list[str] = field(default_factory=list)  # what to watch, in sentences
 
     @classmethod
     def load(cls, folder: Path, names: Sequence[str]) -> Record:
@@ -116,8 +107,20 @@ class Record:
     def write(self, folder: Path) -> None:
         """Write commission.json and report.html."""
         write_whole(folder / RECORD, encode_json(self))
+        causes = Table({"cause": "", "sentence": ""})
+        for cause in self.causes:
+            causes.add(cause=cause["id"], sentence=cause["sentence"])
+        gains = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in self.certified_gains.items())
+        sections = [
+            Section(heading="Gates", table=self.table()),
+            Section(heading="Comparison", table=self.comparison_table()),
+            Section(heading="Causes beside the bench file", table=causes),
+            Section(heading="Certified gains", text=", ".join(gains)),
+            Section(heading="What to watch", text=" ".join(self.watch)),
+        ]
+        shown = [section for section in sections if section.text or (section.table and section.table.rows)]
         about = {"plant": self.plant, "adopted": self.comparison.get(self.adopted, {}).get("name", "nothing yet")}
-        write_whole(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, self._sections()).encode())
+        write_whole(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, shown).encode())
 
     def table(self) -> Table:
         """Return the gates as a table."""
@@ -137,49 +140,35 @@ class Record:
             table.add(controller=told, **cells, trips=entry["trips"])
         return table
 
-    def _sections(self) -> list[Section]:
-        causes = Table({"cause": "", "sentence": ""})
-        for cause in self.causes:
-            causes.add(cause=cause["id"], sentence=cause["sentence"])
-        gains = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in self.certified_gains.items())
-        found = [
-            Section(heading="Gates", table=self.table()),
-            Section(heading="Comparison", table=self.comparison_table()),
-            Section(heading="Causes beside the bench file", table=causes),
-            Section(heading="Certified gains", text=", ".join(gains)),
-            Section(heading="What to watch", text=" ".join(self.watch)),
-        ]
-        return [section for section in found if section.text or (section.table and section.table.rows)]
-
 
 def digests(folder: Path, names: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     """Return the SHA-256 of files and folders of a site, by name; empty text for one that is not there."""
-    return {name: _digest(folder / name) for name in names}
+
+    def digest(path: Path) -> str:
+        files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+        if not files or not all(file.is_file() for file in files):
+            return ""
+        total = sha256()
+        for file in files:
+            total.update(file.read_bytes())
+        return total.hexdigest()
+
+    return {name: digest(folder / name) for name in names}
 
 
-def _digest(path: Path) -> str:
-    files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
-    if not all(file.is_file() for file in files) or not files:
-        return ""
-    total = sha256()
-    for file in files:
-        total.update(file.read_bytes())
-    return total.hexdigest()
+def scored(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
+    """Return the controllers of an evaluation by name: `name`, `rmse` [N] by reference, `trips`.
 
-
-def scored(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the controllers of an evaluation's JSON by name: `name`, `rmse` [N] by reference, `trips`.
-
-    A stopped run has no RMSE: its reference is null. Repeats count by their mean.
+    A stopped run has no RMSE: its reference is None. Repeats count by their mean.
     """
     found: dict[str, dict[str, Any]] = {}
-    for run in content["runs"]:
-        entry = found.setdefault(run["controller"], {"name": run["controller"], "rmse": {}, "trips": 0})
-        entry["trips"] += bool(run["stopped"])
-        entry["rmse"].setdefault(run["case"], []).append(run["rmse"])
+    for score in scores:
+        entry = found.setdefault(score.controller, {"name": score.controller, "rmse": {}, "trips": 0})
+        entry["trips"] += bool(score.stopped)
+        entry["rmse"].setdefault(score.case, []).append(score.rmse)
     for entry in found.values():
-        means = {case: None if None in values else float(np.mean(values)) for case, values in entry["rmse"].items()}
-        entry["rmse"] = means
+        means = {case: float(np.mean(values)) for case, values in entry["rmse"].items()}
+        entry["rmse"] = {case: mean if np.isfinite(mean) else None for case, mean in means.items()}
     return found
 
 

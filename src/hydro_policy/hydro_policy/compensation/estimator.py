@@ -55,20 +55,15 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
-STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD
-"""Time [s] between two updates."""
+STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # time [s] between two updates
 
-ORDER = 5
-"""Of the state-variable filter: four derivatives, two of them for the load cell's amplifier."""
+ORDER = 5  # of the state-variable filter: four derivatives, two of them for the load cell's amplifier
 
-SETTLED = 0.2
-"""Time [s] after a gap in which the filter forgets it and nothing is learnt."""
+SETTLED = 0.2  # time [s] after a gap in which the filter forgets it and nothing is learnt
 
-LEAD = 0.01
-"""Time [s] from the last sample to that whose f_r' the valve's terms take."""
+LEAD = 0.01  # time [s] from the last sample to that whose f_r' the valve's terms take
 
-PLAYS = (0.25, 0.5, 0.75)
-"""S_j over the usual amplitude of the force."""
+PLAYS = (0.25, 0.5, 0.75)  # S_j over the usual amplitude of the force
 
 START = np.array((1.0, 0.02, 1e-4, 0.0, *[0.0] * (4 + len(PLAYS))))
 """a_0 to a_3, b_0 to b_3 and c_0 to c_2 to begin with: half of the usual lag, so wrong by no more than that on either
@@ -78,8 +73,7 @@ side.
 BOX_SHARE = 0.75
 """Of a_2: with 1 two of 20 perturbed plants of `benchmarks.hybrid_simulation` are unstable, with 0.85 nearly so."""
 
-PAST = 40
-"""Samples of f_r' to which a cubic is fitted."""
+PAST = 40  # samples of f_r' to which a cubic is fitted
 
 _CUBIC = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - PAST, 1), 4, increasing=True))
 SECOND: FloatArray = _CUBIC[1] + 2.0 * LEAD * _CUBIC[2]
@@ -133,6 +127,12 @@ class LoadCell:
     def __post_init__(self) -> None:
         check(self)
 
+    @property
+    def inverse(self) -> tuple[float, ...]:
+        """Polynomial in s from its reading to the force in front of it."""
+        omega = 2.0 * math.pi * self.bandwidth
+        return 1.0, 2.0 * self.damping / omega, 1.0 / omega**2
+
     @classmethod
     def load(cls, path: Path) -> LoadCell:
         """Read the cell of a bench file or of a diagnosis' corrected.yaml.
@@ -155,41 +155,27 @@ class _Constants(NamedTuple):
     """What the kernels are given beside the settings."""
 
     transition: FloatArray
-    inputs: FloatArray
-    """Of the state-variable filter; see `_filter`."""
-    regressors: FloatArray
-    """From the filtered force and its derivatives to regressors, shape (3, `ORDER`)."""
-    scale: FloatArray
-    """Of each regressor, shape (11,)."""
-    weights: FloatArray
-    """Of `START`, shape (11,)."""
+    inputs: FloatArray  # of the state-variable filter; see `_filter`
+    regressors: FloatArray  # from the filtered force and its derivatives to regressors, shape (3, `ORDER`)
+    scale: FloatArray  # of each regressor, shape (11,)
+    weights: FloatArray  # of `START`, shape (11,)
     least: FloatArray
-    most: FloatArray
-    """Bounds of the fit, shape (11,)."""
-    plays: FloatArray
-    """S_j [N], shape (3,)."""
+    most: FloatArray  # bounds of the fit, shape (11,)
+    plays: FloatArray  # S_j [N], shape (3,)
 
 
 class _Memory(NamedTuple):
     """What is known of n benches."""
 
-    found: FloatArray
-    """a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 11)."""
-    states: FloatArray
-    """f_c, f and the terms of b and c, filtered, with their derivatives, shape (n, 9, `ORDER`)."""
-    last: FloatArray
-    """The same nine of the last sample, shape (n, 9)."""
-    within: FloatArray
-    """f_r - p_j, where f_r is within each play [N], shape (n, 3)."""
-    rates: FloatArray
-    """Last f_r' [N/s], the newest last, shape (n, `PAST`); NaN: none yet."""
+    found: FloatArray  # a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 11)
+    states: FloatArray  # f_c, f and the terms of b and c, filtered, with their derivatives, shape (n, 9, `ORDER`)
+    last: FloatArray  # the same nine of the last sample, shape (n, 9)
+    within: FloatArray  # f_r - p_j, where f_r is within each play [N], shape (n, 3)
+    rates: FloatArray  # last f_r' [N/s], the newest last, shape (n, `PAST`); NaN: none yet
     matrix: FloatArray
-    vector: FloatArray
-    """Of the fit, shapes (n, 11, 11) and (n, 11)."""
-    steps: npt.NDArray[np.int64]
-    """Since the last gap, shape (n,)."""
-    excitation: FloatArray
-    """Shape (n,)."""
+    vector: FloatArray  # of the fit, shapes (n, 11, 11) and (n, 11)
+    steps: npt.NDArray[np.int64]  # since the last gap, shape (n,)
+    excitation: FloatArray  # shape (n,)
 
 
 _SETTINGS = np.dtype([(each.name, np.float64) for each in fields(CompensatorSettings)])
@@ -225,9 +211,13 @@ class Compensator:
         valve = 1.0 / force, omega, omega * force, omega * force
         scale = np.array((1.0, omega, omega**2, 1.0 / force, *valve, *[omega] * len(PLAYS)))
         least, most, share = self.law.coefficient_min, self.law.coefficient_max, -self.law.coefficient_min[1]
+        inverse = (1.0,) if cell is None else cell.inverse
+        regressors = np.zeros((3, ORDER))
+        for row in range(3):
+            regressors[row, row : row + len(inverse)] = inverse
         self._constants = _Constants(
             *_filter(self.settings.bandwidth),
-            regressors=_regressors(cell) / scale[:3, np.newaxis] / force,
+            regressors=regressors / scale[:3, np.newaxis] / force,
             scale=scale,
             weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * (len(START) - 4)),
             least=np.array((*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAYS))),
@@ -237,10 +227,8 @@ class Compensator:
         self._numbers = np.array([astuple(self.settings)], _SETTINGS)
         self.coefficients: FloatArray = np.empty((count, 4))
         """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, a_3 with all that it carries, shape (n, 4)."""
-        self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)
-        """Benches whose last step counted, shape (n,)."""
-        self.frozen = np.zeros(count, bool)
-        """Benches whose coefficients hold on request, shape (n,)."""
+        self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)  # benches whose last step counted, shape (n,)
+        self.frozen = np.zeros(count, bool)  # benches whose coefficients hold on request, shape (n,)
         self._memory = _Memory(
             found=np.empty((count, *START.shape)),
             states=np.empty((count, len(START) - 2, ORDER)),
@@ -303,18 +291,6 @@ class Compensator:
         self._take(self._numbers, self._constants, self._memory, samples, active, self.frozen, self.counted,
                    self.coefficients)  # fmt: skip
         return self.coefficients.copy()
-
-
-def _regressors(cell: LoadCell | None) -> FloatArray:
-    """Matrix from the filtered force and its derivatives to those of the force to control, shape (3, `ORDER`)."""
-    inverse: tuple[float, ...] = (1.0,)
-    if cell is not None:
-        omega = 2.0 * math.pi * cell.bandwidth
-        inverse = (1.0, 2.0 * cell.damping / omega, 1.0 / omega**2)
-    result = np.zeros((3, ORDER))
-    for row in range(3):
-        result[row, row : row + len(inverse)] = inverse
-    return result
 
 
 def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:

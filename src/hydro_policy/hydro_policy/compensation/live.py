@@ -13,6 +13,7 @@ With `learned` on, what `residual` has learnt is added to a_3.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +23,7 @@ from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawComma
 from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 
-RECENT = 50
-"""Samples for which the last message about the law holds; there is none while the paper's law acts."""
+RECENT = 50  # samples for which the last message about the law holds; there is none while the paper's law acts
 
 _KEPT = RECENT // SAMPLES_PER_STEP + 2
 """Policy steps under way: messages about the law that still count find their samples, on a busy machine too."""
@@ -36,10 +36,6 @@ class _Step:
     signals: FloatArray = field(default_factory=lambda: np.full((4, SAMPLES_PER_STEP), np.nan))
     """f_c, f [N], f_r' [N/s], f_r [N], shape (4, 10); NaN: not told yet."""
     good: bool = True
-
-    @property
-    def complete(self) -> bool:
-        return bool(np.isfinite(self.signals[:2]).all())
 
 
 class LiveCompensation:
@@ -57,8 +53,7 @@ class LiveCompensation:
         network: Network | None = None,
     ) -> None:
         self.law, self.cell = law, cell
-        self.held = 0
-        """Policy steps whose samples did not count."""
+        self.held = 0  # policy steps whose samples did not count
         self._estimator = Compensator(1, settings, law, cell)
         self._residual = Residual(1, network, self._estimator.settings.force_scale)
         self._adapted = AdaptedLaw(self._estimator, self._residual)
@@ -113,10 +108,7 @@ class LiveCompensation:
     def on_law_state(self, sequence: int, law: int, compensated_reference: float) -> None:
         """Take the law of a sample: f_c [N]."""
         self._told = sequence
-        step, index = self._step(sequence)
-        step.signals[0, index] = compensated_reference
-        step.good &= law == Law.COMPENSATED
-        self._look(sequence)
+        self._enter(sequence, slice(0, 1), compensated_reference, law == Law.COMPENSATED)
 
     def on_sample(
         self,
@@ -130,23 +122,19 @@ class LiveCompensation:
     ) -> None:
         """Take a sample: f [N], flags, f_r' [N/s], f_r [N]; `holds`: the coefficients hold for another reason."""
         self._seen = sequence
-        step, index = self._step(sequence)
-        step.signals[1:, index] = force, reference_rate, reference
-        step.good &= flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
-        self._look(sequence)
+        good = flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
+        self._enter(sequence, slice(1, 4), (force, reference_rate, reference), good)
 
-    def _step(self, sequence: int) -> tuple[_Step, int]:
+    def _enter(self, sequence: int, rows: slice, values: Any, good: bool) -> None:
+        """Enter signals of a sample; learn from its policy step once that is complete."""
         number, index = divmod(sequence - 1, SAMPLES_PER_STEP)
         if number not in self._steps:
             self._steps = {n: step for n, step in self._steps.items() if abs(number - n) < _KEPT}
             self._steps[number] = _Step()
-        return self._steps[number], index
-
-    def _look(self, sequence: int) -> None:
-        """Learn from the policy step of this sample once it is complete."""
-        number = (sequence - 1) // SAMPLES_PER_STEP
         step = self._steps[number]
-        if not step.complete:
+        step.signals[rows, index] = values
+        step.good &= good
+        if not np.isfinite(step.signals[:2]).all():
             return
         del self._steps[number]
         if number != self._taken + 1:  # samples are missing: what is filtered starts again

@@ -44,10 +44,8 @@ from hydro_core.signals import SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_sim.files import weights
 
-LONGEST = 400
-"""Policy steps, 4 s: of a period."""
-LEAST_WINDOW = 50
-"""Policy steps over which a difference is averaged at least."""
+LONGEST = 400  # policy steps, 4 s: of a period
+LEAST_WINDOW = 50  # policy steps over which a difference is averaged at least
 ALIKE, UNLIKE = 0.01, 1.0
 """Squared difference over the reference's variance: below it a lag is a period, above it values are unlike."""
 _POWER = 1.0 / 300.0  # per step, of the variance
@@ -62,8 +60,7 @@ class Period:
         self._unlike: FloatArray = np.zeros((count, LONGEST))
         self._mean: FloatArray = np.zeros(count)
         self._variance: FloatArray = np.zeros(count)
-        self.steps: FloatArray = np.zeros(count)
-        """Period [policy steps], shape (n,); 0: none is seen."""
+        self.steps: FloatArray = np.zeros(count)  # period [policy steps], shape (n,); 0: none is seen
         self.trust: FloatArray = np.zeros(count)
         """0 to 1: how alike the reference is to itself a period earlier, shape (n,)."""
 
@@ -79,9 +76,6 @@ class Period:
         difference = (reference[:, np.newaxis] - self._past) ** 2
         self._unlike = np.where(seen > 0, self._unlike + share * (difference - self._unlike), 0.0)
         self._past = np.concatenate((reference[:, np.newaxis], self._past[:, :-1]), axis=1)
-        self._find(seen)
-
-    def _find(self, seen: npt.NDArray[np.int64]) -> None:
         d, power = self._unlike, self._variance[:, np.newaxis] + 1e-12
         behind = np.maximum.accumulate(d, axis=1) > UNLIKE * power
         inner = d[:, 1:-1]
@@ -117,65 +111,46 @@ class Past:
         return (1.0 - between) * late + between * early
 
 
-STRUCTURE = "residual"
-"""Structure in the header of a weights file."""
+STRUCTURE = "residual"  # structure in the header of a weights file
 NOMINAL_SCALE = 300.0
 """N, force scale of the benches on which it was trained; forces of another bench are brought to it."""
 
-BACK = np.array((0, 5, 10, 20, 35, 55, 90))
-"""Samples before the last one of which f_r' is seen."""
+BACK = np.array((0, 5, 10, 20, 35, 55, 90))  # samples before the last one of which f_r' is seen
 AHEAD, HALF, SIGMA, LATE = 16, 24, 8.0, 12
 """Samples: from the last one to the correction's; of S to each side; its width; from a step's begin to its p.
 
 In the graph a_3 acts from the fifth sample behind the one that it was decided on (`benchmarks.residual`)."""
 KERNEL = np.exp(-0.5 * (np.arange(-HALF, HALF + 1) / SIGMA) ** 2)
 KERNEL /= KERNEL.sum()
-DELAY = 4
-"""Policy steps after which a needed correction is known."""
-KEPT = 12
-"""Policy steps of which samples are kept."""
-MEMORY = 400
-"""Needed corrections that are remembered, 4 s."""
-LAGS = (0, 2, 5, 10, 20, 40)
-"""Of the corrections needed of late, policy steps before the last one."""
-WIDTHS = (0.25, 0.6)
-"""Of the kernels over similar z."""
-REPEATS = (1.0, 0.5, 0.25)
-"""Weights of the corrections needed one, two and three periods ago."""
-SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0
-"""Of these corrections, over policy steps."""
+DELAY = 4  # policy steps after which a needed correction is known
+KEPT = 12  # policy steps of which samples are kept
+MEMORY = 400  # needed corrections that are remembered, 4 s
+LAGS = (0, 2, 5, 10, 20, 40)  # of the corrections needed of late, policy steps before the last one
+WIDTHS = (0.25, 0.6)  # of the kernels over similar z
+REPEATS = (1.0, 0.5, 0.25)  # weights of the corrections needed one, two and three periods ago
+SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0  # of these corrections, over policy steps
 REMEMBERED = DELAY + 1 + len(SMOOTHING) // 2
 """Policy steps after which the smoothed corrections of a step and the next are known."""
-SETTLING = KEPT + 100
-"""Policy steps from the begin of which no correction is repeated: the law settles."""
-STALE = 1.0
-"""N at `NOMINAL_SCALE`: change of the law's f_c since then at which one counts half."""
-REPEAT_GAIN = 0.9
-"""Share of a repeated correction that is applied."""
-FORGETTING = 0.01 / 1.5
-"""Per policy step, of the correlations."""
+SETTLING = KEPT + 100  # policy steps from the begin of which no correction is repeated: the law settles
+STALE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since then at which one counts half
+REPEAT_GAIN = 0.9  # share of a repeated correction that is applied
+FORGETTING = 0.01 / 1.5  # per policy step, of the correlations
 
-TERMS = 3 * len(BACK) + 4
-"""Entries of z."""
+TERMS = 3 * len(BACK) + 4  # entries of z
 INPUTS = 2 * TERMS + 6 + len(LAGS) + 2 * len(WIDTHS)
 OUTPUTS = 2
 WEIGHTING = np.array([0.5, 0.7, 1.0] * len(BACK) + [1.5, 0.7, 1.0, 0.0])
 """Of z in the distance between two situations."""
 
-BEGIN, RAMP = 65, 50
-"""Policy steps after which it acts, and over which it is let in."""
+BEGIN, RAMP = 65, 50  # policy steps after which it acts, and over which it is let in
 PAUSE, AGAIN = 100, 15
 """Policy steps without samples that count after which it starts again, and over which it is let in after fewer."""
 ASKED, LATELY = 9.0, 0.03
 """N at `NOMINAL_SCALE`, RMS of w with which half of the prediction is applied; per policy step, of its mean square."""
-PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0
-"""N at `NOMINAL_SCALE`, of p and of w."""
-GAIN = 0.8
-"""Share of the prediction that is applied."""
-AVERAGED, FOLLOWS = 0.01, 0.03
-"""Per policy step: of the products that the authority follows, and its rate."""
-LEAST_POWER = 0.01
-"""N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect."""
+PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0  # N at `NOMINAL_SCALE`, of p and of w
+GAIN = 0.8  # share of the prediction that is applied
+AVERAGED, FOLLOWS = 0.01, 0.03  # per policy step: of the products that the authority follows, and its rate
+LEAST_POWER = 0.01  # N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect
 
 
 @dataclass(frozen=True)
@@ -184,8 +159,7 @@ class Network:
 
     mean: FloatArray
     spread: FloatArray
-    layers: tuple[tuple[FloatArray, FloatArray], ...]
-    """(weight, bias) of each layer, shapes (in, out) and (out,)."""
+    layers: tuple[tuple[FloatArray, FloatArray], ...]  # (weight, bias) of each layer, shapes (in, out) and (out,)
 
     @classmethod
     def load(cls, path: Path | None = None) -> Network:
@@ -228,19 +202,15 @@ class Residual:
     def reset(self) -> None:
         """Start again, knowing nothing of the bench."""
         n, samples = self._count, KEPT * SAMPLES_PER_STEP
-        self.value: FloatArray = np.zeros(n)
-        """w [N], to be added to a_3 of the next policy step, shape (n,)."""
-        self.inputs: FloatArray = np.zeros((n, INPUTS))
-        """Of the network at the last step, shape (n, `INPUTS`)."""
+        self.value: FloatArray = np.zeros(n)  # w [N], to be added to a_3 of the next policy step, shape (n,)
+        self.inputs: FloatArray = np.zeros((n, INPUTS))  # of the network at the last step, shape (n, `INPUTS`)
         self.needed: FloatArray = np.zeros(n)
         """Correction [N at `NOMINAL_SCALE`] needed `DELAY` steps ago, shape (n,)."""
-        self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)
-        """Policy steps since it started, shape (n,)."""
+        self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # policy steps since it started, shape (n,)
         self._counting: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # last policy steps that counted
         self._pause: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # that did not
         self._asked: FloatArray = np.zeros(n)  # mean square of w of late with full authority
-        self.authority: FloatArray = np.ones(n)
-        """Share of p that is applied, by whether it helps, shape (n,)."""
+        self.authority: FloatArray = np.ones(n)  # share of p that is applied, by whether it helps, shape (n,)
         self._product, self._power = np.zeros(n), np.zeros(n)
         self._rate: FloatArray = np.zeros((n, samples))
         self._error: FloatArray = np.zeros((n, samples))
@@ -284,8 +254,12 @@ class Residual:
         self._learn()
         now = np.where(np.isfinite(reference[:, -1]), reference[:, -1], 0.0) / self._scale
         self._period.step(now, self.age)
-        z = self._situation(now)
-        self._remember(now, a)
+        past = self._rate[:, self._rate.shape[1] - 1 - BACK]
+        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01  # f_r''
+        shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
+        plain = (now / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
+        z = np.concatenate((shaped, np.stack(plain, axis=1)), axis=1)
+        self._remember(now, second, a)
         self._seen = np.concatenate((self._seen[:, 1:], z[:, np.newaxis]), axis=1)
         self.inputs = self._inputs(z, a)
         self._predict(a)
@@ -316,14 +290,6 @@ class Residual:
         self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, 1e3)
         self._steps += 1
 
-    def _situation(self, reference: FloatArray) -> FloatArray:
-        """z, shape (n, `TERMS`)."""
-        past = self._rate[:, self._rate.shape[1] - 1 - BACK]
-        shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
-        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01
-        plain = (reference / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
-        return np.concatenate((shaped, np.stack(plain, axis=1)), axis=1)
-
     def _inputs(self, z: FloatArray, a: FloatArray) -> FloatArray:
         """What the network is given, shape (n, `INPUTS`)."""
         level = a[:, 3] / self._scale
@@ -342,9 +308,8 @@ class Residual:
         correlation = self._zy / (self._zz + 0.02)
         return np.concatenate((z, correlation * z, np.stack((*law, *late, *alike), axis=1)), axis=1)
 
-    def _remember(self, reference: FloatArray, a: FloatArray) -> None:
+    def _remember(self, reference: FloatArray, second: FloatArray, a: FloatArray) -> None:
         """Enter the corrections needed at the step `REMEMBERED` ago and at the one behind it, its law and reference."""
-        second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01
         shape = np.stack((self.needed, *a.T[:3], a[:, 3] / self._scale, reference, self._rate[:, -1], second), axis=1)
         shape = np.concatenate((shape, np.ones((self._count, 1))), axis=1)
         late = self._lately = np.concatenate((self._lately[:, 1:], shape[:, np.newaxis]), axis=1)
@@ -353,23 +318,20 @@ class Residual:
         acted = (1.0 - part) * late[:, 1, 5:] + part * late[:, 2, 5:]
         self._past.push(np.concatenate((np.stack(corrections, axis=1), late[:, 0, 1:5], acted), axis=1))
 
-    def _repeated(self, a: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean of the corrections needed whole periods ago and how far it is trusted, shapes (n, 2) and (n, 1)."""
-        total: FloatArray = np.zeros((self._count, OUTPUTS))
-        weight: FloatArray = np.zeros((self._count, 1))
-        for number, usual in enumerate(REPEATS):
-            back = (number + 1) * self._period.steps - REMEMBERED
-            known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
-            then = self._past.at(np.where(known, back, 0.0))
-            changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - a) * then[:, OUTPUTS + 4 :], axis=1)
-            share = (usual * known / (1.0 + (changed / STALE) ** 2))[:, np.newaxis]
-            total, weight = total + share * then[:, :OUTPUTS], weight + share
-        return total / np.maximum(weight, 1e-6), self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
-
     def _predict(self, a: FloatArray) -> None:
         predicted: FloatArray = np.zeros((self._count, OUTPUTS))
         if self._network is not None:
-            repeated, trust = self._repeated(a / np.array((1.0, 1.0, 1.0, self._scale)))
+            law = a / np.array((1.0, 1.0, 1.0, self._scale))
+            total, weight = np.zeros((self._count, OUTPUTS)), np.zeros((self._count, 1))
+            for number, usual in enumerate(REPEATS):  # corrections needed whole periods ago
+                back = (number + 1) * self._period.steps - REMEMBERED
+                known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
+                then = self._past.at(np.where(known, back, 0.0))
+                changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - law) * then[:, OUTPUTS + 4 :], axis=1)
+                share = (usual * known / (1.0 + (changed / STALE) ** 2))[:, np.newaxis]
+                total, weight = total + share * then[:, :OUTPUTS], weight + share
+            repeated = total / np.maximum(weight, 1e-6)
+            trust = self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
             predicted = (1.0 - trust) * GAIN * self._network(self.inputs) + trust * REPEAT_GAIN * repeated
         let_in = np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0) * np.clip(self._counting / AGAIN, 0.0, 1.0)
         let_in = let_in[:, np.newaxis]
@@ -394,8 +356,7 @@ class AdaptedLaw:
     def __init__(self, estimator: Compensator, residual: Residual | None = None) -> None:
         self.estimator, self.residual = estimator, residual
         self._low, self._high = estimator.law.coefficient_min[3], estimator.law.coefficient_max[3]
-        self.learned = residual is not None
-        """Whether the residual acts."""
+        self.learned = residual is not None  # whether the residual acts
         self.added: FloatArray = np.zeros(len(estimator.coefficients))
         """To a_3 of the present policy step [N], shape (n,)."""
 

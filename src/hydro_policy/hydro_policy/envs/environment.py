@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task on a fleet of benches, the counterpart of `TrainingSession` without the graph's interruptions.
+"""The task on a fleet of benches, as a training has it on a running one, without the graph's interruptions.
 
 Observation, reward, gains and penalty are computed by the same functions of `task.mdp`; each episode starts from rest.
 """
@@ -27,12 +27,9 @@ from hydro_sim.model.sensors import Sensors
 class Episodes:
     """What each episode runs on, by its number."""
 
-    source: Bench
-    """Simulated bench."""
-    believed: Bench
-    """Bench that the boxes assume."""
-    randomisation: events.Randomisation | None = None
-    """None: always the simulated bench."""
+    source: Bench  # simulated bench
+    believed: Bench  # bench that the boxes assume
+    randomisation: events.Randomisation | None = None  # none: always the simulated bench
 
     def plant(self) -> AnalyticPlant:
         """Return a new plant of the simulated bench."""
@@ -59,18 +56,12 @@ class Episodes:
 class Transitions:
     """Transitions of one step of all benches; first axis: bench."""
 
-    observation: FloatArray
-    """Observations acted upon, shape (n, 13)."""
-    action: FloatArray
-    """Shape (n, 2)."""
-    reward: FloatArray
-    """Shape (n,)."""
-    following: FloatArray
-    """Next observations, shape (n, 13)."""
-    terminated: npt.NDArray[np.bool_]
-    """Whether the box tripped and its bench was reset, shape (n,)."""
-    samples: StateArray
-    """The ten samples, shape (n, 10)."""
+    observation: FloatArray  # observations acted upon, shape (n, 13)
+    action: FloatArray  # shape (n, 2)
+    reward: FloatArray  # shape (n,)
+    following: FloatArray  # next observations, shape (n, 13)
+    terminated: npt.NDArray[np.bool_]  # whether the box tripped and its bench was reset, shape (n,)
+    samples: StateArray  # the ten samples, shape (n, 10)
 
     def rows(self) -> npt.NDArray[np.float32]:
         """Return rows of the replay buffer, shape (n, width), without those that hold a non-finite value."""
@@ -88,8 +79,7 @@ class Environment:
 
     def __init__(self, fleet: VectorBench, task: TaskSettings, law: Law = Law.PAPER) -> None:
         self.fleet, self.task, self.law = fleet, task, law
-        self.observation: FloatArray = np.zeros((len(fleet), OBSERVATIONS))
-        """Observations to act upon, shape (n, 13)."""
+        self.observation: FloatArray = np.zeros((len(fleet), OBSERVATIONS))  # observations to act upon, shape (n, 13)
         self._references = [ReferenceSignal()] * len(fleet)
         self._seeds: npt.NDArray[np.int64] = np.zeros(len(fleet), np.int64)
         self._adapted: AdaptedLaw | None = None

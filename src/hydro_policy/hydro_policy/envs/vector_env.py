@@ -12,9 +12,8 @@ compiled functions. Gains act `gain_delay` samples after the step that chose the
 graph), and the valve follows its current `dead_time` samples late (0: the box's own loop).
 
 Plants of one kind are rows of arrays: a NamedTuple with two compiled functions, `advance` and `measurement`, dispatched
-on its type (numba's overloading). They are created and reset as usual; here only their memories are stacked. Filters
-likewise, with a compiled `correct`: none, or the contraction filter, from one sample to the next one's correction, as
-in the graph.
+on its type (numba's overloading). They are created and reset as usual; here only their memories are stacked. The
+contraction filter, if there is one, makes the next sample's correction of a sample, as in the graph.
 """
 
 from __future__ import annotations
@@ -103,7 +102,7 @@ def _copy_analytic(arrays: Analytic, index: int, plant: AnalyticPlant) -> None:
 
 
 KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
-    AnalyticPlant: (_analytic, _copy_analytic),
+    AnalyticPlant: (_analytic, _copy_analytic)
 }
 """Kinds of plants, with the functions that stack them and write one, its constants and memory, into a row. A benchmark
 may add its own."""
@@ -112,72 +111,41 @@ may add its own."""
 _ARMED = np.uint32(Flag.ARMED)
 
 
-class NoFilter(NamedTuple):
-    """No filter: the box gets the gains unfiltered, flagged FILTER_STALE."""
+class FleetFilter(NamedTuple):
+    """Filter between policy and box, with one memory per bench; the box flags gains without one FILTER_STALE."""
 
-    fresh: bool = False
-
-
-class LearnedFilter(NamedTuple):
-    """The filter with the learned metric, with one memory per bench."""
-
-    fresh: bool
-    decide: int
-    """Address of the decision."""
+    fresh: bool  # whether there is one
+    decide: int  # address of the decision
     parts: Records
     memory: Records
-    seen: Records
-    """Sample and decision of the bench whose turn it is, shape (1,) each."""
+    seen: Records  # sample and decision of the bench whose turn it is, shape (1,) each
     made: Records
-
-
-FleetFilter = NoFilter | LearnedFilter
 
 
 def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
     """Return the filter of a kind for `count` benches, designed for the bench `believed`."""
-    if kind == "none":
-        return NoFilter()
+    parts = default_filter(believed).parts if kind == "learned" else np.zeros(1, filter_records.FILTER)
     seen, made = np.zeros(1, filter_records.SAMPLE), np.zeros(1, filter_records.DECISION)
-    parts, memory = default_filter(believed).parts, filter_records.new_memories(count)
-    return LearnedFilter(True, filter_records.decide_address(), parts, memory, seen, made)
+    memory = filter_records.new_memories(count)
+    return FleetFilter(kind == "learned", filter_records.decide_address(), parts, memory, seen, made)
 
 
-def reset_memory(filters: FleetFilter, index: int) -> None:
-    """Reset a bench's memory: its next sample does not follow the last one."""
-    if isinstance(filters, LearnedFilter):
-        filters.memory[index] = np.zeros(1, filters.memory.dtype)[0]
-
-
-def correct(filters: Any, i: int, x: Any, sample: Any, law: Any) -> float:
-    """Return delta_u [A] for the next sample of bench i under a law (f_c, f_c', C_1, C_2); for compiled code."""
-    raise NotImplementedError("compiled code only")
-
-
-@overload(correct)
+@njit
 def _correct(filters, i, x, sample, law):
-    kind = getattr(filters, "instance_class", None)
-    if kind is NoFilter:
-        return lambda filters, i, x, sample, law: 0.0
-    if kind is LearnedFilter:
-
-        def learned(filters, i, x, sample, law):
-            seen = filters.seen[0]
-            copy_vector(seen.x, x)
-            seen.nominal, seen.current = sample.nominal_valve_current, sample.valve_current
-            seen.reference, seen.reference_rate = sample.reference_force, sample.reference_force_rate
-            seen.k_p, seen.armed = sample.proportional_gain, (sample.flags & _ARMED) != 0
-            seen.followed, seen.followed_rate, seen.c_1, seen.c_2 = law
-            memory = filters.memory[i : i + 1]
-            filter_records.decide(filters.decide, filters.parts, memory, filters.seen, filters.made)
-            return filters.made[0].delta_u
-
-        return learned
-    return None
+    """Return delta_u [A] for the next sample of bench i under a law (f_c, f_c', C_1, C_2)."""
+    if not filters.fresh:
+        return 0.0
+    seen = filters.seen[0]
+    copy_vector(seen.x, x)
+    seen.nominal, seen.current = sample.nominal_valve_current, sample.valve_current
+    seen.reference, seen.reference_rate = sample.reference_force, sample.reference_force_rate
+    seen.k_p, seen.armed = sample.proportional_gain, (sample.flags & _ARMED) != 0
+    seen.followed, seen.followed_rate, seen.c_1, seen.c_2 = law
+    filter_records.decide(filters.decide, filters.parts, filters.memory[i : i + 1], filters.seen, filters.made)
+    return filters.made[0].delta_u
 
 
-DEAD_TIME_MAX = 8
-"""Maximum delay of a command, samples."""
+DEAD_TIME_MAX = 8  # maximum delay of a command, samples
 
 LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held", np.float64, (DEAD_TIME_MAX + 1,))])
 """Transport between policy, box and valve: delays in samples, and the currents in transit, newest first."""
@@ -205,7 +173,8 @@ class VectorBench:
         config: BoxConfig | None = None,
         filters: FleetFilter | None = None,
     ) -> None:
-        self.config, self.filters = config or BoxConfig(), filters or NoFilter()
+        self.config = config or BoxConfig()
+        self.filters = filters or fleet_filter("none", benches[0], len(plants))
         make, self._copy = KINDS[type(plants[0])]
         self.plants, self.rows, count = list(plants), make(plants), len(plants)
         for index, plant in enumerate(plants):
@@ -217,8 +186,7 @@ class VectorBench:
         self.links["gain_delay"] = 1
         self.samples: StateArray = np.zeros((count, SAMPLES_PER_STEP), STATE_DTYPE)
         """Samples of the last step, shape (benches, 10); the policy acts upon the last column."""
-        self.compensated = np.zeros((count, SAMPLES_PER_STEP))
-        """Compensated references f_c [N] of the same samples."""
+        self.compensated = np.zeros((count, SAMPLES_PER_STEP))  # compensated references f_c [N] of the same samples
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -255,7 +223,7 @@ class VectorBench:
         )  # fmt: skip
         fill_command(command, wanted)
         self.links[index]["held"] = 0.0
-        reset_memory(self.filters, index)
+        self.filters.memory[index] = np.zeros(1, self.filters.memory.dtype)[0]
         first = self.samples[index, -1:]
         _exchange(firmware.function_addresses(), self.settings[one], box, command, self.filters, index, read, first)
         self.compensated[index, -1] = box["acting"]["reference"][0]
@@ -304,7 +272,7 @@ def _exchange(code, settings, box, command, filters, i, measurement, sample):
     acting = box[0].acting
     scales = acting.shaping[VELOCITY_COMPENSATION], acting.shaping[VALVE_GAIN_SCALE]
     law = acting.reference, acting.reference_rate, scales[0], scales[1]
-    command[0].delta_u = correct(filters, i, measurement, sample[0], law)
+    command[0].delta_u = _correct(filters, i, measurement, sample[0], law)
 
 
 @njit

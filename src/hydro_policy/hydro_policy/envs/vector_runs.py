@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parallel evaluation runs without a graph: each bench of a fleet runs one case under one controller.
 
-The protocol is that of `evaluation.session`: start from rest, settling, then whole periods over which e counts.
+As in `evaluation.runner`: start from rest, settling, then whole periods over which e counts.
 """
 
 from __future__ import annotations
@@ -49,10 +49,8 @@ def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
 class Step:
     """What ten samples of all benches gave."""
 
-    samples: StateArray
-    """Shape (n, 10); overwritten by the next step."""
-    counted: npt.NDArray[np.bool_]
-    """Which of them are measured, behind settling and within the run, shape (n, 10)."""
+    samples: StateArray  # shape (n, 10); overwritten by the next step
+    counted: npt.NDArray[np.bool_]  # which of them are measured, behind settling and within the run, shape (n, 10)
 
 
 def rmse(

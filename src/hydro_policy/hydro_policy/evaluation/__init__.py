@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials on a live plant and their runner; comparison, exploration, search of the best fixed gains, report.
-
-May import `task`, `sac`, `supervision` and `runs`.
-"""
+"""Trials on a live plant and their runner; comparison, exploration, search of the best fixed gains, report."""

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -16,62 +14,47 @@ from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
 
+PAPERS_LAW = LawCommand()
 
-class Controller(Protocol):
+
+class Controller:
     """Chooses gains at 100 Hz."""
 
-    @property
-    def name(self) -> str:
-        """Name for tables."""
-
-    def reset(self) -> None:
-        """Reset before a run; nothing where there is no state."""
-        return
-
-    @property
-    def reach(self) -> GainRange:
-        """Range of the gain changes that it may request."""
+    name: str  # for tables
+    reach: GainRange  # of the gain changes that it may request
+    fixed: tuple[float, float] | None = None  # K_p [1/s], K_i [1/s^2] in all, if it does not change them
 
     @property
     def law(self) -> LawCommand:
-        """Force law that it needs, as of now; the paper's by default."""
-        return LawCommand()
+        """Force law that it needs, as of now."""
+        return PAPERS_LAW
+
+    def reset(self) -> None:
+        """Reset before a run; nothing where there is no state."""
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """Return (delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
+        raise NotImplementedError
 
 
-@dataclass(frozen=True)
 class FixedGains(Controller):
-    """Fixed gains, given as totals (K_p, K_i); the box's base gains are subtracted."""
+    """Fixed gains, given as totals (K_p, K_i); the box's base gains are subtracted. `kind`: for tables."""
 
-    proportional: float
-    integral: float
-    base: tuple[float, float] = BASE
-    kind: str = "fixed"
-    """For tables."""
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.proportional) and math.isfinite(self.integral)):
-            raise ValueError(f"fixed gains are two finite numbers, not {self.proportional:g} and {self.integral:g}")
-
-    @property
-    def name(self) -> str:
-        """For tables."""
-        return f"{self.kind} ({self.proportional:g}, {self.integral:g})"
-
-    @property
-    def reach(self) -> GainRange:
-        """Range of a single point."""
-        kp, ki = self.proportional - self.base[0], self.integral - self.base[1]
-        return GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
+    def __init__(
+        self, proportional: float, integral: float, base: tuple[float, float] = BASE, kind: str = "fixed"
+    ) -> None:
+        if not (math.isfinite(proportional) and math.isfinite(integral)):
+            raise ValueError(f"fixed gains are two finite numbers, not {proportional:g} and {integral:g}")
+        self.name, self.fixed = f"{kind} ({proportional:g}, {integral:g})", (proportional, integral)
+        self._changes = kp, ki = proportional - base[0], integral - base[1]
+        self.reach = GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`."""
-        return self.proportional - self.base[0], self.integral - self.base[1]
+        return self._changes
 
 
-class Compensated:
+class Compensated(Controller):
     """Base gains of the compensated law, whose coefficients follow the bench.
 
     `compensation`: estimator of the coefficients. `base`: base gains of the paper's law, to which `reach` is relative
@@ -82,10 +65,9 @@ class Compensated:
         self, compensation: LiveCompensation, base: tuple[float, float] = BASE, *, learned: bool = False
     ) -> None:
         self.name = "compensated, learned residual" if learned else "compensated"
-        self._learned = learned
-        self._compensation, law = compensation, compensation.law
-        self.proportional, self.integral = law.base_kp, law.base_ki
-        self.reach = FixedGains(law.base_kp, law.base_ki, base).reach
+        self._compensation, self._learned = compensation, learned
+        self.fixed = compensation.law.base_kp, compensation.law.base_ki
+        self.reach = FixedGains(*self.fixed, base).reach
 
     @property
     def law(self) -> LawCommand:
@@ -101,10 +83,8 @@ class Compensated:
         return 0.0, 0.0
 
 
-class PolicyController:
+class PolicyController(Controller):
     """Mean action of a trained policy."""
-
-    law = LawCommand()
 
     def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
         self.name, self.reach = name, gains

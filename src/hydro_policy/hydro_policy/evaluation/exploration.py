@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import FloatArray, LawCommand, ReferenceSignal
+from hydro_core.signals import FloatArray, ReferenceSignal
+from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.supervision.plant_supervisor import Outputs
@@ -22,8 +23,7 @@ if TYPE_CHECKING:  # evaluate does without
     from hydro_policy.sac.sac import ReplayBuffer
 
 EXPLORING = "exploring policy"
-SETTLING_STEPS = 50
-"""Initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s."""
+SETTLING_STEPS = 50  # initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s
 
 
 @dataclass(kw_only=True)
@@ -75,26 +75,18 @@ class EpisodeRecord:
         }
 
 
-class Explorer:
+class Explorer(Controller):
     """Controller that learns: it acts by policy steps, and appends their transitions to the replay buffer.
 
-    An episode goes on under gains that a person holds, which are not learnt from. Its end is a truncation: the next
-    state's value is bootstrapped. Only a trip by the box or a stop by the monitor is a termination.
+    An episode goes on where the one before it ended, and under gains that a person holds, which are not learnt from.
+    Its end is a truncation: the next state's value is bootstrapped. Only a trip by the box or a stop by the monitor is
+    a termination.
 
-    Parameters
-    ----------
-    settings
-        Settings of the run.
-    replay
-        Of the transitions.
-    outputs
-        The graph.
-    new_weights, wake
-        Return the actor's parameters if they are newer; tell the learner of a transition.
+    `settings`: settings of the run. `replay`: of the transitions. `outputs`: the graph. `new_weights`, `wake`: return
+    the actor's parameters if they are newer; tell the learner of a transition.
     """
 
     name = EXPLORING
-    law = LawCommand()
 
     def __init__(
         self,
@@ -108,24 +100,17 @@ class Explorer:
         self.policy = Policy(settings.sac, settings.task.size)
         self.rng = np.random.default_rng(settings.seed)
         self.inference = Latency()  # observe, act, map to gains
-        self.published = 0
-        """Number of gains sent so far, from any source: the message's step."""
-        self.total_steps = 0
-        """Of all episodes."""
-        self.current = EpisodeRecord(episode=0)
-        """The present episode, or the last one."""
+        self.published = 0  # number of gains sent so far, from any source: the message's step
+        self.total_steps = 0  # of all episodes
+        self.current = EpisodeRecord(episode=0)  # the present episode, or the last one
         self._replay, self._outputs, self._new_weights, self._wake = replay, outputs, new_weights, wake
         self._observation: FloatArray | None = None
         self._action: FloatArray = np.zeros(ACTIONS)
-        self._mean: FloatArray = np.zeros(ACTIONS)  # mean of the drawn action
 
     @property
     def finished(self) -> bool:
         """Whether the episode has all its steps."""
         return self.current.steps >= self.task.steps_per_episode
-
-    def reset(self) -> None:
-        """See `Controller`: an episode goes on where the one before it ended."""
 
     def begin(self, episode: int, signal: ReferenceSignal) -> None:
         """Begin an episode, or begin it again."""
@@ -136,16 +121,17 @@ class Explorer:
         parameters = self._new_weights()
         if parameters is not None:
             self.policy.load_flat(parameters)
-        before, taken, observation = self._observation, self._action, self._act(step)
-        if observation is not None:
-            reward = math.nan
-            if before is not None:
-                reward = float(rewards.tracking(self.task, step.error, step.error_rate))
-                if step.whole:
-                    self._remember(before, taken, reward, observation, terminated=False)
-            self._tell(reward)
-            if before is not None:
-                self._count(step, reward)
+        before, taken, began = self._observation, self._action, time.perf_counter()
+        self._observation, observation = None, observe(step.sample, taken, self.task.size)
+        if np.isfinite(observation).all():  # else the box trips on this; its flags follow
+            self._action, mean = self.policy.draw(observation, self.rng)
+            gains = self.task.gains.gains(self._action)
+            self.inference.add(time.perf_counter() - began)
+            self._publish(gains)
+            self._observation = observation
+            reward = math.nan if before is None else self._end_step(before, taken, step, observation)
+            weights = int(self.policy.digest(), 16)
+            self._outputs.acted(self.published - 1, self.task.gains.gains(mean), reward, weights)
         self._wake()
 
     def hold(self, gains: tuple[float, float], step: Step | None = None, *, under_way: bool = False) -> None:
@@ -153,22 +139,13 @@ class Explorer:
 
         The step that they end is still the policy's and is stored. `under_way`: whether it is one of an episode.
         """
-        before, taken = self._observation, self._action
-        if before is not None and step is not None:
-            reward = float(rewards.tracking(self.task, step.error, step.error_rate))
-            after = observe(step.sample, taken, self.task.size)
-            if step.whole and np.isfinite(after).all():
-                self._remember(before, taken, reward, after, terminated=False)
-            if under_way:
-                self._count(step, reward)
+        if self._observation is not None and step is not None:
+            after = observe(step.sample, self._action, self.task.size)
+            self._end_step(self._observation, self._action, step, after, under_way=under_way)
         self.current.overridden_steps += under_way
         self._publish(gains)
         self._observation = None
         self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # previous action in the policy's observation
-
-    def _count(self, step: Step, reward: float) -> None:
-        self.current.add(step, reward)
-        self.total_steps += 1
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`: those of the last action."""
@@ -186,30 +163,24 @@ class Explorer:
         """Discard the last action: the next sample does not follow from it."""
         self._observation = None
 
-    def _act(self, step: Step) -> FloatArray | None:
-        """Publish the policy's gains; returns the observation that it acted on, None if that is not finite."""
-        begin = time.perf_counter()
-        observation = observe(step.sample, self._action, self.task.size)
-        if not np.isfinite(observation).all():
-            self._observation = None  # the box trips on this; its flags follow
-            return None
-        self._action, self._mean = self.policy.draw(observation, self.rng)
-        gains = self.task.gains.gains(self._action)
-        self.inference.add(time.perf_counter() - begin)
-        self._publish(gains)
-        self._observation = observation
-        return observation
-
     def _publish(self, gains: tuple[float, float]) -> None:
         self._outputs.gains(*gains, self.published)
         self.published += 1
 
-    def _tell(self, reward: float) -> None:
-        weights = int(self.policy.digest(), 16)
-        self._outputs.acted(self.published - 1, self.task.gains.gains(self._mean), reward, weights)
+    def _end_step(
+        self, before: FloatArray, action: FloatArray, step: Step, after: FloatArray, *, under_way: bool = True
+    ) -> float:
+        """Store the transition that ends with this step, and count it; returns its reward."""
+        reward = float(rewards.tracking(self.task, step.error, step.error_rate))
+        if step.whole and np.isfinite(after).all():
+            self._remember(before, action, reward, after, terminated=False)
+        if under_way:
+            self.current.add(step, reward)
+            self.total_steps += 1
+        return reward
 
     def _remember(
-        self, before: FloatArray, action: FloatArray, reward: float, after: FloatArray, terminated: bool
+        self, before: FloatArray, action: FloatArray, reward: float, after: FloatArray, *, terminated: bool
     ) -> None:
         row = np.concatenate((before, after, action, (reward, float(terminated)))).astype(np.float32)
         self._replay.extend(row[np.newaxis])

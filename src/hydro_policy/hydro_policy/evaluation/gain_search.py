@@ -9,8 +9,8 @@ score     mean over the references of the RMSE relative to the best of any pair 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -62,42 +62,42 @@ def coarse_grid(gains: GainRange, base: tuple[float, float]) -> GridSettings:
     )  # fmt: skip
 
 
-@dataclass
 class GridSearch:
     """Chooses the next pair of gains; independent of the bench."""
 
-    settings: GridSettings
-    tried: dict[Gains, FloatArray] = field(default_factory=dict)
-    """RMSE [N] on each reference; infinite where the run was stopped."""
-    _rising: list[Gains] = field(default_factory=list)
-    _fine: list[Gains] = field(default_factory=list)
-    _round: int = 0
-
-    def __post_init__(self) -> None:
-        self._rising = [(self.settings.kp_min, ki) for ki in self.settings.ki_values]
+    def __init__(self, settings: GridSettings) -> None:
+        self.settings = settings
+        self.tried: dict[Gains, FloatArray] = {}
+        """RMSE [N] on each reference; infinite where the run was stopped."""
+        self._pairs = self._search()
+        self._next = next(self._pairs, None)
 
     def next(self) -> Gains | None:
         """Return the next pair to try; None when the search is complete."""
-        self._fine = [pair for pair in self._fine if pair[0] < self._edge]
-        while not self._rising and not self._fine and self._round < self.settings.refinements:
-            self._round += 1
-            self._fine = [pair for pair in self._neighbours() if pair not in self.tried and pair[0] < self._edge]
-        return self._rising[0] if self._rising else self._fine[0] if self._fine else None
+        return self._next
 
     def tell(self, pair: Gains, rmse: Sequence[float]) -> None:
         """Record a pair's RMSE on each reference; infinite or NaN: it was stopped."""
         self.tried[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
-        if self._rising:
-            self._rising.pop(0)
-            higher = (pair[0] + self.settings.kp_step, pair[1])
-            if (
-                higher[0] <= self.settings.kp_max
-                and higher[0] < self._edge
-                and self.scores[pair] < self.settings.hopeless * self._best_score
-            ):
-                self._rising.insert(0, higher)
-        else:
-            self._fine.remove(pair)
+        self._next = next(self._pairs, None)
+
+    def _search(self) -> Iterator[Gains]:
+        limits = self.settings
+        for ki in limits.ki_values:  # coarse
+            kp, promising = limits.kp_min, True
+            while promising:
+                yield kp, ki
+                promising = self.scores[kp, ki] < limits.hopeless * min(self.scores.values())
+                kp += limits.kp_step
+                promising = promising and kp <= limits.kp_max and kp < self._edge
+        spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else None
+        for halving in range(1, limits.refinements + 1):  # fine
+            (kp, ki), half = self.best, 0.5**halving
+            steps = half * limits.kp_step, half * (2.0 * ki if spacing is None else spacing)
+            for p, i in [(kp + i * steps[0], ki + j * steps[1]) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
+                allowed = limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max
+                if allowed and (p, i) not in self.tried and p < self._edge:
+                    yield p, i
 
     @property
     def scores(self) -> dict[Gains, float]:
@@ -116,20 +116,9 @@ class GridSearch:
         return min(scores, key=scores.__getitem__)
 
     @property
-    def _best_score(self) -> float:
-        return min(self.scores.values())
-
-    @property
     def _edge(self) -> float:
         """Smallest K_p [1/s] that had to be stopped: neither it nor any above is tried again."""
         return min((kp for (kp, _), rmse in self.tried.items() if not np.isfinite(rmse).all()), default=np.inf)
-
-    def _neighbours(self) -> list[Gains]:
-        limits, (kp, ki) = self.settings, self.best
-        spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else 2.0 * ki
-        kp_step, ki_step = limits.kp_step / 2.0**self._round, spacing / 2.0**self._round
-        pairs = [(kp + i * kp_step, ki + j * ki_step) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        return [(p, i) for p, i in pairs if limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max]
 
 
 class GridPlan(Plan):
@@ -140,30 +129,23 @@ class GridPlan(Plan):
 
     def __init__(self, settings: GridSettings, evaluation: EvaluationSettings, base: tuple[float, float]) -> None:
         self.search, self.evaluation, self._base = GridSearch(settings), evaluation, base
-        self._pair = self.search.next()
-        self._rmse: list[float] = []
+        self.follow(self._pair_by_pair())
 
-    @property
-    def trial(self) -> Trial | None:
-        """See `Plan`."""
-        if self._pair is None:
-            return None
-        case = self.evaluation.cases[len(self._rmse)]
-        measure = self.evaluation.measured(case)
-        controller = FixedGains(*self._pair, self._base)
-        return Trial(controller=controller, case=case, settle=self.evaluation.settle, measure=measure)
-
-    def add(self, score: Score) -> str:
-        """See `Plan`. A trial in which the machine was held up tells nothing for its gains."""
-        assert self._pair is not None
-        self.done += 1
-        cases = len(self.evaluation.cases)
-        useless = bool(score.stopped) or score.spoilt
-        self._rmse = [np.inf] * cases if useless else [*self._rmse, score.rmse]
-        if len(self._rmse) == cases:
-            self.search.tell(self._pair, self._rmse)
-            self._pair, self._rmse = self.search.next(), []
-        return ""
+    def _pair_by_pair(self) -> Generator[Trial, Score, None]:
+        cases = self.evaluation.cases
+        while (pair := self.search.next()) is not None:
+            controller, rmse = FixedGains(*pair, self._base), list[float]()
+            for case in cases:
+                score = yield Trial(
+                    controller=controller, case=case, settle=self.evaluation.settle,
+                    measure=self.evaluation.measured(case),
+                )  # fmt: skip
+                self.done += 1
+                if score.stopped or score.spoilt:  # one in which the machine was held up tells nothing
+                    rmse = [np.inf] * len(cases)
+                    break
+                rmse.append(score.rmse)
+            self.search.tell(pair, rmse)
 
     @property
     def best(self) -> FixedGains:

@@ -17,7 +17,7 @@ from hydro_core.files.atomic import encode_json, write_whole
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, Trace, relative_scores
+from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, relative_scores
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
@@ -118,21 +118,11 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
 
 def write_json(session: TrialRunner[Comparison], path: Path, notes: Mapping[str, Any]) -> None:
     """Write settings, every single run, and `notes`; non-finite values become null, a missing folder is created."""
-    content = {
-        **notes,
-        "settings": session.plan.settings,
-        "units": {
-            "rmse": "N",
-            "reference_rms": "N",
-            "true_rmse": "N",
-            "peak": "N",
-            "chatter": "A/s",
-            "frequency": "Hz",
-            **dict.fromkeys(("samples", "lost", "held"), "samples"),
-        },
-        "warnings": session.warnings,
-        "runs": [{**asdict(score), "spoilt": score.spoilt} for score in session.scores],
-    }
+    newtons = dict.fromkeys(("rmse", "reference_rms", "true_rmse", "peak"), "N")
+    units = {**newtons, "chatter": "A/s", "frequency": "Hz", **dict.fromkeys(("samples", "lost", "held"), "samples")}
+    runs = [{**asdict(score), "spoilt": score.spoilt} for score in session.scores]
+    about = {"settings": session.plan.settings, "units": units, "warnings": session.warnings}
+    content = {**notes, **about, "runs": runs}
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, encode_json(content))
 
@@ -163,16 +153,12 @@ def plot(session: TrialRunner[Comparison], path: Path) -> None:
             rmse = np.sqrt(np.mean(e**2))
             spoilt = any(score.spoilt for score in runs(session.scores, trace.controller, case))
             error.plot(states["time"], e, color=color, label=f"{rmse:.1f} N RMSE" + (" *" if spoilt else ""))
-        _plot_gains(gain, first)
+        gains = first.states["time"], first.states["proportional_gain"], first.states["integral_gain"]
+        gain.plot(gains[0], gains[1], color=GREEN, label=f"$K_p$ of {first.controller}")
+        gain.plot(gains[0], gains[2], color=ORANGE, label="$K_i$")
+        gain.set(ylabel="[1/s], [1/s²]", xlabel="time [s]", xlim=(gains[0][0], gains[0][-1]))
         force.set_ylabel("load force [N]")
         error.set_ylabel("error [N]")
         for panel in (force, error, gain):
             add_legend(panel)
         drawing.align_ylabels()
-
-
-def _plot_gains(axes: Any, trace: Trace) -> None:
-    states = trace.states
-    axes.plot(states["time"], states["proportional_gain"], color=GREEN, label=f"$K_p$ of {trace.controller}")
-    axes.plot(states["time"], states["integral_gain"], color=ORANGE, label="$K_i$")
-    axes.set(ylabel="[1/s], [1/s²]", xlabel="time [s]", xlim=(states["time"][0], states["time"][-1]))

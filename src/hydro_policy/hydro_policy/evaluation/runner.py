@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass, field
 from enum import IntEnum
 from math import inf
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -33,14 +33,12 @@ from hydro_policy.task.cases import SPOILT, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, held
 from hydro_sim.files import load_force
 
-REPEATS = 2
-"""Times that a run is started again in which the machine was held up."""
+REPEATS = 2  # times that a run is started again in which the machine was held up
 
 SILENCE = "the box heard nothing for too long and tripped: the machine was held up"
 
 BUSY = "if the machine is busy, close other programs"
-REPLACED = 0.5
-"""The same above which a run tells nothing of its controller."""
+REPLACED = 0.5  # the same above which a run tells nothing of its controller
 
 UNFILTERED = "no filter of this bench decides, or it comes late (`ros2 topic echo /diagnostics` tells)"
 
@@ -57,13 +55,10 @@ class _Run:
 
     trial: Trial
     first: int
-    last: int
-    """Sequence of the last sample."""
-    missed: int = 0
-    """Samples that did not arrive."""
+    last: int  # sequence of the last sample
+    missed: int = 0  # samples that did not arrive
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    clock: StepClock = field(default_factory=StepClock)
-    """Of its own steps: the one in which it begins is not whole."""
+    clock: StepClock = field(default_factory=StepClock)  # of its own steps: the one in which it begins is not whole
 
 
 class Rest:
@@ -106,21 +101,11 @@ P = TypeVar("P", bound=Plan)
 class TrialRunner(Generic[P]):
     """Makes a plan's trials.
 
-    Parameters
-    ----------
-    plan
-        The trials.
-    watch
-        Supervision of the plant.
-    monitor
-        Stops a trial that goes wrong before the box has to; None: only the box does.
-    compensation
-        Estimator of the controller under the compensated law, if there is one.
-    felt
-        File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one.
-    record, kind
-        Takes each score, but of a training, as an event of this kind. Those that it has of an interrupted run are taken
-        from it: their trials are not made again.
+    `plan`: the trials. `watch`: supervision of the plant. `monitor`: stops a trial that goes wrong before the box has
+    to; None: only the box does. `compensation`: estimator of the controller under the compensated law, if there is one.
+    `felt`: file of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one. `record`, `kind`:
+    takes each score, but of a training, as an event of this kind. Those that it has of an interrupted run are taken
+    from it: their trials are not made again.
     """
 
     def __init__(
@@ -149,7 +134,7 @@ class TrialRunner(Generic[P]):
         self._record, self._kind = None, kind
         for event in record.unfinished(kind) if record is not None else ():
             made, due = Score.of_event(event), plan.trial
-            same = due is not None and due.stopped("").run == made.run
+            same = due is not None and due.blank().run == made.run
             if not same:
                 break
             self._add(made)
@@ -182,12 +167,14 @@ class TrialRunner(Generic[P]):
                 self._on_trip(flags, sample)
             self._pause(run, self.watch.condition)
             return False
-        held = self.override.gains(now)
-        if held is not None:
-            return self._hold(trial, self._in_law(held), sequence, step)
+        compensated = self.compensation is not None and self.compensation.acting is Law.COMPENSATED
+        if (held := self.override.gains(now)) is not None:
+            if self.compensation is not None and compensated:  # changes of the gains of the law that acts
+                base, law = self.override.base, self.compensation.law
+                held = base[0] + held[0] - law.base_kp, base[1] + held[1] - law.base_ki
+            return self._hold(trial, held, sequence, step)
         if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
             self.watch.acted(now)
-            compensated = self.compensation is not None and self.compensation.acting is Law.COMPENSATED
             gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
             return self._hold(trial, gains, sequence, step)
         if self._run is None:
@@ -201,7 +188,23 @@ class TrialRunner(Generic[P]):
         elif isinstance(self._run.trial.controller, Explorer) and self.watch.unready(now):
             return False  # a person has held the gains: the plant is disarmed, and the episode is begun again
         self.watch.acted(now)
-        return self._advance(self._run, sequence, sample, flags, step)
+        run, explorer = self._run, self._run.trial.controller
+        if not isinstance(explorer, Explorer):
+            self._measure(run, sequence, sample, flags)
+        elif step is not None:
+            reason = None if self.monitor is None else self.monitor.add(step)
+            if reason is not None:
+                self._stop(run.trial, reason, sample)
+            else:
+                explorer.act(step)
+            if explorer.finished and self._run is run:
+                self._end(run)
+        else:
+            return False
+        due = self.plan.trial
+        if self._run is None and due is not None and isinstance(due.controller, Explorer) and not self.watch.calming:
+            self._run = self._begin(due, sequence)  # its first step is the next one
+        return step is not None
 
     def _hold(self, trial: Trial, gains: tuple[float, float], sequence: int, step: Step | None) -> bool:
         """Send gains that are not the controller's: an episode goes on, any other trial is begun again once it may."""
@@ -255,15 +258,8 @@ class TrialRunner(Generic[P]):
         """Score what is left under this force law, which comes next in the plan, as stopped."""
         self._outputs.say(f"{why}: what is left under the {law.name.lower()} law is left out", warning=True)
         while (trial := self.plan.trial) is not None and trial.controller.law.law is law:
-            self._add(trial.stopped(why))
+            self._add(trial.blank(why))
         self._run = None
-
-    def _in_law(self, gains: tuple[float, float]) -> tuple[float, float]:
-        """Return changes [1/s], [1/s^2] of the paper's base gains as changes of those of the law that acts."""
-        if self.compensation is None or self.compensation.acting is Law.PAPER:
-            return gains
-        base, law = self.override.base, self.compensation.law
-        return base[0] + gains[0] - law.base_kp, base[1] + gains[1] - law.base_ki
 
     def on_tick(self, now: float) -> None:
         """Handle a tick, some twenty times a second."""
@@ -291,25 +287,6 @@ class TrialRunner(Generic[P]):
             self.monitor.reset()
         self._outputs.reference(trial.case.signal)
         return _Run(trial, sequence, sequence - 1)
-
-    def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int, step: Step | None) -> bool:
-        trial, explorer = run.trial, run.trial.controller
-        if isinstance(explorer, Explorer):
-            if step is None:
-                return False
-            reason = None if self.monitor is None else self.monitor.add(step)
-            if reason is not None:
-                self._stop(trial, reason, sample)
-            else:
-                explorer.act(step)
-            if explorer.finished and self._run is run:
-                self._end(run)
-        else:
-            self._measure(run, sequence, sample, flags)
-        due = self.plan.trial
-        if self._run is None and due is not None and isinstance(due.controller, Explorer) and not self.watch.calming:
-            self._run = self._begin(due, sequence)  # its first step is the next one
-        return step is not None
 
     def _measure(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> None:
         trial = run.trial
@@ -339,13 +316,12 @@ class TrialRunner(Generic[P]):
         trial, self._run = run.trial, None
         controller, case = trial.controller, trial.case
         if not trial.judged:
-            frequency = case.signal.frequency
-            self._add(Score(controller=controller.name, case=case.name, frequency=frequency, repeat=trial.repeat))
+            self._add(trial.blank())
             return
         trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
-        bits = held(flags, k_p, k_i, self._base(controller))
-        if _own(controller) == self._base(controller):
+        bits, asked = held(flags, k_p, k_i, self._base(controller)), controller.fixed
+        if asked is not None and asked == self._base(controller):
             bits = np.zeros_like(bits)  # base gains replace none but themselves
         share = float(np.mean(bits != 0))
         missed, late = run.missed / (run.last - run.first + 1), ""
@@ -356,11 +332,18 @@ class TrialRunner(Generic[P]):
             late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY}"
         if late and share <= REPLACED and self._again(trial, late):
             return
-        if reason := self._replaced(controller, trace, share):
-            self._leave_out(trial, reason)
-            return
-        if late:
-            self._warn(f"{trace.controller} at {trace.case}: {late}")
+        acted = float(np.median(k_p)), float(np.median(k_i))
+        if asked is None or not np.allclose(acted, np.array(asked, float), rtol=1e-3, atol=1e-3):
+            if share > REPLACED:
+                self._leave_out(trial, f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}")
+                return
+            if asked is not None:
+                gains = "K_p = {:g} and K_i = {:g} acted".format(*acted)
+                self._leave_out(trial, f"{gains}: widen the plant's gain limits (guard.delta_kp_max)")
+                return
+        if late and (warning := f"{trial.name}: {late}") not in self.warnings:
+            self.warnings.append(warning)
+            self._outputs.say(warning, warning=True)
         felt = None if self._felt is None else load_force.read_forces(self._felt, trace.states["sequence"])
         if not self.plan.training:
             self.traces.append(trace)
@@ -379,7 +362,7 @@ class TrialRunner(Generic[P]):
         if self._repeats == REPEATS:
             return False
         self._repeats += 1
-        self._outputs.say(f"{trial.controller.name} at {trial.case.name} is started again: {why}", warning=True)
+        self._outputs.say(f"{trial.name} is started again: {why}", warning=True)
         return True
 
     def _stop(self, trial: Trial, reason: str, sample: FloatArray) -> None:
@@ -392,7 +375,7 @@ class TrialRunner(Generic[P]):
 
     def _leave_out(self, trial: Trial, reason: str) -> None:
         """Score a trial as stopped."""
-        told = self._add(trial.stopped(reason)) or f"{trial.controller.name} at {trial.case.name}: {reason}"
+        told = self._add(trial.blank(reason)) or f"{trial.name}: {reason}"
         self._outputs.say(told, warning=True)
 
     def _on_trip(self, flags: int, sample: FloatArray) -> None:
@@ -410,24 +393,6 @@ class TrialRunner(Generic[P]):
         """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
 
-    def _replaced(self, controller: Controller, trace: Trace, share: float) -> str:
-        """Return why a run tells nothing of its controller: other gains acted; empty if its own did."""
-        k_p, k_i = (float(np.median(trace.states[f"{name}_gain"])) for name in ("proportional", "integral"))
-        asked = _own(controller)
-        fixed = None not in asked  # else a policy, whose gains change
-        if fixed and np.allclose((k_p, k_i), np.array(asked, float), rtol=1e-3, atol=1e-3):
-            return ""
-        if share > REPLACED:
-            return f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}"
-        narrow = f"K_p = {k_p:g} and K_i = {k_i:g} acted: widen the plant's gain limits (guard.delta_kp_max)"
-        return narrow if fixed else ""
 
-    def _warn(self, sentence: str) -> None:
-        if sentence not in self.warnings:
-            self.warnings.append(sentence)
-            self._outputs.say(sentence, warning=True)
-
-
-def _own(controller: Controller) -> tuple[float | None, float | None]:
-    """Return the fixed gains of a controller; None of one whose gains change."""
-    return getattr(controller, "proportional", None), getattr(controller, "integral", None)
+Session = Rest | TrialRunner[Any]
+"""What controls a plant."""

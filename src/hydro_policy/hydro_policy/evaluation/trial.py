@@ -7,8 +7,7 @@ A trial is one controller over one reference: seconds to settle, then seconds th
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 from hydro_policy.evaluation.controllers import Controller
@@ -22,10 +21,8 @@ class Trial:
     controller: Controller
     case: Case
     repeat: int = 0
-    settle: float
-    """s that do not count."""
-    measure: float
-    """s that count."""
+    settle: float  # s that do not count
+    measure: float  # s that count
     judged: bool = True
     """Whether it is scored, and made again where the machine was held up; otherwise only its end is told."""
 
@@ -34,32 +31,37 @@ class Trial:
         """For sentences: `fixed (90, 15) at 2 Hz`."""
         return f"{self.controller.name} at {self.case.name}"
 
-    def stopped(self, why: str) -> Score:
-        """Return the score of this trial, stopped."""
+    def blank(self, why: str = "") -> Score:
+        """Return the score of this trial without figures; `why`: it was stopped."""
         return Score(
             controller=self.controller.name, case=self.case.name, frequency=self.case.signal.frequency,
             repeat=self.repeat, stopped=why,
         )  # fmt: skip
 
 
-class Plan(ABC):
+class Plan:
     """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`."""
 
-    training: bool = False
-    """Whether its trials follow each other by policy steps, and nobody keeps their samples."""
-    total: float = 0.0
-    """Trials, or s of them, for a progress bar; 0: not known."""
-    done: float = 0.0
-    """How many of them are over."""
+    training: bool = False  # whether its trials follow each other by policy steps, and nobody keeps their samples
+    total: float = 0.0  # trials, or s of them, for a progress bar; 0: not known
+    done: float = 0.0  # how many of them are over
+
+    def follow(self, trials: Generator[Trial, Score, None]) -> None:
+        """Make these trials from now on; `trials` yields each, and is sent its score."""
+        self._trials, self._trial = trials, next(trials, None)
 
     @property
-    @abstractmethod
     def trial(self) -> Trial | None:
         """The trial that is due; None: no more."""
+        return self._trial
 
-    @abstractmethod
     def add(self, score: Score) -> str:
         """Take the score of the trial that was due; returns what to tell the user of a stop, if more is known here."""
+        try:
+            self._trial = self._trials.send(score)
+        except StopIteration:
+            self._trial = None
+        return ""
 
     def begin(self, trial: Trial) -> None:
         """Prepare the trial that was due, which begins now, or begins again."""
@@ -83,14 +85,8 @@ class Comparison(Plan):
 
     Those of the compensated law are last, since the plant is disarmed for another law.
 
-    Parameters
-    ----------
-    settings
-        References and lengths of the trials.
-    controllers
-        At least one.
-    lead
-        s that each controller's first trial settles longer; then each controller makes all its trials before the next.
+    `settings`: references and lengths of the trials. `controllers`: at least one. `lead`: s that each controller's
+    first trial settles longer; then each controller makes all its trials before the next.
     """
 
     def __init__(self, settings: EvaluationSettings, controllers: Sequence[Controller], lead: float = 0.0) -> None:
@@ -110,18 +106,15 @@ class Comparison(Plan):
                       measure=settings.measured(case))
             )  # fmt: skip
 
+        self.follow(self._in_turn())
+
+    def _in_turn(self) -> Generator[Trial, Score, None]:
+        for trial in self.trials:
+            yield trial
+            self.done += 1
+
     def __len__(self) -> int:
         return len(self.trials)
-
-    @property
-    def trial(self) -> Trial | None:
-        """See `Plan`."""
-        return self.trials[round(self.done)] if self.done < len(self.trials) else None
-
-    def add(self, score: Score) -> str:
-        """See `Plan`."""
-        self.done += 1
-        return ""
 
     @property
     def seconds(self) -> float:

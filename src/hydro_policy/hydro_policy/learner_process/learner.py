@@ -7,8 +7,8 @@
     transition   -> replay buffer -------------------------->  batches, updates
     policy       <- `latest`: counters, networks, moments <--  after each chunk of updates; a successor starts there
     good policy  -> `good`: the same ----------------------->  continues from there on a rollback
-    progress     <- `status`: updates, temperature, losses <-
-    requests     -> pipe: wake, roll back, save, end ------->  checkpoints; faults come back
+    rollbacks    <> `status`: asked for, done; updates, temperature, losses
+    requests     -> pipe: wake, save, end ------------------>  checkpoints; faults come back
 
 All but the pipe are shared memory, so that nothing is lost when the learner dies.
 """
@@ -35,8 +35,7 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from hydro_sim.files.pairing import with_provenance
 
-CHUNK = 8
-"""Updates between two publications and looks at the pipe, some 1 to 2 ms."""
+CHUNK = 8  # updates between two publications and looks at the pipe, some 1 to 2 ms
 _IDLE = 0.05  # s between two looks for work without a wake
 
 CONTEXT = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
@@ -84,10 +83,10 @@ class Latest:
         return bool(self._version[0] > self._seen)
 
 
-STATUS = np.dtype(
-    [(name, np.float64) for name in ("updates", "alpha", "ready", "checkpoints", "rollbacks", *Losses._fields)]
-)
-"""Progress of a learner: updates done, alpha, 1 once there are weights, checkpoints written, rollbacks done, losses."""
+_COUNTS = ("updates", "alpha", "ready", "checkpoints", "rollbacks", "rollbacks_asked")
+STATUS = np.dtype([(name, np.float64) for name in (*_COUNTS, *Losses._fields)])
+"""Progress of a learner: updates done, alpha, 1 once there are weights, checkpoints written, rollbacks done and asked
+for, which the acting process counts, losses."""
 
 
 class LearnerMemory:
@@ -116,7 +115,7 @@ def agent(settings: TrainingSettings, blob: bytes | None = None) -> Sac:
     return sac
 
 
-WAKE, ROLL_BACK, END = "wake", "roll back", "end"
+WAKE, END = "wake", "end"
 """Requests. WAKE, once a transition is stored: an idle learner looks for work only now and then."""
 
 
@@ -153,7 +152,8 @@ class Learner:
         return self.settings.updates_due(self.replay.produced) - self.sac.updates
 
     def work(self) -> int:
-        """Perform up to `CHUNK` of the pending updates and publish; returns how many were done."""
+        """Roll back if asked, perform up to `CHUNK` of the pending updates and publish; returns how many were done."""
+        self._obey()
         count = min(self.pending_updates, CHUNK)
         if count > 0:
             self.sac.learn(self.replay, count)
@@ -174,22 +174,27 @@ class Learner:
             status[name] = loss
         status["alpha"], status["updates"], status["ready"] = sac.entropy_coefficient, sac.updates, 1.0
 
+    def _obey(self) -> None:
+        if self._status["rollbacks"] < self._status["rollbacks_asked"]:
+            self.roll_back()
+
     def roll_back(self) -> None:
         """Continue from the last good state; the updates done stay counted, or they would be due again.
 
         Transitions of the failed policy stay in the replay buffer: they are what there is to learn from.
         """
-        good = self._good.read()
+        asked, good = self._status["rollbacks_asked"], self._good.read()
         if good is not None:
             updates = self.sac.updates
             self.sac.state[:] = good
             self.sac.updates = updates
         self.publish()
-        self._status["rollbacks"] += 1  # last: a reader that sees the count finds the weights
+        self._status["rollbacks"] = asked  # last: who sees the count finds the weights
 
     def save(self, request: SaveRequest) -> None:
         """Write the checkpoint and, if it has changed, the policy's file. Raises OSError: as `write_run`."""
         assert self._run is not None
+        self._obey()
         best, good = None, self._good.read()
         if request.best and good is not None:
             kept = agent(self.settings)
@@ -241,19 +246,6 @@ def run_learner(
     for number in (signal.SIGINT, signal.SIGHUP):  # sent to the whole terminal; the acting process ends this one
         signal.signal(number, signal.SIG_IGN)
     os.nice(niceness)
-    try:
-        compile_updates(settings.sac)
-        learner = Learner(memory, settings, run)  # ready from here on
-        _serve(learner, requests)
-    except Exception as error:
-        with suppress(OSError):
-            requests.send(LearnerFault(str(error) or type(error).__name__))
-        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence is sufficient
-            raise SystemExit(1) from None
-        raise
-
-
-def _serve(learner: Learner, requests: Connection) -> None:
     last: SaveRequest | None = None
 
     def save(request: SaveRequest) -> None:
@@ -263,21 +255,25 @@ def _serve(learner: Learner, requests: Connection) -> None:
             with suppress(OSError):
                 requests.send(LearnerFault(error.strerror or str(error), disk=True))
 
-    while True:
-        worked = learner.work()
-        try:
+    try:
+        compile_updates(settings.sac)
+        learner = Learner(memory, settings, run)  # ready from here on
+        while True:
+            worked = learner.work()
             while requests.poll(0.0 if worked else _IDLE):
                 request = requests.recv()
                 if request == END:
                     return
                 if request == WAKE:
                     break
-                if request == ROLL_BACK:
-                    learner.roll_back()
-                else:
-                    last = request
-                    save(request)
-        except EOFError:  # the acting process died: save what was learnt
-            if last is not None:
-                save(last)
-            return
+                last = request
+                save(request)
+    except EOFError:  # the acting process died: save what was learnt
+        if last is not None:
+            save(last)
+    except Exception as error:
+        with suppress(OSError):
+            requests.send(LearnerFault(str(error) or type(error).__name__))
+        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence is sufficient
+            raise SystemExit(1) from None
+        raise

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supervision of the learner process by the acting process: start, watch, restart, stop.
 
-It waits only in `stop`, and where the plant waits as well (`exact`, `settle`).
+It waits only in `stop`, and where the plant waits as well (`exact`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import select
 import signal
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import resource_tracker
@@ -24,7 +23,6 @@ from hydro_core.signals import FloatArray
 from hydro_policy.learner_process.learner import (
     CONTEXT,
     END,
-    ROLL_BACK,
     WAKE,
     LearnerFault,
     LearnerMemory,
@@ -36,14 +34,10 @@ from hydro_policy.learner_process.learner import (
 from hydro_policy.runs.run import Checkpoint, RunDirectory, TrainingSettings
 from hydro_policy.sac.sac import Losses, dump
 
-NICENESS = 10
-"""Of a learner for which the plant does not wait."""
-SETTLE_TIMEOUT = 60.0
-"""s of wall clock within which a learner that is waited for has done what is due."""
-RESTARTS, RESTART_WINDOW = 5, 60.0
-"""More restarts than this within so many seconds are a systematic fault."""
-STOP_TIMEOUT = 15.0
-"""s, for the last checkpoint."""
+NICENESS = 10  # of a learner for which the plant does not wait
+SETTLE_TIMEOUT = 60.0  # s of wall clock within which a learner that is waited for has done what is due
+RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
+STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 _GLANCE = 2e-4  # s between two looks at the progress of a learner that is waited for
 
 
@@ -54,18 +48,9 @@ class LearnerError(UserError):
 class LearnerSupervisor:
     """Owns the shared memory and one learner process at a time.
 
-    Parameters
-    ----------
-    settings
-        Settings of the run.
-    run
-        Folder of the checkpoints.
-    resumed
-        Checkpoint to resume, or None.
-    start
-        Initial agent, as returned by `sac.dump`, or None: freshly initialised networks.
-    real_time
-        Whether the plant does not wait for it, so that it gives way to what acts.
+    `settings`: settings of the run. `run`: folder of the checkpoints. `resumed`: checkpoint to resume, or None.
+    `start`: initial agent, as returned by `sac.dump`, or None: freshly initialised networks. `real_time`: whether the
+    plant does not wait for it, so that it gives way to what acts.
 
     Raises ValueError: the agent of the checkpoint, or the initial one, is not whole.
     """
@@ -85,69 +70,45 @@ class LearnerSupervisor:
         self.replay, self._latest, self._good, self._status = self._memory.open()
         for name in Losses._fields:
             self._status[name] = np.nan
-        self._rollbacks, self._unheard = 0, False  # requested; whether the last request could not be delivered
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             start = resumed.learner
-        self._copy = agent(settings, start)
-        """Of the learner's agent, as last read."""
+        self._copy = agent(settings, start)  # as last read
         if start is not None:
             self._latest.publish(self._copy.state)
-        self._deaths: deque[float] = deque()
+        self._deaths: list[float] = []  # times, s
         self.restarts = 0
+        self.exact = False
+        """Whether the plant waits for it: what is read and saved comes after all updates that are due."""
         self._start()
 
-    @property
-    def alive(self) -> bool:
-        """Whether the learner process runs."""
-        return self._process.is_alive()
-
-    @property
-    def pid(self) -> int | None:
-        """Process id of the learner."""
-        return self._process.pid
-
-    @property
-    def ready(self) -> bool:
-        """Whether the present learner process has published weights."""
-        return bool(self._status["ready"])
-
-    @property
-    def updates(self) -> int:
-        """Gradient updates so far."""
-        return int(self._status["updates"])
-
-    @property
-    def entropy_coefficient(self) -> float:
-        """Entropy coefficient alpha."""
-        return float(self._status["alpha"])
-
-    @property
-    def losses(self) -> Losses:
-        """Losses of the last updates; NaN before the first."""
-        return Losses(*(float(self._status[name]) for name in Losses._fields))
-
-    @property
-    def checkpoints(self) -> int:
-        """Checkpoints written since the start."""
-        return int(self._status["checkpoints"])
+    alive = property(lambda self: bool(self._process.is_alive()), doc="Whether the learner process runs.")
+    pid = property(lambda self: self._process.pid, doc="Process id of the learner.")
+    ready = property(lambda self: bool(self._status["ready"]), doc="Whether this process has published weights.")
+    updates = property(lambda self: int(self._status["updates"]), doc="Gradient updates so far.")
+    checkpoints = property(lambda self: int(self._status["checkpoints"]), doc="Checkpoints written since the start.")
+    entropy_coefficient = property(lambda self: float(self._status["alpha"]), doc="alpha, the temperature.")
+    losses = property(
+        lambda self: Losses(*(float(self._status[name]) for name in Losses._fields)),
+        doc="Losses of the last updates; NaN before the first.",
+    )
 
     def new_weights(self) -> FloatArray | None:
         """Return the actor's flat parameters if they are newer than at the last call, else None.
 
         Also None until a requested rollback is done: earlier weights must not act.
         """
-        if self._status["rollbacks"] < self._rollbacks or not self._latest.changed or not self._read():
+        if not self._rolled_back or not self._latest.changed or not self._read():
             return None
         return self._copy.actor_parameters()
 
-    def snapshot(self, *, exact: bool = False) -> bytes | None:
-        """Return the learner's whole state; None before the first.
+    @property
+    def _rolled_back(self) -> bool:
+        return bool(self._status["rollbacks"] >= self._status["rollbacks_asked"])
 
-        `exact`: after all updates that are due; the caller waits for it.
-        """
-        if exact:
-            self.settle()
+    def snapshot(self) -> bytes | None:
+        """Return the learner's whole state; None before the first."""
+        self.settle()
         return dump(self._copy) if self._read() else None
 
     def _read(self) -> bool:
@@ -161,19 +122,15 @@ class LearnerSupervisor:
         self._ask(WAKE)
 
     def settle(self) -> None:
-        """Wait until all updates and rollbacks that are due are done, as a plant by its own clock allows.
-
-        It does not wait for a learner that is dead, starts, or takes more than a minute.
-        """
+        """Where it is `exact`, wait until all updates and rollbacks that are due are done."""
         due = self._settings.updates_due(self.replay.produced)
-        self._await(lambda: self._status["updates"] >= due and self._status["rollbacks"] >= self._rollbacks)
+        self._await(lambda: self._rolled_back and self.updates >= due)
 
     def _await(self, done: Callable[[], bool]) -> None:
+        """Wait, where it is `exact`, but for no learner that is dead, starts, or takes more than a minute."""
         give_up = time.monotonic() + SETTLE_TIMEOUT
-        while not done() and self._status["ready"] and time.monotonic() < give_up:
+        while self.exact and not done() and self._status["ready"] and time.monotonic() < give_up and self.alive:
             time.sleep(_GLANCE)
-            if not self.alive:
-                return
 
     def save_policy(self, good: bytes) -> None:
         """Store this state as the last good one."""
@@ -181,19 +138,15 @@ class LearnerSupervisor:
 
     def roll_back(self) -> None:
         """Make the learner return to the last good state."""
-        self._rollbacks = int(self._status["rollbacks"]) + 1
-        self._unheard = not self._ask(ROLL_BACK)  # `restart_if_dead` repeats the request to it or its successor
+        self._status["rollbacks_asked"] += 1  # of this learner or its successor
+        self.wake()
 
-    def save(self, trainer: dict[str, Any], best: bool = False, *, exact: bool = False) -> bool:
-        """Request a checkpoint; returns False if the learner is not running.
-
-        `exact`: after all updates that are due; the caller waits until it is written.
-        """
-        if exact:
-            self.settle()
-        wanted, asked = self._status["checkpoints"] + 1, self._ask(SaveRequest(trainer, best))
-        if exact and asked:
-            self._await(lambda: self._status["checkpoints"] >= wanted)
+    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
+        """Request a checkpoint, written on return where it is `exact`; returns False if the learner is not running."""
+        self.settle()
+        wanted, asked = self.checkpoints + 1, self._ask(SaveRequest(trainer, best))
+        if asked:
+            self._await(lambda: self.checkpoints >= wanted)
         return asked
 
     def restart_if_dead(self) -> str | None:
@@ -201,25 +154,24 @@ class LearnerSupervisor:
 
         Raises LearnerError: it keeps dying, cannot start, or cannot write a checkpoint.
         """
-        self._hear()
+        with suppress(OSError, EOFError):
+            while self._requests.poll():
+                fault: LearnerFault = self._requests.recv()
+                if fault.disk:
+                    raise self._unwritten(fault.sentence)
+                self._said = fault.sentence
         if self.alive:
-            if self._unheard:
-                self._unheard = not self._ask(ROLL_BACK)
             return None
         if self._said and not self.ready:
             raise LearnerError(f"the learner cannot begin: {self._said}")
         code, now = self._process.exitcode, time.monotonic()
         how = f"killed by signal {-code}" if code is not None and code < 0 else self._said or f"exit code {code}"
-        self._deaths.append(now)
-        while now - self._deaths[0] > RESTART_WINDOW:
-            self._deaths.popleft()
+        self._deaths = [*(death for death in self._deaths if now - death <= RESTART_WINDOW), now]
         if len(self._deaths) > RESTARTS:
             raise LearnerError(f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s ({how})")
         self.restarts += 1
         self._requests.close()
         self._start()
-        if self._status["rollbacks"] < self._rollbacks:  # it died before the rollback
-            self._unheard = not self._ask(ROLL_BACK)
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
 
     def stop(self, trainer: dict[str, Any]) -> None:
@@ -237,7 +189,7 @@ class LearnerSupervisor:
             try:
                 write_run(self._run, self._settings, dump(self._copy), self.replay, trainer)
             except OSError as error:
-                raise LearnerError(self._unwritten(error.strerror or str(error))) from None
+                raise self._unwritten(error.strerror or str(error)) from None
 
     def _ask(self, request: SaveRequest | str, patience: float = 0.0) -> bool:
         """Send a request; returns False if the learner is dead, or its pipe is full because it does not read.
@@ -252,16 +204,8 @@ class LearnerSupervisor:
                 return True
         return False
 
-    def _hear(self) -> None:
-        with suppress(OSError, EOFError):
-            while self._requests.poll():
-                fault: LearnerFault = self._requests.recv()
-                if fault.disk:
-                    raise LearnerError(self._unwritten(fault.sentence))
-                self._said = fault.sentence
-
-    def _unwritten(self, why: str) -> str:
-        return (
+    def _unwritten(self, why: str) -> LearnerError:
+        return LearnerError(
             f"no checkpoint can be written ({why}): the training ends here; make room, and go on from the one before "
             f"with --resume {self._run.path}"
         )

@@ -41,8 +41,7 @@ class Announcer:
     """Output of a trainer or an evaluation to terminal and log; failures of either never stop the run."""
 
     def __init__(self) -> None:
-        self.log: IO[str] | None = None
-        """Destination of sentences besides the terminal."""
+        self.log: IO[str] | None = None  # destination of sentences besides the terminal
         self.journal: Callable[[str, bool], None] = lambda sentence, warning: None
         """Publisher of sentences for recordings."""
         self._flood = RepeatFilter(8)
@@ -99,24 +98,22 @@ class CompanionWatch:
         self._running, self._unrecorded = list(companions), unrecorded
         self.refused = ""
         """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
-        self.lost = ""
-        """Message about an essential companion that ended, and its consequence."""
+        self.lost = ""  # message about an essential companion that ended, and its consequence
 
     def ended(self) -> list[str]:
         """Return sentences about those that ended since the last call."""
         gone = [companion for companion in self._running if not companion.running]
         self._running = [companion for companion in self._running if companion not in gone]
+        told = []
         for companion in gone:
-            if companion.process.returncode == _REFUSED:
+            code, outcome = companion.process.returncode, "no samples come from then on, and the box disarms itself"
+            if companion.name == "recorder":
+                outcome = f"what it had written stays readable, {self._unrecorded}"
+            status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+            told.append(f"{companion.name} ended by itself ({status}): {outcome}")
+            if code == _REFUSED:
                 said = companion.last_line.removeprefix("error: ").removeprefix(f"{companion.name}: ")
                 self.refused = self.refused or f"{companion.name}: {said}"
             elif companion.name != "recorder":
-                self.lost = self.lost or self._sentence(companion)
-        return [self._sentence(companion) for companion in gone]
-
-    def _sentence(self, gone: Companion) -> str:
-        code, outcome = gone.process.returncode, "no samples come from then on, and the box disarms itself"
-        if gone.name == "recorder":
-            outcome = f"what it had written stays readable, {self._unrecorded}"
-        status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-        return f"{gone.name} ended by itself ({status}): {outcome}"
+                self.lost = self.lost or told[-1]
+        return told

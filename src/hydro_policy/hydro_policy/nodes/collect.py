@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from math import inf
 from pathlib import Path
@@ -24,12 +24,11 @@ from hydro_bridge.ros.companion import Companion, CompanionError, add_dashboard_
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_core.cli.console import UserError, bounded_number, command, writable_file, writable_folder
-from hydro_core.process.endings import signals_ignored
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Plan, Trial
-from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plant_options import add_rearm_option
+from hydro_policy.nodes.graph_node import Ending, GraphNode
+from hydro_policy.nodes.plant_options import add_option
 from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.task.cases import Case, Score
 from hydro_sim.box.box import EMULATED_BOX
@@ -37,15 +36,11 @@ from hydro_sim.excitation import ExcitationRange, Segment, draw_schedule, load_s
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
-SECONDS = 600.0
-"""s of a schedule, by default."""
-REST = 1.0
-"""s recorded before arming: the still bench."""
+SECONDS = 600.0  # s of a schedule, by default
+REST = 1.0  # s recorded before arming: the still bench
 TRIPS_IN_A_ROW = 3
-AUTHORITY_WITHIN = 5.0
-"""s for the plant to grant the lease: longer than it keeps that of one who was killed."""
-TRIPPED = 3
-"""Exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there."""
+AUTHORITY_WITHIN = 5.0  # s for the plant to grant the lease: longer than it keeps that of one who was killed
+TRIPPED = 3  # exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there
 
 
 class SchedulePlan(Plan):
@@ -55,35 +50,28 @@ class SchedulePlan(Plan):
     """
 
     def __init__(self, schedule: Sequence[Segment], base: tuple[float, float]) -> None:
-        self._left = [
-            Trial(controller=FixedGains(one.kp, one.ki, base), case=Case(one.waveform, one.signal), settle=0.0,
-                  measure=one.seconds, judged=False)
-            for one in schedule
-        ]  # fmt: skip
+        self._schedule, self._base = schedule, base
         self.total = sum(one.seconds for one in schedule)
-        self.played = 0.0
-        """s of the segments that were played to their end."""
+        self.played = 0.0  # s of the segments that were played to their end
         self.trips = self.in_a_row = 0
+        self.follow(self._in_turn())
 
-    @property
-    def trial(self) -> Trial | None:
-        """See `hydro_policy.evaluation.trial.Plan`."""
-        return self._left[0] if self._left and not self.ended else None
+    def _in_turn(self) -> Generator[Trial, Score, None]:
+        for one in self._schedule:
+            controller, case = FixedGains(one.kp, one.ki, self._base), Case(one.waveform, one.signal)
+            score = yield Trial(controller=controller, case=case, settle=0.0, measure=one.seconds, judged=False)
+            self.trips += bool(score.stopped)
+            self.in_a_row = self.in_a_row + 1 if score.stopped else 0
+            self.done += one.seconds
+            self.played += 0.0 if score.stopped else one.seconds
+            if self.ended:
+                return
 
     @property
     def ended(self) -> str:
         """Reason for ending before the schedule does; empty if there is none."""
         many = self.in_a_row >= TRIPS_IN_A_ROW
         return f"the plant tripped {self.in_a_row} times in a row: it is left disarmed" if many else ""
-
-    def add(self, score: Score) -> str:
-        """See `hydro_policy.evaluation.trial.Plan`."""
-        self.trips += bool(score.stopped)
-        self.in_a_row = self.in_a_row + 1 if score.stopped else 0
-        seconds = self._left.pop(0).measure
-        self.done += seconds
-        self.played += 0.0 if score.stopped else seconds
-        return ""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -107,7 +95,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument(
         "--bench", metavar="FILE", help="bench.yaml of the box, kept in the recording (default: as the box says)"
     )
-    add_rearm_option(made)
+    add_option(made, "rearm")
     add_dashboard_option(made)
     return made
 
@@ -151,12 +139,8 @@ def main() -> int:
 
 
 def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
-    """Record while the schedule plays; returns it as it ended.
-
-    Raises UserError: it was interrupted, or the recorder ended; PairingError, before anything is recorded: the box
-    believes another bench; NotReadyError: another node commands the plant; CompanionError: the box is another one now.
-    """
-    with ExitStack() as quiet, ExitStack() as stack:
+    """Record while the schedule plays; returns it as it ended."""
+    with Ending() as stack:
         node = GraphNode("collect", alone_within=AUTHORITY_WITHIN)
         stack.callback(leave_graph, node)
         refuse_unknown_parameters(node)
@@ -180,10 +164,10 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         words = ["--out", str(options.out), "--metadata", f"plant={plant or 'unknown'}"]
         words += [] if options.schedule else [f"seed={options.seed}"]
         words += ["--attach", str(scratch / "schedule.yaml"), str(scratch / "bench.yaml")]
+        behind = stack.enter_context(ExitStack())  # what is undone once the recorder has ended
         recorder = stack.enter_context(Companion("hydro_bridge", "recorder", words))
         node.watch_companions([recorder], options.out, "the plant is disarmed")
         stack.callback(node.disarm, still=True)
-        stack.callback(quiet.enter_context, signals_ignored())  # a second Ctrl-C waits
         runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
         bar = stack.enter_context(TrialProgress(runner, "collecting"))
 
@@ -204,7 +188,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
                 raise UserError(f"interrupted: {kept}")
         except (NotReadyError, CompanionError, UserError):
             if not node.timing.response.count and recorder.running:  # nothing played: no folder
-                quiet.callback(rmtree, options.out, ignore_errors=True)  # once the recorder has ended, if it made one
+                behind.callback(rmtree, options.out, ignore_errors=True)
             raise
     return plan
 

@@ -10,6 +10,7 @@ ros2 run hydro_policy commission --site own --again               # after a chan
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import time
 from collections.abc import Callable
@@ -44,31 +45,26 @@ from hydro_policy.commissioning.record import (
 )
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.nodes.plant_options import require_matching_policy
-from hydro_policy.nodes.site_runs import EMULATED, TRUTH, Site, read_json
+from hydro_policy.nodes.site_runs import EMULATED, TRUTH, Site
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import Bench
 
-AGAIN = "gains"
-"""Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
+AGAIN = "gains"  # gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first
 LOG = "commission.log"
 AT_REST = "rest"
-REST = 10.0
-"""s recorded at rest."""
-REACH = 0.8
-"""Largest amplitude over the force at which the compensated law cuts off: its a_0 is up to 1.25."""
+REST = 10.0  # s recorded at rest
+REACH = 0.8  # largest amplitude over the force at which the compensated law cuts off: its a_0 is up to 1.25
 ATTEMPTS = 3
 TRAINING = EvaluationSettings(frequencies=(0.5, 1.0, 2.0), multisine=True, steps=True)
 HELD_OUT = EvaluationSettings(frequencies=(0.7, 1.5))
 COMPARED = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0))
-POLICY = "policy"
-"""Folder of the pretrained policy."""
+POLICY = "policy"  # folder of the pretrained policy
 WATCH = (
     f"The filter says MISMATCH where the bench is no longer the one that was diagnosed: {RECOMMISSION_HINT}.",
     "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
 )
-FIXED_SHARES = (0.5, 0.9)
-"""K_p of the fixed gains that are compared, over the largest certified."""
+FIXED_SHARES = (0.5, 0.9)  # K_p of the fixed gains that are compared, over the largest certified
 
 
 # Everything moves under the compensated law without a filter until there is one of this bench: it tracks with 0.3 to
@@ -82,12 +78,20 @@ class Gate:
 
     name: str
     run: Callable[[Site], str]
-    files: tuple[str, ...]
-    """Files and folders of the site that it reads and writes."""
+    files: tuple[str, ...]  # files and folders of the site that it reads and writes
 
 
 def _recorded(*names: str) -> tuple[str, ...]:
     return tuple(f"{site.RECORDINGS}/{name}" for name in names)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a result (raises GateError where there is none)."""
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise GateError(f"{path} cannot be read: {error}") from None
+    return content
 
 
 def link(at: Site) -> str:
@@ -157,7 +161,14 @@ def excitation(at: Site) -> str:
     """Two recordings, one of them held out; again where samples were lost or commands late."""
     told = []
     for name, settings in (("training", TRAINING), ("held_out", HELD_OUT)):
-        worst = _whole(at, name, settings)
+        for _ in range(ATTEMPTS):
+            _moved(at, name, settings)
+            worst = checks.unusable_share(_armed(at.recording(name)))
+            if worst <= checks.LOST_MAX:
+                break
+        else:
+            late = f"{100 * worst:.1f} % of {name} were lost or commanded late"
+            raise GateError(f"{late}, {ATTEMPTS} times: end other work")
         told.append(f"{name} {100 * worst:.2g} %")
     return f"lost or commanded late: {', '.join(told)}"
 
@@ -220,12 +231,12 @@ def controllers(at: Site) -> str:
         policies.append(policy_file(trained))
     words = ("--model", str(at.folder / site.MODEL), "--metric", str(at.folder / site.METRIC))
     settings = replace(COMPARED, amplitude=at.record.amplitude)
-    content = at.compare("controllers", settings, chosen, words=words, learned=True, policies=policies)
-    worst = checks.disturbed_share(content)
+    results = at.compare("controllers", settings, chosen, words=words, learned=True, policies=policies)
+    worst = checks.disturbed_share(results.scores)
     if worst > checks.LOST_MAX:
         late = f"{100 * worst:.1f} % of the samples were lost or commanded late"
         raise GateError(f"{late}, though runs were repeated: end other work")
-    found = scored(content)
+    found = scored(results.scores)
     rows = {name: entry for name, entry in found.items() if name.startswith("fixed")}
     missing: dict[str, Any] = {"name": "policy", "rmse": {}, "trips": 0}
     first = f"fixed ({kp:g}, {ki:g})"
@@ -238,9 +249,9 @@ def controllers(at: Site) -> str:
     }
     if found["compensated"]["trips"]:
         raise GateError("the compensated law was stopped behind this bench's filter: see reports/controllers")
-    at.record.watch = list(content["warnings"])
+    at.record.watch = list(results.warnings)
     stopped = sum(entry["trips"] for entry in found.values())
-    return f"{len(content['runs'])} runs, {stopped} of them stopped, {100 * worst:.2g} % lost or commanded late"
+    return f"{len(results.scores)} runs, {stopped} of them stopped, {100 * worst:.2g} % lost or commanded late"
 
 
 def comparison(at: Site) -> str:
@@ -273,26 +284,13 @@ NAMES = tuple(gate.name for gate in GATES)
 
 
 def _moved(at: Site, name: str, settings: EvaluationSettings, share: float = 1.0) -> float:
-    """Move by this share of the amplitude under the compensated law without a filter; returns the largest RMSE [N].
-
-    Raises GateError: it was stopped.
-    """
+    """Move by this share of the amplitude under the compensated law without a filter; returns the largest RMSE [N]."""
     amplitude = share * at.record.amplitude
-    content = at.compare(name, replace(settings, amplitude=amplitude))
-    for run in content["runs"]:
-        if run["stopped"]:
-            raise GateError(f"stopped at {run['case']}, {amplitude:.0f} N: {run['stopped']}")
-    return max(float(run["rmse"]) for run in content["runs"])
-
-
-def _whole(at: Site, name: str, settings: EvaluationSettings) -> float:
-    """Move until few samples of the recording were lost or commanded late; returns their share."""
-    for _ in range(ATTEMPTS):
-        _moved(at, name, settings)
-        worst = checks.unusable_share(_armed(at.recording(name)))
-        if worst <= checks.LOST_MAX:
-            return worst
-    raise GateError(f"{100 * worst:.1f} % of {name} were lost or commanded late, {ATTEMPTS} times: end other work")
+    scores = at.compare(name, replace(settings, amplitude=amplitude)).scores
+    for score in scores:
+        if score.stopped:
+            raise GateError(f"stopped at {score.case}, {amplitude:.0f} N: {score.stopped}")
+    return max(score.rmse for score in scores)
 
 
 def _states(folder: Path) -> StateArray:

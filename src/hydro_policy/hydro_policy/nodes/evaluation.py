@@ -11,7 +11,7 @@ import json
 import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from datetime import datetime
 from functools import partial
@@ -27,7 +27,6 @@ from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import UserError
 from hydro_core.files.atomic import encode_json
-from hydro_core.process.endings import signals_ignored
 from hydro_core.size import rescale
 from hydro_policy.compensation.estimator import CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
@@ -37,7 +36,7 @@ from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGa
 from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.graph_node import Ending, GraphNode
 from hydro_policy.nodes.parameters import keep_overridden
 from hydro_policy.nodes.plant_options import (
     NO_FILTER,
@@ -62,10 +61,7 @@ from hydro_sim.model.bench import NOMINAL
 
 
 def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Controller]:
-    """Create the controllers named on the command line, for this box.
-
-    Raises ValueError: a controller cannot be used; PairingError: a policy was made for another box.
-    """
+    """Create the controllers named on the command line, for this box."""
     for path in options.policy:
         require_matching_policy(path, box)
     controllers: list[Controller] = [policy_controller(path) for path in options.policy]
@@ -95,11 +91,7 @@ def required_gain_range(
 
 @contextmanager
 def evaluation_folder(options: argparse.Namespace) -> Iterator[RunDirectory]:
-    """Create runs/NAME, by default evaluate- with date and time, which is removed if it stays empty; or resume one.
-
-    Raises FileExistsError: the name is taken; OSError: the folder cannot be created; UserError: there is nothing to
-    resume.
-    """
+    """Create runs/NAME, by default evaluate- with date and time, which is removed if it stays empty; or resume one."""
     parent = Path(options.runs)
     run = RunDirectory(options.resume or parent / (options.name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
     first = not options.resume and not parent.exists()
@@ -127,14 +119,16 @@ def remove_rejected(run: RunDirectory, node: GraphNode, *, made: bool = True) ->
     try:
         yield
     except CompanionError:
-        lost = node.companions.lost and not node.refused  # ended by itself: there is a recording, or it can be resumed
+        lost = (
+            node.companions.lost and not node.companions.refused
+        )  # ended by itself: there is a recording, or it can be resumed
         if made and not lost and node.timing.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(run.path, ignore_errors=True)
         raise
 
 
 def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
-    """Conditions of the measurement: plant, filter and bench as given on the command line, and the code version."""
+    """Conditions of the measurement: plant, filter and bench of the command line, and the code version."""
     told: dict[str, Any] = {"plant": options.plant}
     if options.plant != "external":  # else those of the running graph
         told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
@@ -191,7 +185,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
     box, cell, unfiltered = expected_box(options), load_cell(options), options.filter.split() == list(NO_FILTER)
     controllers, settings, rearm = make_controllers(options, box), evaluation_settings(options), may_rearm(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
-    with ExitStack() as quiet, ExitStack() as stack:
+    with Ending() as stack:
         node = GraphNode("evaluate")
         stack.callback(leave_graph, node)
         settings = declare_parameters(node, settings)
@@ -211,7 +205,6 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
                 # the plant's flags tell nothing of the filter under a law that needs none
                 node.requirements.append(corrections_requirement(lambda: node.corrected))
         stack.callback(node.disarm)
-        stack.callback(quiet.enter_context, signals_ignored())
         if not node.wait_for_plant(law=options.law != "paper") or node.box is None:
             return 130
         if options.plant == "external":  # only now it is known whether the graph has a page
@@ -233,19 +226,14 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         record = begin_record(run, {**about, "load_cell": cell and asdict(cell)})
         if not rearm:
             node.listen_for_enter()
-        watch = node.supervisor(rearm=rearm)
         if not unfiltered:  # one that runs all the same may be of the bench as it was
             node.listen_to_corrections()  # whose status tells a filter that does not fit from one that does not answer
-        if grid is not None:
-            before = search_on(node, grid, settings, watch, record)
-            if before.trial is not None:
-                return 130
-            controllers += [before.best] if before.search.found else []
-            watch = node.supervisor(rearm=rearm, after=watch)
-        results = evaluate_on(
-            node, controllers, watch, settings=settings, compensated=options.law != "paper", cell=cell,
-            learned=options.learned_residual, record=record,
+        results = compare_on(
+            node, controllers, node.supervisor(rearm=rearm), settings=settings, grid=grid, rearm=rearm,
+            compensated=options.law != "paper", cell=cell, learned=options.learned_residual, record=record,
         )  # fmt: skip
+        if results is None:
+            return 130
         record.add("end", complete=results.finished)
         if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
@@ -262,16 +250,47 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
 
 
 def begin_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
-    """Return the record of an evaluation, whose first event says what is compared.
-
-    Raises UserError: the evaluation that is resumed compared something else.
-    """
+    """Return the record of an evaluation, whose first event says what is compared."""
     record = RunRecord(run.record)
     known = json.loads(encode_json(about))
     if record.events and any(record.events[0].get(key) != value for key, value in known.items()):
         raise UserError(f"{run.path} compared something else: resume it with the options that it was started with")
     record.add("start", **known)
     return record
+
+
+def compare_on(
+    node: GraphNode, controllers: Sequence[Controller], watch: PlantSupervisor, *, settings: EvaluationSettings,
+    grid: GridSettings | None = None, searched: EvaluationSettings | None = None, rearm: bool = False,
+    compensated: bool = True, cell: LoadCell | None = None, learned: bool = False, record: RunRecord | None = None,
+) -> TrialRunner[Comparison] | None:  # fmt: skip
+    """Run an evaluation on a running node; after a signal the results so far are returned, None before there are any.
+
+    `grid`, `searched`: of a search for the best fixed gains, which are compared, too, and its references (default:
+    `settings`). `rearm`: whether the plant may be armed without a person behind that search. `compensated`, `cell`,
+    `learned`: whether the box's compensated law is compared, too, if it has one; with `cell` for the force in front of
+    that; if `learned` also with the learned residual. `record`: takes each trial, and has those made before.
+    """
+    controllers = list(controllers)
+    if grid is not None:
+        search = search_on(node, grid, searched or settings, watch, record or RunRecord())
+        if search.trial is not None:
+            return None
+        controllers += [search.best] if search.search.found else []
+        watch = node.supervisor(rearm=rearm, after=watch)
+    if compensated and node.law is not None and node.compensation is None:
+        estimator = rescale(CompensatorSettings(), NOMINAL, node.size)
+        node.compensate(LiveCompensation(node.law, estimator, cell, Network.load()))
+    compensation = node.compensation if compensated else None
+    if compensation is not None:
+        controllers.append(Compensated(compensation, node.override.base))
+        if learned and cell is None:
+            controllers.append(Compensated(compensation, node.override.base, learned=True))
+    plan = Comparison(settings, controllers)
+    session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force, record=record)
+    with TrialProgress(session, "evaluating") as bar:
+        node.run_session(session, bar.tick)
+    return session
 
 
 def search_on(
@@ -300,34 +319,3 @@ def search_on(
     if plan.search.tried:
         print(f"\n{report.grid_table(plan.search, short).text()}")
     return plan
-
-
-def evaluate_on(
-    node: GraphNode,
-    controllers: Sequence[Controller],
-    watch: PlantSupervisor,
-    *,
-    settings: EvaluationSettings | None = None,
-    compensated: bool = True,
-    cell: LoadCell | None = None,
-    learned: bool = False,
-    record: RunRecord | None = None,
-) -> TrialRunner[Comparison]:
-    """Run an evaluation on a running node; after a signal the results so far are returned.
-
-    Where `compensated`, the box's compensated law is compared, too, if it has one; with `cell`, for the force in front
-    of that; if `learned`, also with the learned residual. `record` takes each trial, and has those made before.
-    """
-    if compensated and node.law is not None and node.compensation is None:
-        estimator = rescale(CompensatorSettings(), NOMINAL, node.size)
-        node.compensate(LiveCompensation(node.law, estimator, cell, Network.load()))
-    compensation = node.compensation if compensated else None
-    if compensation is not None:
-        controllers = [*controllers, Compensated(compensation, node.override.base)]
-        if learned and cell is None:
-            controllers.append(Compensated(compensation, node.override.base, learned=True))
-    plan = Comparison(settings or EvaluationSettings(amplitude=node.size.force), controllers)
-    session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force, record=record)
-    with TrialProgress(session, "evaluating") as bar:
-        node.run_session(session, bar.tick)
-    return session

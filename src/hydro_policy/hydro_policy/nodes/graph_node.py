@@ -10,7 +10,7 @@ import math
 import queue
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,10 +57,11 @@ from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import PolicyStep
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.compensation.live import LiveCompensation
+from hydro_policy.evaluation.runner import Session
 from hydro_policy.nodes.announcements import UNRECORDED, Announcer, CompanionWatch
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor, Session
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
 
@@ -69,15 +70,12 @@ _PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
 
 
 class GainTiming:
-    """Latencies of policy steps, from a sample to the publication of its gains."""
+    """Latencies of policy steps."""
 
     def __init__(self) -> None:
-        self.response = Latency()
-        """From the sample's arrival in this process to the gains' publication."""
-        self.age = Latency()
-        """From the sample's stamp to the gains' stamp: total latency."""
-        self.jitter = Latency()
-        """|interval between gains - 10 ms|; pauses of five intervals or more are excluded."""
+        self.response = Latency()  # from the sample's arrival in this process to the gains' publication
+        self.age = Latency()  # from the sample's stamp to the gains' stamp: total latency
+        self.jitter = Latency()  # |interval between gains - 10 ms|; pauses of five intervals or more are excluded
         self._published = 0.0
 
     def add(self, arrived: float, published: float, age: float) -> None:
@@ -89,13 +87,21 @@ class GainTiming:
             self.jitter.add(abs(interval - _PERIOD))
 
 
+class Ending(ExitStack):
+    """A stack of what a run has to undo; no second Ctrl-C interrupts that."""
+
+    def __exit__(self, *error: Any) -> bool | None:
+        """Undo all, the last first."""
+        with endings.signals_ignored():
+            return super().__exit__(*error)
+
+
 TICK = 0.05  # s
 NICE = -15
 """Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
 
 
-SILENT = 60.0
-"""s of wall clock without a sample after which the time of a plant that goes by its own clock runs on."""
+SILENT = 60.0  # s of wall clock without a sample after which the time of a plant that goes by its own clock runs on
 _TICK_SAMPLES = round(TICK / SAMPLE_PERIOD)
 
 
@@ -116,59 +122,49 @@ class GraphNode(Node):
     def __init__(self, name: str, *, realtime: bool = True, alone_within: float = LEASE_WAIT_MAX) -> None:
         super().__init__(name)
         self.announcer, journal = Announcer(), RosoutLogger(self)
-        self.announcer.journal = journal.log
+        self.announcer.journal, self._log_call = journal.log, journal.log_call
         self._realtime, self._scheduling = realtime, ""
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
         """Requirements of this node's sessions before arming, besides those of every session."""
-        self.corrected = False
-        """Whether a correction has arrived, of those that are listened to."""
+        self.corrected = False  # whether a correction has arrived, of those that are listened to
         self.timing = GainTiming()
         self.override = GainOverride(say=self.warn)
-        self.box: KnownBox | None = None
-        """Description of the plant's box, once received."""
-        self.law: BoxLaw | None = None
-        """The box's compensated law, once received; None: not yet, or it has none."""
+        self.box: KnownBox | None = None  # description of the plant's box, once received
+        self.box_fault: Callable[[KnownBox], str] = lambda box: ""
+        """Returns why a box is not the one of this run, or nothing; called at each description of a box."""
+        self.law: BoxLaw | None = None  # the box's compensated law, once received; None: not yet, or it has none
         self.compensation: LiveCompensation | None = None
         """Estimator that follows the box's compensated law; see `compensate`."""
         self.load_force: Path | None = None
         """File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one."""
-        self._laws_told = False
-        self.successor = ""
-        """Name of the node that receives the plant at the end; empty: the first to ask."""
-        self.box_fault: Callable[[KnownBox], str] = lambda box: ""
-        """Returns why a box is not the one of this run, or nothing; called at each description of a box."""
-        self._wrong_box, self._sampled = "", math.inf
-        self._meeting: Readiness | None = None  # while waiting for a plant to describe its box
+        self.successor = ""  # name of the node that receives the plant at the end; empty: the first to ask
         self._session: Session | None = None
-        self._failure: Exception | None = None
+        self._meeting: Readiness | None = None  # while waiting for a plant to describe its box
+        self._readiness = Readiness([], self.warn)  # of what a session awaits by the wall clock
         self._each_tick: Callable[[], None] = lambda: None
-        self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
         self._done = Future()
+        self._failure: Exception | None = None
+        self._heard: Any = None  # last sample
+        self._arrived = self._sampled = math.inf  # when the last sample came, and the first, s
+        self._laws_told = False
+        self._unhandled: list[tuple[Any, float]] = []  # samples while no session runs, with their arrival [s]
+        self._owed: int | None = None  # sample whose answer is due to a plant that waits
+        self._early: list[Any] = []  # corrections of samples that were not handled yet
+        self._two_plants, self._crowd = False, ""  # whose samples came since the last tick; warned of
+        self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
+        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._gains_out = 0.0
         self._step = PolicyStep()  # one object, used again a hundred times a second
         self._steps: Publisher | None = None
+        self._override_service: Service | None = None  # only with the lease: the next holder offers its own
         self._commander = Commander(self, self._on_lease, endings.request_termination, self.warn, alone_within)
+        self._commander.settled, self._commander.stamp = self._answer, self._stamp
         self.command_law, self.reference = self._commander.law, self._commander.reference
-        self._two_plants, self._crowd = False, ""  # whose samples came since the last tick; warned of
-        self._override_service: Service | None = (
-            None  # offered while it holds the lease: the next holder offers its own
-        )
-        self._log_call = journal.log_call
-        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = subscribe(self, STATE, STATES, self._on_state)
         self._mailbox = Mailbox(name)
-        self._corrections: Subscription | None = None
-        """Read at each policy step."""
-        self._early: list[Any] = []  # corrections of samples that were not handled yet
-        self._unhandled: list[tuple[Any, float]] = []  # samples while no session runs, with their arrival [s]
-        self._heard: Any = None  # last sample
-        self._arrived = math.inf  # when it came, s
-        self._owed: int | None = None  # sample whose answer is due
-        self._readiness = Readiness([], self.warn)  # of what is met by the wall clock
+        self._corrections: Subscription | None = None  # read at each policy step
         self._answers = PaceResponder(self, COMMANDER_WINDOW, self._states)
-        self._commander.settled = self._answer
-        self._commander.stamp = self._stamp
         subscribe_to_box(self, self._on_box)
         create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -214,11 +210,9 @@ class GraphNode(Node):
         if self.box is not None:
             self._on_box(self.box)
         try:
-            broken = spin(self, self._done)
+            return self._spin()
         finally:
             self._meeting = None
-        self._refuse()
-        return not broken
 
     def run_session(self, session: Session, each_tick: Callable[[], None]) -> bool:
         """Run `session` until it is finished (True) or a signal arrives (False); `each_tick` is called every 50 ms.
@@ -226,7 +220,7 @@ class GraphNode(Node):
         Raises CompanionError: a companion rejected its input, an essential companion has ended, or the box is another
         one; NotReadyError: a requirement for arming was not met in time.
         """
-        self._refuse()
+        self._raise_failure()
         self._session, self._each_tick, self._done = session, each_tick, Future()
         needed = (requirement for requirement in session.watch.readiness.requirements if requirement.by_wall_clock)
         self._readiness = Readiness(tuple(needed), self.warn)
@@ -235,13 +229,37 @@ class GraphNode(Node):
             self.say(f"gains are sent under {scheduling}")
             self._scheduling = scheduling
         try:
-            self._begin_answering()
-            broken = spin(self, self._done)
-            self._refuse()
-            return not broken
+            unhandled, self._unhandled = self._unhandled, []
+            if self.paced:  # it has waited since the session before, and is answered now
+                if self._owed is not None:
+                    self._tick(session, self.now())
+                for message, arrived in unhandled:
+                    self._handle(session, message, arrived)
+                self._answer()
+            return self._spin()
         finally:
             self._session = None
             drop_realtime()
+
+    def _spin(self) -> bool:
+        """Run until done; returns False after a signal, and raises the error by which it was ended."""
+        broken = spin(self, self._done)
+        self._raise_failure()
+        return not broken
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def fail(self, error: Exception) -> None:
+        """End the session by an error, which is raised there: in a callback rclpy would print it, too."""
+        self._failure = self._failure or error
+        self._finish()
+
+    def _finish(self) -> None:
+        if not self._done.done():
+            self._done.set_result(None)
 
     @property
     def paced(self) -> bool:
@@ -342,28 +360,15 @@ class GraphNode(Node):
         self.say(sentence, warning=True)
 
     @property
-    def refused(self) -> str:
-        """Return why this run cannot use this plant: a companion rejected its input, or the box is another one."""
-        return self.companions.refused or self._wrong_box
-
-    def _refuse(self) -> None:
-        """Raise the error that ended a session, or that prevents it from continuing."""
-        failure, self._failure = self._failure, None
-        if failure is not None:
-            raise failure
-        if trouble := self.refused or self.companions.lost:
-            raise CompanionError(trouble)
-
-    @property
     def size(self) -> Size:
         """Of the bench that the box believes; the nominal bench's if that is not known."""
         known = None if self.box is None else BoxIdentity.of_box(self.box).size
         return known or NOMINAL
 
     def _on_box(self, box: KnownBox) -> None:
-        self.box, self._wrong_box = box, self.box_fault(box)
-        if self._wrong_box:
-            self._finish()
+        self.box = box
+        if wrong := self.box_fault(box):
+            self.fail(CompanionError(wrong))
         self._end_meeting()
 
     def _on_box_law(self, message: BoxLawMessage) -> None:
@@ -371,8 +376,7 @@ class GraphNode(Node):
         self._end_meeting()
 
     def _end_meeting(self) -> None:
-        """End the wait for a plant that has described its box and sent a sample."""
-        if self._meeting is not None and self._laws_told and self.box is not None and self._sampled < math.inf:
+        if self._meeting is not None and all(requirement.ready() for requirement in self._meeting.requirements):
             self._finish()
 
     def _on_state(self, message: Any) -> None:
@@ -405,7 +409,7 @@ class GraphNode(Node):
                 age = seconds(self._commander.last_gains.header.stamp) - 1e-9 * message.stamp
                 self.timing.add(arrived, self._gains_out, age)
             if self.paced and message.sequence % _TICK_SAMPLES == 0 and not session.finished:
-                self._tick(self.now())
+                self._tick(session, self.now())
         except Exception as error:
             self.fail(error)
         if session.finished:
@@ -413,17 +417,6 @@ class GraphNode(Node):
         if ends:
             self._owed = message.sequence
             self._answer()
-
-    def _begin_answering(self) -> None:
-        """Handle what a plant that goes by its own clock has sent before the session, and answer it."""
-        unhandled, self._unhandled = self._unhandled, []
-        if not self.paced or self._session is None:
-            return
-        if self._owed is not None:  # the session before has seen it
-            self._tick(self.now())
-        for message, arrived in unhandled:
-            self._handle(self._session, message, arrived)
-        self._answer()
 
     def _answer(self) -> None:
         """Answer the last policy step to a plant that waits for it, unless something is still to come."""
@@ -459,48 +452,33 @@ class GraphNode(Node):
                 self._session.on_correction(message.certificate_after, message.status & STATUS_MASK)
 
     def _on_tick(self) -> None:
+        """Look after person, companions and session; a plant that goes by its own clock ticks by its samples."""
         try:
             with suppress(queue.Empty):  # a person is heard while a plant waits, too
                 self._keys.get_nowait()
                 if self._session is not None:
                     self._session.watch.arm_now(self.now())
-            if self.paced:
-                self._tick_by_wall_clock()
-            else:
+            if not self.paced:
                 self._read_corrections()
-                self._tick(time.monotonic())
+            if self._session is None and self._meeting is None:
+                return
+            for sentence in self.companions.ended():
+                self.warn(sentence)
+            if trouble := self.companions.refused or self.companions.lost:
+                self.fail(CompanionError(trouble))
+            elif self._meeting is not None:
+                self._meeting.look(time.monotonic())
+            elif self._session is not None:
+                if self.paced:
+                    self._readiness.look(time.monotonic())
+                if not self.paced or (time.monotonic() - self._arrived > SILENT and self._owed is None):
+                    self._tick(self._session, self.now())
+                self._each_tick()
+                self._answer()
         except Exception as error:
             self.fail(error)
 
-    def _tick_by_wall_clock(self) -> None:
-        """Look after what does not go by the plant's clock: companions, what is awaited, a plant that is silent."""
-        self._look_after_companions()
-        if self._session is None:
-            if self._meeting is not None:
-                self._meeting.look(time.monotonic())
-            return
-        self._readiness.look(time.monotonic())
-        if time.monotonic() - self._arrived > SILENT and self._owed is None:
-            self._tick(self.now())
-        self._each_tick()
-        self._answer()
-
-    def _look_after_companions(self) -> None:
-        for sentence in self.companions.ended():
-            self.warn(sentence)
-        if self.refused or self.companions.lost:
-            self._finish()
-
-    def _tick(self, now: float) -> None:
-        if self._session is None and self._meeting is None:
-            return
-        self._look_after_companions()
-        if self.refused or self.companions.lost:
-            return
-        if (session := self._session) is None:
-            if self._meeting is not None:
-                self._meeting.look(now)
-            return
+    def _tick(self, session: Session, now: float) -> None:
         self._commander.seek(now)
         crowd = publisher_conflicts(self, STATE) if self._two_plants else ""
         if crowd and not self._crowd:
@@ -510,8 +488,6 @@ class GraphNode(Node):
             self._commander.check_wait(now)
         if self._commander.held or self._sampled == math.inf:
             session.on_tick(now)
-        if not self.paced:
-            self._each_tick()
         if session.finished:
             self._finish()
 
@@ -529,32 +505,21 @@ class GraphNode(Node):
         try:
             if request.whom not in ("", own):
                 raise ValueError(f"{own} chooses the gains here, not {request.whom}")
-            if request.active:
-                answer.message = self.override.hold(*gains, request.seconds, self.now())
-            else:
-                answer.message = self.override.release()
-            answer.success = True
-        except ValueError as error:
+            hold = self.override.hold
+            told = hold(*gains, request.seconds, self.now()) if request.active else self.override.release()
+            answer.success, answer.message = True, told
+        except (ValueError, OSError) as error:
             answer.success, answer.message = False, str(error)
-            self.warn(f"override refused: {error}")
-        except OSError as error:  # the run's record cannot be written, which ends the run
-            answer.success, answer.message = False, str(error)
-            self.fail(error)
+            if isinstance(error, ValueError):
+                self.warn(f"override refused: {error}")
+            else:  # the run's record cannot be written, which ends the run
+                self.fail(error)
         wanted = "hold ({:g}, {:g}) for {:g} s".format(*gains, request.seconds)
         told = answer.message if answer.success else f"refused: {answer.message}"
         self._log_call(
             f"{request.name or 'somebody'}: override, {wanted if request.active else 'give the gains back'}: {told}"
         )
         return answer
-
-    def fail(self, error: Exception) -> None:
-        """End the session by an error, which is raised there: in a callback rclpy would print it, too."""
-        self._failure = self._failure or error
-        self._finish()
-
-    def _finish(self) -> None:
-        if not self._done.done():
-            self._done.set_result(None)
 
     def _on_arm_answer(self, answer: Future) -> None:
         response = answer.result()

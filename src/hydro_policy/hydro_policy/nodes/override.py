@@ -37,16 +37,9 @@ def request(options: argparse.Namespace) -> OverrideGains.Request:
     given = (options.kp is not None) + (options.ki is not None)
     if given != (0 if options.off else 2):
         raise UserError("override needs --kp and --ki, or --off")
-    if options.off:
-        return OverrideGains.Request(active=False, name=_WHO, whom=options.whom)
-    return OverrideGains.Request(
-        active=True,
-        name=_WHO,
-        proportional_gain=options.kp,
-        integral_gain=options.ki,
-        seconds=options.seconds,
-        whom=options.whom,
-    )
+    gains = {} if options.off else {"proportional_gain": options.kp, "integral_gain": options.ki}
+    seconds = 0.0 if options.off else options.seconds
+    return OverrideGains.Request(active=not options.off, name=_WHO, whom=options.whom, seconds=seconds, **gains)
 
 
 @command()

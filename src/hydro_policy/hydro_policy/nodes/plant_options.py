@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
 
 from hydro_bridge.ros.companion import add_dashboard_option
 from hydro_bridge.safety.box_info import KnownBox
@@ -26,70 +26,58 @@ if TYPE_CHECKING:
     from hydro_policy.runs.initial_agent import InitialAgent
 
 PLANTS = ("sim", "emulator", "bench", "external")
-NO_FILTER = ("none",)
-"""Words of `--filter none`."""
-LAWS = ("both", "paper", "compensated")
-"""Values of `evaluate --law`."""
-SCRATCH = "scratch"
-"""Value of `--from` for no agent, besides a run's folder."""
-_FILES = ("truth", "bench", "load_cell", "model")
-_PLANT_WORDS = (
-    "plant",
-    "port",
-    "truth",
-    "faults",
-    "pace",
-    "bench",
-    "load_cell",
-    "model",
-    "base_gains",
-    "filter",
-    "rearm",
-)
-_NEEDS = {
-    "hand_over": ("external",),
-    "truth": ("emulator",),
-    "faults": ("emulator",),
-    "pace": ("sim", "emulator"),
-    "port": ("bench", "emulator"),
-    "model": ("sim",),
-    "base_gains": ("sim", "bench"),
-    "filter": ("sim", "emulator", "bench"),
-}
+NO_FILTER = ("none",)  # words of `--filter none`
+LAWS = ("both", "paper", "compensated")  # values of `evaluate --law`
+SCRATCH = "scratch"  # value of `--from` for no agent, besides a run's folder
 
 
+def _option(*only: str, **words: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Return an option of the command line: the plants that it goes with, if not with all; and as of `add_argument`."""
+    return only, words
+
+
+# fmt: off
 @dataclass(frozen=True, kw_only=True)
 class PlantOptions:
-    """The plant and the companion processes of a run."""
+    """The plant and the companion processes of a run: each option of the command line, and what the run adds."""
 
-    plant: str
-    """One of `PLANTS`."""
-    port: str | None = None
-    """Serial port of a bench; None: the bridge's own default."""
-    truth: Path | None = None
-    """YAML of the emulated bench; None: the default truth plant."""
-    faults: str | None = None
-    """Link faults of the emulator, a file or a preset."""
-    bench: Path | None = None
-    """bench.yaml for box, simulation and filter; None: the nominal bench."""
-    model: Path | None = None
-    """What is simulated in its place, a bench file; box and filter keep to `bench`."""
-    base_gains: Sequence[float] | None = None
-    """K_p [1/s], K_i [1/s^2] of the box; None: the paper's. A simulated box gets them."""
-    recording: Path | None = None
-    """Folder for the recording; None: none."""
-    metadata: tuple[str, ...] = ()
-    """key=value words kept in the recording."""
-    attachments: tuple[Path, ...] = ()
-    """Files kept in the recording, besides the bench file."""
-    policies: tuple[Path, ...] = ()
-    """Policy files that act in this run; the recording keeps their digests."""
-    filter: tuple[str, ...] = ()
-    """Further words for the filter's command line, its metric for instance; `NO_FILTER`: there is none."""
-    seed: int = 0
-    """Of the noise of simulation or emulator."""
-    pace: str = "plant"
-    """Of simulation or emulator: plant, real, or a factor of real time."""
+    plant: Annotated[str, _option(choices=PLANTS, default="external",
+        help="start the other nodes, too: sim (sim with filter, recorder), emulator (emulator, bridge with filter, "
+        "recorder), bench (bridge with filter, recorder), or external: they run already (default)")]
+    port: Annotated[str | None, _option("bench", "emulator", metavar="PATH",
+        help="serial port of the bench (default: the bridge's)")] = None
+    truth: Annotated[Path | None, _option("emulator", type=Path, metavar="FILE",
+        help="YAML of what the emulated bench is made of")] = None
+    faults: Annotated[str | None, _option("emulator", metavar="FILE",
+        help="link faults of the emulator, a file or a preset")] = None
+    pace: Annotated[str, _option("sim", "emulator", metavar="PACE",
+        help="of sim or emulator: plant (default): its clock waits for the graph's answers, as fast as they come, and "
+        "a run is a function of its seed; real: real time; a number: that many times real time")] = "plant"
+    bench: Annotated[Path | None, _option(type=Path, metavar="FILE",
+        help="bench.yaml (default: the nominal bench)")] = None
+    load_cell: Annotated[Path | None, _option(type=Path, metavar="FILE",
+        help="bench file or corrected.yaml: under the compensated law the force in front of this load cell's amplifier "
+        "follows the reference (default: the measured force does)")] = None
+    model: Annotated[Path | None, _option("sim", type=Path, metavar="FILE",
+        help="bench file that sim simulates, while the box keeps to --bench; the filter's is "
+        'its own word: --filter="--model FILE --metric FILE"')] = None
+    base_gains: Annotated[Sequence[float] | None, _option("sim", "bench", nargs=2, type=float, metavar=("KP", "KI"),
+        help="of the box (default: 15 5, the paper's); those of a plant that runs already are asked for")] = None
+    filter: Annotated[tuple[str, ...], _option("sim", "emulator", "bench", default="", metavar="WORDS",
+        help='further words for the filter that is started, in one string: --filter="--contraction-rate 2"; none: no '
+        "filter, for the compensated law")] = ()
+    rearm: Annotated[str | None, _option(choices=("auto", "ask"),
+        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`")] = None
+    hand_over: Annotated[str | None, _option("external", metavar="NODE",
+        help="when all is done hand an external plant to this node, which waits for it; a run that is stopped "
+        "does not")] = None
+    # fmt: on
+
+    recording: Path | None = None  # folder for the recording; None: none
+    metadata: tuple[str, ...] = ()  # key=value words kept in the recording
+    attachments: tuple[Path, ...] = ()  # files kept in the recording, besides the bench file
+    policies: tuple[Path, ...] = ()  # policy files that act in this run; the recording keeps their digests
+    seed: int = 0  # of the noise of simulation or emulator
     controller: str = ""
     """Name of the node that commands the plant: the first sample waits for it, as for recorder and filter."""
 
@@ -99,48 +87,32 @@ class PlantOptions:
         return self.plant == "bench" or self.pace == "real"
 
 
+_OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(PlantOptions, include_extras=True).items()
+    if get_origin(hint) is Annotated
+}
+_KEPT = _OPTIONS.keys() - {"hand_over"}  # options that a resumed run keeps
+
+
 def add_plant_options(parser: argparse.ArgumentParser) -> None:
     """Add the options about the plant and its companion processes."""
     group = parser.add_argument_group("plant")
-    add = group.add_argument
-    add("--plant", choices=PLANTS, default="external",
-        help="start the other nodes, too: sim (sim with filter, recorder), emulator (emulator, bridge with filter, "
-        "recorder), bench (bridge with filter, recorder), or external: they run already (default)")  # fmt: skip
-    add("--port", metavar="PATH", help="serial port of the bench (default: the bridge's)")
-    add("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
-    add("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
-    add("--pace", metavar="PACE",
-        help="of sim or emulator: plant (default): its clock waits for the graph's answers, as fast as they come, and "
-        "a run is a function of its seed; real: real time; a number: that many times real time")  # fmt: skip
-    add("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
-    site.add_site_option(group, "--bench, --base-gains and --filter, of --model where --plant is sim")
-    add("--load-cell", type=Path, metavar="FILE",
-        help="bench file or corrected.yaml: under the compensated law the force in front of this load cell's amplifier "
-        "follows the reference (default: the measured force does)")  # fmt: skip
-    add("--model", type=Path, metavar="FILE",
-        help="bench file that sim simulates, while the box keeps to --bench; the filter's is "
-        'its own word: --filter="--model FILE --metric FILE"')  # fmt: skip
-    add("--base-gains", nargs=2, type=float, metavar=("KP", "KI"),
-        help="of the box (default: 15 5, the paper's); those of a plant that runs already are asked for")  # fmt: skip
-    add("--filter", default="", metavar="WORDS",
-        help='further words for the filter that is started, in one string: --filter="--contraction-rate 2"; none: no '
-        "filter, for the compensated law")  # fmt: skip
-    add_rearm_option(group)
-    add("--hand-over", metavar="NODE",
-        help="when all is done hand an external plant to this node, which waits for it; a run that is stopped "
-        "does not")  # fmt: skip
+    for name in _OPTIONS:
+        add_option(group, name)
+        if name == "bench":
+            site.add_site_option(group, "--bench, --base-gains and --filter, of --model where --plant is sim")
     add_dashboard_option(group)
 
 
-def add_rearm_option(parser: argparse._ActionsContainer) -> None:
-    """Add the option --rearm."""
-    help_text = "who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`"
-    parser.add_argument("--rearm", choices=("auto", "ask"), help=help_text)
+def add_option(parser: argparse._ActionsContainer, name: str) -> None:
+    """Add one option of `PlantOptions`."""
+    parser.add_argument("--" + name.replace("_", "-"), **_OPTIONS[name][1])
 
 
 def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
     """Return the plant options as stored in YAML, with absolute paths."""
-    words = {name: value for name in _PLANT_WORDS if (value := getattr(options, name))}
+    words = {name: value for name in _OPTIONS if name in _KEPT and (value := getattr(options, name))}
     return {
         name: value if isinstance(value, list) else str(Path(value).absolute() if os.path.exists(value) else value)
         for name, value in words.items()
@@ -150,8 +122,9 @@ def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
 def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mapping[str, Any]) -> None:
     """Make a run's original plant options, `plant`, the defaults, unless another plant is requested."""
     if said.get("plant", plant.get("plant")) == plant.get("plant"):
-        words = {name: value for name, value in plant.items() if name in _PLANT_WORDS}
-        result.set_defaults(**{name: Path(word) if name in _FILES else word for name, word in words.items()})
+        files = {name for name, (_, option) in _OPTIONS.items() if option.get("type") is Path}
+        words = {name: Path(value) if name in files else value for name, value in plant.items() if name in _KEPT}
+        result.set_defaults(**words)
 
 
 def apply_site(options: argparse.Namespace) -> None:
@@ -159,15 +132,12 @@ def apply_site(options: argparse.Namespace) -> None:
     files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL} --metric {site.METRIC}"}
     files |= {"model": site.MODEL} if options.plant == "sim" else {}
     site.apply_site_option(options, bench=site.BENCH, **files)
-    if options.site and not options.base_gains and options.plant in _NEEDS["base_gains"]:
+    if options.site and not options.base_gains and options.plant in _OPTIONS["base_gains"][0]:
         options.base_gains = site.base_gains(options.site)
 
 
 def load_cell(options: argparse.Namespace) -> LoadCell | None:
-    """Return the load cell of --load-cell.
-
-    Raises UserError: the compensated law is not to run; ValueError, OSError: as `LoadCell.load`.
-    """
+    """Return the load cell of --load-cell."""
     if options.load_cell is not None and getattr(options, "law", LAWS[0]) == "paper":
         raise UserError("--load-cell is of no use with --law paper")
     return None if options.load_cell is None else LoadCell.load(options.load_cell)
@@ -179,19 +149,16 @@ def may_rearm(options: argparse.Namespace) -> bool:
 
 
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
-    """Return the plant options from the command line; `more` are further fields.
-
-    Raises UserError: an option that does not apply to this plant: refused rather than ignored; SettingsError: --pace.
-    """
-    for name, plants in _NEEDS.items():
-        if getattr(options, name) and options.plant not in plants:
+    """Return the plant options from the command line; `more` are further fields."""
+    given = {name: value for name in _OPTIONS if (value := getattr(options, name))}
+    for name in given:
+        plants, _ = _OPTIONS[name]
+        if plants and options.plant not in plants:
             word = "--" + name.replace("_", "-")
             raise UserError(f"{word} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
-    pace = options.pace or "plant"
-    parse_pace(pace)
-    given = {name: getattr(options, name) for name in ("plant", "port", "truth", "faults", "bench", "model")}
-    words = tuple(shlex.split(options.filter))
-    return PlantOptions(**given, base_gains=options.base_gains, filter=words, pace=pace, **more)
+    made = PlantOptions(**{**given, "filter": tuple(shlex.split(options.filter))}, **more)
+    parse_pace(made.pace)
+    return made
 
 
 PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
@@ -201,9 +168,6 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
     """Return the expected box: by --bench and --base-gains, or the nominal one.
 
     Of a plant that runs already nothing is expected but what --bench says.
-
-    Raises ValueError: the bench file cannot be used; UserError: the box of a running plant is specified, or the model
-    is not a file.
     """
     plant_options(options)
     if options.model is not None and not options.model.is_file():

@@ -21,7 +21,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hydro_bridge.ros.companion import Companion, start_dashboard
 from hydro_bridge.safety.guard import GuardSettings
@@ -38,14 +38,11 @@ if TYPE_CHECKING:
     from hydro_filter.controller.loop_filter import LoopFilterSettings
 
 LOAD_FORCE = "load_force"
-"""File, in the folder of the companions, of the last forces on the emulated load (`evaluation.load_force`)."""
+"""File, in the folder of the companions, of the last forces on the emulated load (`hydro_sim.files.load_force`)."""
 
 
 def describe_policy(path: Path) -> str:
-    """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings.
-
-    Raises ValueError: the file is not a policy.
-    """
+    """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings."""
     return f"policy {path}: weights {load_policy(path)[0].digest()}, SHA-256 {_digest(path)}"
 
 
@@ -54,10 +51,7 @@ def _digest(path: Path) -> str:
 
 
 def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, LoopFilterSettings]:
-    """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program.
-
-    Raises PairingError: its metric and model are not this bench's: nothing is started, and no guard is widened for it.
-    """
+    """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program."""
     from hydro_filter.controller.factory import parse_args
 
     choice, settings, _ = parse_args([*(["--bench", str(bench)] if bench else []), *words])
@@ -67,24 +61,6 @@ def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[F
 def guard_range(gains: GainRange) -> GainRange:
     """Return the gain changes allowed by the plant's guard: its defaults, widened to the policy's range if larger."""
     return GainRange.enclosing(gains, GuardSettings())
-
-
-def guard_parameters(gains: GainRange, words: Sequence[str]) -> list[str]:
-    """Return the ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
-
-    The guard is given the filter on which the wider range relies, by its command line's `words` with its metric named,
-    and reports it: it is never widened silently, nor without a filter.
-    """
-    if tuple(words) == NO_FILTER:
-        return []
-    from hydro_filter.controller.factory import LEARNED
-
-    named = any(word.split("=")[0] == "--metric" for word in words)
-    relies_on = " ".join(words if named else (f"--metric {LEARNED}", *words))
-    default, wanted = GuardSettings(), asdict(guard_range(gains))
-    changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
-    words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
-    return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
 
 
 def start_companions(
@@ -107,9 +83,6 @@ def start_plant(
     """Start page, plant and companions, which `node` watches; returns what the filter leaves uncovered (safety.md).
 
     `gains`: range that the guard has to pass. `folder`: of port and pipes of an emulator, and of its load force.
-
-    Raises PairingError before anything runs: the filter does not fit; CompanionError: the packages are not built or
-    sourced.
     """
     start_dashboard(stack, node, wanted=page, keep=node.announcer.keep)
     if options.plant == "external":
@@ -126,9 +99,15 @@ def start_plant(
 
 
 def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:
-    """Return (package, executable, arguments) of each companion, in starting order."""
+    """Return (package, executable, arguments) of each companion, in starting order.
+
+    A guard that is widened to the range `gains` is given the filter on which that relies, with its metric named, and
+    reports it: it is never widened silently, nor without a filter.
+    """
     if options.plant == "external":
         return []
+    from hydro_filter.controller.factory import LEARNED
+
     bench = ["--bench", str(options.bench)] if options.bench else []
     started: list[tuple[str, str, list[str]]] = []
     peers = [options.controller] if options.controller else []
@@ -136,15 +115,9 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", [*scheduling, *recorder_arguments(options, options.recording)]))
         peers.append("recorder")
-    guard = guard_parameters(gains, options.filter)
-    if peers and not options.real_time:
-        guard = ["--ros-args", "-p", f"pace.peers:={' '.join(peers)}", *guard[1:]]
     if options.plant == "sim":
         package, node, model = "hydro_sim", "sim", ["--model", str(options.model)] if options.model else []
         words = [*bench, *model, *scheduling, "--seed", str(options.seed), "--pace", options.pace]
-        if options.base_gains is not None:
-            kp, ki = map(float, options.base_gains)
-            guard = [*(guard or ["--ros-args"]), "-p", f"box.base_kp:={kp}", "-p", f"box.base_ki:={ki}"]
     else:
         package, node, port = "hydro_bridge", "bridge", options.port
         if options.plant == "emulator":
@@ -155,8 +128,21 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
             arguments += ["--faults", options.faults] if options.faults else []
             started.append(("hydro_sim", "emulator", arguments))
         words = [*scheduling, *(["--port", port] if port else []), *bench]
-    words += guard
-    if options.filter == NO_FILTER:
+    filtered, parameters = options.filter != NO_FILTER, dict[str, Any]()
+    if peers and not options.real_time:
+        parameters["pace.peers"] = " ".join(peers)
+    wanted, default = asdict(guard_range(gains)), asdict(GuardSettings())
+    wider = {f"guard.{name}": float(value) for name, value in wanted.items() if value != default[name]}
+    if filtered and wider:
+        named = any(word.split("=")[0] == "--metric" for word in options.filter)
+        relies_on = " ".join(options.filter if named else (f"--metric {LEARNED}", *options.filter))
+        parameters |= {**wider, "guard.relies_on": relies_on}
+    if options.plant == "sim" and options.base_gains is not None:
+        kp, ki = map(float, options.base_gains)
+        parameters |= {"box.base_kp": kp, "box.base_ki": ki}
+    if parameters:
+        words += ["--ros-args", *(word for name, value in parameters.items() for word in ("-p", f"{name}:={value}"))]
+    if not filtered:
         return [*started, (package, node, words)]
     asked = shlex.join([*bench, *options.filter])
     return [*started, ("hydro_filter", "filtered_plant", [node, f"--filter={asked}", *words])]

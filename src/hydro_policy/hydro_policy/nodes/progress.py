@@ -50,18 +50,18 @@ class TrialProgress:
         """Redraw; call every 50 ms."""
         self._redraw()
 
-    @property
-    def _override(self) -> str:
-        override = self._session.override
-        return f"OVERRIDDEN {override.description}" if override.active else ""
-
     def _redraw(self) -> None:
         session, now = self._session, self._session.watch.summary
         self._bar.n = round(session.plan.done)
         if (trial := session.plan.trial) is not None:
-            self._bar.set_description_str(self._label + ("" if now == "armed" else f" ({now})"), refresh=False)
-            self._bar.set_postfix_str(", ".join(filter(None, (self._override, trial.name))), refresh=False)
+            self._describe(self._label + ("" if now == "armed" else f" ({now})"), [trial.name])
         self._bar.refresh()
+
+    def _describe(self, label: str, figures: list[str]) -> None:
+        override = self._session.override
+        shown = [f"OVERRIDDEN {override.description}", *figures] if override.active else figures
+        self._bar.set_description_str(label, refresh=False)
+        self._bar.set_postfix_str(", ".join(shown), refresh=False)
 
 
 class TrainingProgress(TrialProgress):
@@ -114,15 +114,14 @@ class TrainingProgress(TrialProgress):
         if plan.exam is not None:
             doing = f"examining, {len(plan.scores) + 1} of {len(plan.exam)}"
         described = doing + ("" if state == "armed" else f" ({state})")
-        bar.set_description_str(state if session.phase is Phase.WAITING else described, refresh=False)
-        figures = [self._override]
+        figures: list[str] = []
         if trains:
             rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
-            figures += [f"return {now.episode_return:.0f}"]
+            figures = [f"return {now.episode_return:.0f}"]
             figures += [f"RMSE {rmse:.1f} N"] if math.isfinite(rmse) else []  # none before the first samples
             figures += [f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"]
             figures += [f"latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"]
-        bar.set_postfix_str(", ".join(filter(None, figures)), refresh=False)
+        self._describe(state if session.phase is Phase.WAITING else described, figures)
         bar.refresh()
 
     def _status(self) -> Status:

@@ -8,7 +8,6 @@ the machine. Each motion has a recording of its own, and leaves the plant disarm
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 from collections.abc import Iterator, Sequence
@@ -16,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO
 
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.ros.companion import Companion, RecorderWatch
@@ -25,13 +24,13 @@ from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_core.cli.console import UserError, print_above_progress, terminal_lines
 from hydro_core.files import site
-from hydro_core.process.endings import signals_ignored
 from hydro_policy.commissioning.record import GateError, Record
 from hydro_policy.evaluation.controllers import Controller
-from hydro_policy.evaluation.runner import Rest
+from hydro_policy.evaluation.runner import Rest, TrialRunner
+from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.announcements import CompanionWatch, companion_output
-from hydro_policy.nodes.evaluation import evaluate_on, report_results, required_gain_range
-from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.evaluation import compare_on, report_results, required_gain_range
+from hydro_policy.nodes.graph_node import Ending, GraphNode
 from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions, box_mismatch
 from hydro_policy.nodes.plants import commands, guard_range, recorder_arguments
 from hydro_policy.runs.report import write_page
@@ -42,30 +41,18 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.pairing import BoxIdentity
 
-TRUTH = "truth.yaml"
-"""What the emulated bench of a site is made of; where there is none, the emulator's own."""
+TRUTH = "truth.yaml"  # what the emulated bench of a site is made of; where there is none, the emulator's own
 EMULATED = "emulator"
-PORT_WITHIN = 60.0
-"""s, for the emulator's port."""
-ENDS_WITHIN = 30.0
-"""s, for a recorder to complete its recording."""
+PORT_WITHIN = 60.0  # s, for the emulator's port
+ENDS_WITHIN = 30.0  # s, for a recorder to complete its recording
 
 
 class Site:
     """The folder of one bench, and what runs on it; use as context manager.
 
-    Parameters
-    ----------
-    folder
-        Of the site.
-    record
-        What is known of it; its plant is the serial port of the box, or `EMULATED`.
-    rearm
-        Whether the plant is armed without a person.
-    policy
-        Whether a policy is to be trained.
-    log
-        Takes what all processes say, warnings of which are also shown.
+    `folder`: of the site. `record`: what is known of it; its plant is the serial port of the box, or `EMULATED`.
+    `rearm`: whether the plant is armed without a person. `policy`: whether a policy is to be trained. `log`: takes what
+    all processes say, warnings of which are also shown.
     """
 
     def __init__(self, folder: Path, record: Record, *, rearm: bool, policy: bool, log: IO[str]) -> None:
@@ -94,8 +81,6 @@ class Site:
         """Run an executable that needs the machine or the port for itself to its end; returns its last line.
 
         Its output goes into the log, and to the terminal if it is `loud`.
-
-        Raises GateError: it did not end with status 0; the reason is its last line.
         """
         self._disconnect()
         self._log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
@@ -113,10 +98,7 @@ class Site:
         return said
 
     def free_port(self) -> str:
-        """Return the port, which nothing of ours uses; an emulated one appears at the first call.
-
-        Raises UserError: the emulator does not start.
-        """
+        """Return the port, which nothing of ours uses; an emulated one appears at the first call."""
         self._disconnect()
         if self.record.plant != EMULATED or self._emulator is not None:
             return self._port
@@ -134,10 +116,7 @@ class Site:
         return self._port
 
     def rest(self, name: str, seconds: float) -> None:
-        """Record so many seconds at rest as recordings/NAME.
-
-        Raises NotReadyError, CompanionError: as `GraphNode.run_session`; KeyboardInterrupt: a signal arrived.
-        """
+        """Record so many seconds at rest as recordings/NAME."""
         with self._recorded(name, required_gain_range([])) as (node, recorder):
             watch = node.supervisor(recorder, rearm=False, filtered=False)
             if not node.run_session(Rest(seconds, watch), lambda: None):
@@ -146,23 +125,12 @@ class Site:
     def compare(
         self, name: str, settings: EvaluationSettings, controllers: Sequence[Controller] = (), *,
         words: Sequence[str] = NO_FILTER, learned: bool = False, policies: Sequence[Path] = (),
-    ) -> dict[str, Any]:  # fmt: skip
-        """Run the trials of a comparison with the compensated law; returns its JSON (`evaluation.report`).
+    ) -> TrialRunner[Comparison]:  # fmt: skip
+        """Run the trials of a comparison with the compensated law, write their report, and return them.
 
-        Parameters
-        ----------
-        name
-            Of recording and report.
-        settings, controllers
-            References and lengths; controllers besides that law.
-        words
-            Of the filter's command line.
-        learned
-            Whether that law is also run with the learned residual.
-        policies
-            Files whose digests the recording keeps.
-
-        Raises NotReadyError: the box has not that law; and as `rest`.
+        `name`: of recording and report. `settings`, `controllers`: references and lengths; controllers besides that
+        law. `words`: of the filter's command line. `learned`: whether that law is also run with the learned residual.
+        `policies`: files whose digests the recording keeps.
         """
         run = RunDirectory(self.folder / site.REPORTS / name)
         shutil.rmtree(run.path, ignore_errors=True)
@@ -175,14 +143,14 @@ class Site:
             filtered = tuple(words) != NO_FILTER
             needed = (corrections_requirement(lambda: node.corrected),) if filtered else ()
             watch = node.supervisor(recorder, *needed, rearm=self._rearm, filtered=filtered)
-            results = evaluate_on(node, controllers, watch, settings=settings, learned=learned)
-            if not results.finished:
+            results = compare_on(node, controllers, watch, settings=settings, learned=learned)
+            if results is None or not results.finished:
                 raise KeyboardInterrupt
         gains = "{:g} {:g}".format(*self.record.base_gains)
         notes = {"plant": self.record.plant, "filter": " ".join(words), "bench": str(self.bench), "base gains": gains}
         notes["code_version"] = code_version()
         write_page(run, f"Evaluation {name}", notes, report_results(results, run, notes))
-        return read_json(run.evaluation)
+        return results
 
     def _disconnect(self) -> None:
         self._connection.close()
@@ -225,21 +193,11 @@ class Site:
         )
         node, folder = self._connected(options, reach), self.recording(name)
         shutil.rmtree(folder, ignore_errors=True)
-        with ExitStack() as quiet, ExitStack() as stack:
+        with Ending() as stack:
             arguments = ["--realtime", *recorder_arguments(options, folder)]
             output = companion_output(node.announcer.keep)
             recorder = Companion("hydro_bridge", "recorder", arguments, output=output)
             stack.callback(recorder.stop, ENDS_WITHIN)
             node.companions = self._watched(recorder)
             stack.callback(node.disarm)
-            stack.callback(quiet.enter_context, signals_ignored())  # first of all: a second Ctrl-C waits
             yield node, RecorderWatch(node, folder, recorder).requirement
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a result (raises GateError where there is none)."""
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise GateError(f"{path} cannot be read: {error}") from None
-    return content

@@ -77,10 +77,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def parse_options(words: Sequence[str]) -> argparse.Namespace:
-    """Parse the command line; --demo changes the defaults.
-
-    Raises UserError: the options of a resumed run contradict those it was started with.
-    """
+    """Parse the command line; --demo changes the defaults."""
     result = parser()
     if result.parse_args(words).demo:
         result.set_defaults(**DEMO)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -17,7 +16,6 @@ import numpy as np
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
 from hydro_core.cli.console import writable_folder
-from hydro_core.process.endings import signals_ignored
 from hydro_core.size import rescale
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
@@ -25,8 +23,8 @@ from hydro_policy.evaluation.runner import Phase, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.learner_process.learner import write_run
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
-from hydro_policy.nodes.evaluation import conditions, evaluate_on, remove_rejected, report_results, search_on
-from hydro_policy.nodes.graph_node import GraphNode
+from hydro_policy.nodes.evaluation import compare_on, conditions, remove_rejected, report_results
+from hydro_policy.nodes.graph_node import Ending, GraphNode
 from hydro_policy.nodes.parameters import declare_settings, keep_overridden
 from hydro_policy.nodes.plant_options import (
     SCRATCH,
@@ -67,8 +65,7 @@ class Prepared:
     settings: TrainingSettings
     checkpoint: Checkpoint | None
     start: InitialAgent | None
-    made: bool = False
-    """Whether the run's folder was newly created."""
+    made: bool = False  # whether the run's folder was newly created
 
     @property
     def best(self) -> bytes | None:
@@ -82,8 +79,6 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
 
     Invalid input is refused before anything is created. Where the plant runs already its box is awaited, whose base
     gains the configuration's range of total gains is then relative to.
-
-    Raises KeyboardInterrupt: a signal arrived before there was a box; and as `expected_box`, `check_run`.
     """
     start, checkpoint, box = None, None, expected_box(options)
     if options.plant != "external":
@@ -170,8 +165,7 @@ def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Initi
     write_run(run, settings, agent, nothing, {})
 
 
-SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))
-"""References of the search for the best fixed gains."""
+SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))  # references of the search for the best fixed gains
 
 
 def paper_controllers(plan: TrainingPlan, start: InitialAgent | None) -> list[Controller]:
@@ -230,7 +224,7 @@ LEFT_OUT = (
 def train(options: argparse.Namespace) -> int:
     """Prepare, train, evaluate. In any case: disarm, write a checkpoint, stop the companions, in this order."""
     began = time.monotonic()
-    with ExitStack() as quiet, ExitStack() as stack:
+    with Ending() as stack:
         node = GraphNode("trainer")
         stack.callback(leave_graph, node)
         prepared = prepare(options, node)
@@ -275,7 +269,6 @@ def train(options: argparse.Namespace) -> int:
         node.tell_steps()
         stack.callback(lambda: learner.stop(plan.state()))
         stack.callback(node.disarm)
-        stack.callback(quiet.enter_context, signals_ignored())  # first of all: a second Ctrl-C waits
         finished, results = drive(options, node, session, start)
         if finished:  # a stopped run hands nothing over
             node.successor = options.hand_over or ""
@@ -290,10 +283,10 @@ def train(options: argparse.Namespace) -> int:
         record.add("digest", run_digest=digest, circumstances=circumstances())
     record.flush()
     try:
-        curves.draw_curve(record.events, run.learning_curve)
+        curves.draw_curve(record, run.learning_curve)
     except OSError as error:
         print(f"no learning curve: {error.strerror or error}", file=sys.stderr)
-    found += curves.sections(record.events, run.learning_curve)
+    found += curves.sections(record, run.learning_curve)
     curves.write_page(run, f"Training {run.path.name}", notes, found)
     print_files(run, plant.recording, finished, options, time.monotonic() - began)
     if digest:
@@ -329,20 +322,17 @@ def drive(
         time.sleep(0.05)
     plan.start()
     bar.phase = lambda: Phase.EVALUATING
-    controllers = paper_controllers(plan, start)
-    watch = node.supervisor(rearm=rearm, after=session.watch)
-    if rearm:
-        grid = coarse_grid(plan.settings.task.gains, plan.settings.base_gains)
-        search = search_on(node, grid, replace(SEARCHED, amplitude=node.size.force), watch, plan.record)
-        if search.trial is not None:
-            return False, None
-        controllers += [search.best] if search.search.found else []
-        watch = node.supervisor(rearm=rearm, after=watch)
-    else:
+    grid = coarse_grid(plan.settings.task.gains, plan.settings.base_gains) if rearm else None
+    if not rearm:
         node.say(LEFT_OUT)
-    results = evaluate_on(
-        node, controllers, watch, compensated=rearm, cell=cell, learned=cell is None, record=plan.record
-    )
+    force = node.size.force
+    results = compare_on(
+        node, paper_controllers(plan, start), node.supervisor(rearm=rearm, after=session.watch), rearm=rearm,
+        settings=EvaluationSettings(amplitude=force), grid=grid, searched=replace(SEARCHED, amplitude=force),
+        compensated=rearm, cell=cell, learned=cell is None, record=plan.record,
+    )  # fmt: skip
+    if results is None:
+        return False, None
     if results.finished:
         node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots

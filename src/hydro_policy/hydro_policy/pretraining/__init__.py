@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pretraining by Soft Actor-Critic on simulated benches: configurations, the run, its examinations, the command.
-
-May import all of this package but `sessions` and `nodes`.
-"""
+"""Pretraining by Soft Actor-Critic on simulated benches: configurations, the run, its examinations, the command."""

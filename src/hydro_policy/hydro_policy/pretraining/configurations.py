@@ -11,8 +11,7 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
 from hydro_sim.model.bench import NOMINAL
 
-WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
-"""K_p from 15 to 300, K_i from 5 to 100: the box's limits."""
+WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)  # K_p from 15 to 300, K_i from 5 to 100: the box's limits
 
 WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, trip_penalty=100.0)
 """Root of the paper's reward with less weight on e', whose noise would hide the small errors of slow sines."""

@@ -24,7 +24,6 @@ from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_o
 from hydro_core.files.atomic import write_whole
 from hydro_core.process import endings
 from hydro_core.settings import SettingsError, from_mapping, read_yaml
-from hydro_core.signals import FloatArray
 from hydro_core.size import rescale
 from hydro_policy.envs.environment import Transitions
 from hydro_policy.envs.simulation import SimulationSetup
@@ -36,125 +35,51 @@ from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import actor_parameters, dump
-from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL
 from hydro_sim.plotting import BLUE, add_legend, figure
 
-SOURCE = "pretrain.yaml"
-"""File name in a run's folder, beside config.yaml."""
-
-
-def new_pretraining(source: SimulationSetup, training: TrainingSettings) -> Pretraining:
-    """Return a new pretraining."""
-    randomisation = rescale(Randomisation(), NOMINAL, training.task.size) if source.randomise else None
-    settings = PretrainSettings(
-        training=training, benches=source.benches, randomisation=randomisation, filter=source.filter,
-        box=source.box_config(), evaluation=EvaluationSettings(amplitude=training.task.size.force),
-    )  # fmt: skip
-    return Pretraining(settings, source.simulated(), source.believed())
-
-
-def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
-    """Return the simulation set-up of the command line."""
-    model = options.model or "shipped"
-    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
-    return SimulationSetup(model=model, box=options.box and os.path.abspath(options.box), **chosen)
-
-
-def load_simulation_setup(folder: Path) -> SimulationSetup:
-    """Return the simulation set-up of a run on disk. Raises UserError: the folder holds no pretraining."""
-    try:
-        return from_mapping(SimulationSetup, read_yaml(folder / SOURCE), SOURCE)
-    except SettingsError as error:
-        raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error
-
-
-CURVE = "curve.png"
-"""File name of the learning curve in a pretraining's folder."""
-
-
-def curve_table(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray) -> Table:
-    """Return the table with one row per round, the first for fixed gains."""
-    kp, ki = REFERENCE_GAINS
-    drawn = bool(history) and history[0]["changed"] is not None
-    columns = {
-        "episode": "episodes so far",
-        "return": "mean return of the round's episodes",
-        "trips": "times a box tripped in them",
-        **{case.name: "force RMSE [N] of the mean action" for case in cases},
-        "score": f"mean over cases and benches of the RMSE over that of fixed ({kp:g}, {ki:g}) there",
-        **({"changed": "the same over the drawn benches alone"} if drawn else {}),
-        "updates": "gradient updates so far",
-    }
-    table = Table(columns, title="pretraining")
-    names = [case.name for case in cases]
-    fixed: dict[str, Any] = dict(zip(names, map(float, reference), strict=True))
-    fixed |= {"return": math.nan, "trips": 0, "score": 1.0, "updates": 0} | ({"changed": 1.0} if drawn else {})
-    table.add(episode=f"fixed ({kp:g}, {ki:g})", **fixed)
-    for entry in history:
-        values = {key: entry[key] for key in columns.keys() & entry.keys() - {"episode"}}
-        table.add(**values, episode=str(entry["episode"]), **dict(zip(names, entry["rmse"], strict=True)))
-    return table
-
-
-def draw_curve(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray, path: Path) -> None:
-    """Draw the episodes' return, and RMSE of the mean action relative to that of the fixed gains, against episodes."""
-    episodes = np.array([entry["episode"] for entry in history])
-    rmse = np.array([entry["rmse"] for entry in history], np.float64)
-    with figure(path, 2, size=(7.0, 5.5), sharex=True) as (_, (returns, ratios)):
-        returns.plot(episodes, [-entry["return"] for entry in history], color=BLUE, marker=".")
-        returns.set(yscale="log", ylabel="- return")
-        for column, case in enumerate(cases):
-            ratios.plot(episodes, rmse[:, column] / reference[column], marker=".", label=case.name)
-        changed = [entry["changed"] for entry in history]
-        if None not in changed:
-            ratios.plot(episodes, changed, color="k", marker=".", label="drawn benches, mean")
-        ratios.axhline(1.0, color="0.5", linestyle="--")
-        ratios.set(xlabel="episodes", ylabel="RMSE / fixed ({:g}, {:g})".format(*REFERENCE_GAINS))
-        add_legend(ratios)
-
-
-SAVE_PERIOD = 20.0
-"""Minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk."""
-
-REPLAY_MAX = 1_152_000
-"""Maximum number of transitions in a pretraining's replay buffer, 138 MB: 640 episodes."""
+SOURCE = "pretrain.yaml"  # file name in a run's folder, beside config.yaml
+CURVE = "curve.png"  # file name of the learning curve, too
+SAVE_PERIOD = 20.0  # minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk
+REPLAY_MAX = 1_152_000  # maximum number of transitions in a pretraining's replay buffer, 138 MB: 640 episodes
 
 
 def pretrain(options: argparse.Namespace) -> int:
     """Run the pretraining of the command line; returns the exit status."""
     run = RunDirectory(options.resume or options.out)
-    if options.resume:
-        settings, source = resumed(run, sys.argv[1:])
-        raise_if_mismatched(source.trouble())
-        pretraining = new_pretraining(source, settings)
-        if any(run.latest.glob("*")):  # else interrupted during the first round: it starts again
-            best = run.path / AGENT
-            pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
-    else:
-        source = simulation_setup(options)
-        raise_if_mismatched(source.trouble())
-        settings = training_settings(options, source)
-        pretraining = new_pretraining(source, settings)
+    settings, source = resumed(run, sys.argv[1:]) if options.resume else requested(options)
+    raise_if_mismatched(source.trouble())
+    randomisation = rescale(Randomisation(), NOMINAL, settings.task.size) if source.randomise else None
+    simulation = PretrainSettings(
+        training=settings, benches=source.benches, randomisation=randomisation, filter=source.filter,
+        box=source.box_config(), evaluation=EvaluationSettings(amplitude=settings.task.size.force),
+    )  # fmt: skip
+    pretraining = Pretraining(simulation, source.simulated(), source.believed())
+    if not options.resume:
         run.create().save_settings(settings)
         write_whole(run.path / SOURCE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
+    elif any(run.latest.glob("*")):  # else interrupted during the first round: it starts again
+        best = run.path / AGENT
+        pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
     began = time.monotonic()
     try:
         _train(run, pretraining, source)
     except KeyboardInterrupt as interruption:
-        print(
-            f"interrupted after {pretraining.episode} episodes; go on with: pretrain --resume {run.path}",
-            file=sys.stderr,
-        )
+        again = f"go on with: pretrain --resume {run.path}"
+        print(f"interrupted after {pretraining.episode} episodes; {again}", file=sys.stderr)
         return endings.exit_status(interruption)
     finally:
-        _write_page(run, pretraining, source)
-    curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse).show(
-        options.json
-    )
+        if pretraining.history:
+            told = {"seed": settings.seed, "best score": pretraining.best_score, "code_version": code_version()}
+            curve = Section(heading="Learning curve", picture=run.path / CURVE)
+            sections = [curve, Section(heading="Rounds", table=curve_table(pretraining))]
+            write_page(run, f"Pretraining {run.path.name}", {**asdict(source), **told}, sections)
+        else:
+            refresh_index(run.path)
+    curve_table(pretraining).show(options.json)
     print(
         f"{run.path}: best score {pretraining.best_score:.3f}, {pretraining.sac.updates} updates, "
         f"{time.monotonic() - began:.0f} s\npolicy {run.policy}, learning curve {run.path / CURVE}, page {run.page}",
@@ -163,21 +88,25 @@ def pretrain(options: argparse.Namespace) -> int:
     return 0
 
 
-def training_settings(options: argparse.Namespace, source: SimulationSetup) -> TrainingSettings:
+def requested(options: argparse.Namespace) -> tuple[TrainingSettings, SimulationSetup]:
     """Return the settings of the command line; total gains are the configuration's, whatever the box's base gains."""
+    model = options.model or "shipped"
+    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
+    chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
+    source = SimulationSetup(model=model, box=options.box and os.path.abspath(options.box), **chosen)
+
+    def given(**names: str) -> dict[str, Any]:
+        return {name: value for name, option in names.items() if (value := getattr(options, option)) is not None}
+
     box = source.box_config()
     settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki), source.believed().size)
-    names = {"episodes": "episodes", "updates_per_step": "updates_per_step"}
-    settings = replace(settings, made=source.made_for(), **_given(options, names))
-    sac = replace(settings.sac, **_given(options, {"hidden": "hidden_size"}))
-    task = replace(settings.task, **_given(options, {"steps": "steps_per_episode"}))
-    rows = min(settings.episodes * task.steps_per_episode, REPLAY_MAX)
-    return replace(settings, sac=sac, task=task, replay_capacity=max(settings.replay_capacity, rows))
-
-
-def _given(options: argparse.Namespace, names: dict[str, str]) -> dict[str, Any]:
-    """Return the values of the options that were given, by the names of the settings."""
-    return {setting: value for name, setting in names.items() if (value := getattr(options, name)) is not None}
+    numbers = given(episodes="episodes", updates_per_step="updates_per_step")
+    settings = replace(
+        settings, made=source.made_for(), sac=replace(settings.sac, **given(hidden_size="hidden")),
+        task=replace(settings.task, **given(steps_per_episode="steps")), **numbers,
+    )  # fmt: skip
+    rows = min(settings.episodes * settings.task.steps_per_episode, REPLAY_MAX)
+    return replace(settings, replay_capacity=max(settings.replay_capacity, rows)), source
 
 
 def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
@@ -194,6 +123,14 @@ def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, 
         settings = replace(settings, episodes=episodes)
         run.save_settings(settings)
     return settings, source
+
+
+def load_simulation_setup(folder: Path) -> SimulationSetup:
+    """Return the simulation set-up of a run on disk. Raises UserError: the folder holds no pretraining."""
+    try:
+        return from_mapping(SimulationSetup, read_yaml(folder / SOURCE), SOURCE)
+    except SettingsError as error:
+        raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error
 
 
 def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
@@ -238,19 +175,48 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) 
         "code": code_version(),
     }  # fmt: skip
     policy.save(run.policy, training.task.gains, notes, training.made)
-    save_checkpoint(
-        run.latest, with_provenance(dump(pretraining.sac), training.made), pretraining.replay, pretraining.state()
-    )
-    cases = pretraining.settings.evaluation.cases
-    draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / CURVE)
+    agent = with_provenance(dump(pretraining.sac), training.made)
+    save_checkpoint(run.latest, agent, pretraining.replay, pretraining.state())
+    draw_curve(pretraining, run.path / CURVE)
 
 
-def _write_page(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    if not pretraining.history:
-        refresh_index(run.path)
-        return
-    told = {"seed": pretraining.settings.training.seed, "best score": pretraining.best_score}
-    about = {**asdict(source), **told, "code_version": code_version()}
-    table = curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse)
-    curve = Section(heading="Learning curve", picture=run.path / CURVE)
-    write_page(run, f"Pretraining {run.path.name}", about, [curve, Section(heading="Rounds", table=table)])
+def curve_table(pretraining: Pretraining) -> Table:
+    """Return the table with one row per round, the first for fixed gains."""
+    history, (kp, ki) = pretraining.history, REFERENCE_GAINS
+    names = [case.name for case in pretraining.settings.evaluation.cases]
+    drawn = bool(history) and history[0]["changed"] is not None
+    columns = {
+        "episode": "episodes so far",
+        "return": "mean return of the round's episodes",
+        "trips": "times a box tripped in them",
+        **dict.fromkeys(names, "force RMSE [N] of the mean action"),
+        "score": f"mean over cases and benches of the RMSE over that of fixed ({kp:g}, {ki:g}) there",
+        **({"changed": "the same over the drawn benches alone"} if drawn else {}),
+        "updates": "gradient updates so far",
+    }
+    table = Table(columns, title="pretraining")
+    fixed: dict[str, Any] = dict(zip(names, map(float, pretraining.reference_rmse), strict=True))
+    fixed |= {"return": math.nan, "trips": 0, "score": 1.0, "updates": 0} | ({"changed": 1.0} if drawn else {})
+    table.add(episode=f"fixed ({kp:g}, {ki:g})", **fixed)
+    for entry in history:
+        values = {key: entry[key] for key in columns.keys() & entry.keys() - {"episode"}}
+        table.add(**values, episode=str(entry["episode"]), **dict(zip(names, entry["rmse"], strict=True)))
+    return table
+
+
+def draw_curve(pretraining: Pretraining, path: Path) -> None:
+    """Draw the episodes' return, and RMSE of the mean action relative to that of the fixed gains, against episodes."""
+    history, reference = pretraining.history, pretraining.reference_rmse
+    episodes = np.array([entry["episode"] for entry in history])
+    rmse = np.array([entry["rmse"] for entry in history], np.float64)
+    with figure(path, 2, size=(7.0, 5.5), sharex=True) as (_, (returns, ratios)):
+        returns.plot(episodes, [-entry["return"] for entry in history], color=BLUE, marker=".")
+        returns.set(yscale="log", ylabel="- return")
+        for column, case in enumerate(pretraining.settings.evaluation.cases):
+            ratios.plot(episodes, rmse[:, column] / reference[column], marker=".", label=case.name)
+        changed = [entry["changed"] for entry in history]
+        if None not in changed:
+            ratios.plot(episodes, changed, color="k", marker=".", label="drawn benches, mean")
+        ratios.axhline(1.0, color="0.5", linestyle="--")
+        ratios.set(xlabel="episodes", ylabel="RMSE / fixed ({:g}, {:g})".format(*REFERENCE_GAINS))
+        add_legend(ratios)

@@ -15,9 +15,8 @@ resumed run ends with the same weights as an uninterrupted one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from typing import Annotated, Any
 
 import numpy as np
@@ -32,92 +31,17 @@ from hydro_policy.runs.run import Checkpoint, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, dump, restore
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS, events
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, events
 from hydro_policy.task.mdp.events import Randomisation, RandomisedBench
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
-REFERENCE_GAINS = (90.0, 15.0)
-"""K_p, K_i of the paper's controller III, which scores are relative to."""
+REFERENCE_GAINS = (90.0, 15.0)  # K_p, K_i of the paper's controller III, which scores are relative to
 
 BEARABLE = 0.02
 """Minimum share of drawn benches on which the reference gains do not trip, so that there is a basis of comparison."""
 
-TRIPPED = 10.0
-"""Score of a run in which the box trips, in RMSE of the reference gains."""
-
-
-class Examination:
-    """Examination of a policy on fixed cases (see the module's docstring).
-
-    Parameters
-    ----------
-    fleet
-        Returns a fleet of the given number of the known bench.
-    believed
-        Bench assumed by the boxes.
-    evaluation
-        Cases.
-    draw
-        Returns the drawn bench of a number; None: only the known bench.
-    drawn
-        Number of drawn benches: the first ones on which the reference gains do not trip.
-    base
-        K_p [1/s], K_i [1/s^2] of the boxes.
-
-    Raises
-    ------
-    ValueError
-        The reference gains trip on too many drawn benches (`BEARABLE`).
-    """
-
-    def __init__(
-        self,
-        fleet: Callable[[int], VectorBench],
-        believed: Bench,
-        evaluation: EvaluationSettings,
-        draw: Callable[[int], RandomisedBench] | None = None,
-        drawn: int = 0,
-        base: tuple[float, float] = BASE,
-    ) -> None:
-        self._make, self._believed, self._evaluation = fleet, believed, evaluation
-        self._benches: list[RandomisedBench] = []
-        reference = vector_runs.fixed(np.array(REFERENCE_GAINS), base)
-        known = self._rmse(reference, [None])
-        self.reference: FloatArray = np.where(np.isnan(known), evaluation.amplitude / math.sqrt(2.0), known)
-        """RMSE of the reference gains [N], shape (benches, cases); where they trip, that of no tracking at all."""
-        if draw is not None:
-            for bench, rmse in islice(self._bearable(draw, reference, round(drawn / BEARABLE)), drawn):
-                self._benches.append(bench)
-                self.reference = np.concatenate((self.reference, rmse))
-
-    def __call__(self, choose: Chooser) -> tuple[FloatArray, FloatArray]:
-        """Return the policy's RMSE [N], NaN where the box tripped, and its ratio to that of the reference gains there.
-
-        Shape (benches, cases) each, the first bench is the known one; the ratio is `TRIPPED` where the box tripped.
-        """
-        rmse = self._rmse(choose, [None, *self._benches])
-        return rmse, np.where(np.isnan(rmse), TRIPPED, rmse / self.reference)
-
-    def _bearable(
-        self, draw: Callable[[int], RandomisedBench], reference: Chooser, tries: int
-    ) -> Iterator[tuple[RandomisedBench, FloatArray]]:
-        for number in range(tries):
-            bench = draw(number)
-            rmse = self._rmse(reference, [bench])
-            if np.isfinite(rmse).all():
-                yield bench, rmse
-        raise ValueError(f"of {tries} drawn benches too few bear the fixed gains {REFERENCE_GAINS} to be examined on")
-
-    def _rmse(self, choose: Chooser, benches: Sequence[RandomisedBench | None]) -> FloatArray:
-        cases = self._evaluation.cases
-        fleet, played = self._make(len(benches) * len(cases)), list(cases) * len(benches)
-        for index, case in enumerate(played):
-            bench = benches[index // len(cases)]
-            if bench is not None:
-                fleet.replace(index, self._believed, bench.plant, bench.gain_delay, bench.dead_time)
-                played[index] = replace(case, signal=bench.within_reach(case.signal))
-        return vector_runs.rmse(fleet, played, choose, self._evaluation).reshape(len(benches), len(cases))
+TRIPPED = 10.0  # score of a run in which the box trips, in RMSE of the reference gains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,25 +81,20 @@ class Pretraining:
         self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
         self.policy = Policy(training.sac, training.task.size)
         self.rng = np.random.default_rng(training.seed)
-        self.episode = 0
-        """Episodes finished."""
+        self.episode = 0  # episodes finished
         self.history: list[dict[str, Any]] = []
-        """One entry per round: episode, mean return, trips, RMSE at each frequency, scores (`examination`)."""
+        """One entry per round: episode, mean return, trips, RMSE at each frequency, scores."""
         self.best_score = math.inf
-        self.best: bytes | None = None
-        """Agent (`sac.dump`) with the best score so far; not part of `state`."""
+        self.best: bytes | None = None  # agent (`sac.dump`) with the best score so far; not part of `state`
         self._take_weights()
-        draw = None if settings.randomisation is None else self._examined_bench
-        self._exam = Examination(
-            self._fleet,
-            believed,
-            settings.evaluation,
-            draw,
-            settings.examined,
-            (settings.box.base_kp, settings.box.base_ki),
-        )
-        self.reference_rmse = self._exam.reference[0]
-        """RMSE of the reference gains on the known bench [N], shape (cases,)."""
+        self._examined: list[RandomisedBench | None] = [None]  # the known bench, then drawn ones
+        fixed = vector_runs.fixed(np.array(REFERENCE_GAINS), (settings.box.base_kp, settings.box.base_ki))
+        known = self._rmse(fixed, self._examined)
+        self._reference = np.where(np.isnan(known), settings.evaluation.amplitude / math.sqrt(2.0), known)
+        if settings.randomisation is not None:
+            self._draw_examined(fixed, settings.randomisation)
+        self.reference_rmse: FloatArray = self._reference[0]
+        """RMSE of the reference gains on the known bench [N], shape (cases,); where they trip, that of no tracking."""
 
     @property
     def finished(self) -> bool:
@@ -200,7 +119,10 @@ class Pretraining:
             transitions = self.environment.step(self.policy.act(observation, self.rng))
             observation = self.environment.observation
             self.replay.extend(transitions.rows()[:count])
-            self._learn()
+            due = training.updates_due(self.replay.produced) - self.sac.updates
+            if due > 0:
+                self.sac.learn(self.replay, due)
+                self._take_weights()
             returns += transitions.reward
             trips += int(transitions.terminated[:count].sum())
             each_step(transitions)
@@ -224,18 +146,13 @@ class Pretraining:
         self.best, self.rng.bit_generator.state = best, state["random_state"]
         self._take_weights()
 
-    def _learn(self) -> None:
-        due = self.settings.training.updates_due(self.replay.produced) - self.sac.updates
-        if due > 0:
-            self.sac.learn(self.replay, due)
-            self._take_weights()
-
     def _take_weights(self) -> None:
         self.policy.load_flat(self.sac.actor_parameters())
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
-        """Examine the mean action on the four sines: adds an entry to `history`, and updates the best agent."""
-        rmse, ratio = self._exam(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
+        """Examine the mean action: adds an entry to `history`, and updates the best agent."""
+        rmse = self._rmse(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains), self._examined)
+        ratio = np.where(np.isnan(rmse), TRIPPED, rmse / self._reference)
         score = float(ratio.mean())
         if score < self.best_score:
             self.best_score, self.best = score, dump(self.sac)
@@ -248,10 +165,34 @@ class Pretraining:
             }
         )  # fmt: skip
 
-    def _examined_bench(self, number: int) -> RandomisedBench:
-        assert self.settings.randomisation is not None
-        seed = events.stream_seed(self.settings.training.seed, number, events.EXAMINED)
-        return events.draw_bench(self.settings.randomisation, self._episodes.source, seed)
+    def _draw_examined(self, fixed: Chooser, randomisation: Randomisation) -> None:
+        """Draw the benches that policies are examined on, of those on which the reference gains do not trip."""
+        wanted, seed = self.settings.examined, self.settings.training.seed
+        for number in range(round(wanted / BEARABLE)):
+            drawn = events.stream_seed(seed, number, events.EXAMINED)
+            bench = events.draw_bench(randomisation, self._episodes.source, drawn)
+            rmse = self._rmse(fixed, [bench])
+            if np.isfinite(rmse).all():
+                self._examined.append(bench)
+                self._reference = np.concatenate((self._reference, rmse))
+            if len(self._examined) > wanted:
+                return
+        if wanted:
+            tries = round(wanted / BEARABLE)
+            raise ValueError(
+                f"of {tries} drawn benches too few bear the fixed gains {REFERENCE_GAINS} to be examined on"
+            )
+
+    def _rmse(self, choose: Chooser, benches: Sequence[RandomisedBench | None]) -> FloatArray:
+        """Return the RMSE [N] on each bench and case, NaN where the box tripped; None: the known bench."""
+        evaluation = self.settings.evaluation
+        fleet, played = self._fleet(len(benches) * len(evaluation.cases)), list(evaluation.cases) * len(benches)
+        for index, case in enumerate(played):
+            bench = benches[index // len(evaluation.cases)]
+            if bench is not None:
+                fleet.replace(index, self._believed, bench.plant, bench.gain_delay, bench.dead_time)
+                played[index] = replace(case, signal=bench.within_reach(case.signal))
+        return vector_runs.rmse(fleet, played, choose, evaluation).reshape(len(benches), len(evaluation.cases))
 
     def _fleet(self, count: int) -> VectorBench:
         filters = fleet_filter(self.settings.filter, self._believed, count)

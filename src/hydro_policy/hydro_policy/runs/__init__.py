@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run on disk: folder, settings, checkpoints, run.json, the initial agent.
-
-May import `task`, `sac` and the settings of `supervision`.
-"""
+"""A run on disk: folder, settings, checkpoints, run.json, the initial agent."""

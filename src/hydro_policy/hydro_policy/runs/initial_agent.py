@@ -19,8 +19,7 @@ from hydro_sim.model.bench import NOMINAL
 
 AGENT = "learner.safetensors"
 
-ACTOR_LEARNING_RATE_SCALE = 0.1
-"""Factor on the actor's learning rate on the bench."""
+ACTOR_LEARNING_RATE_SCALE = 0.1  # factor on the actor's learning rate on the bench
 
 REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
 """Fields of `TaskSettings` that define the reward."""
@@ -30,19 +29,14 @@ REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale"
 class InitialAgent:
     """An initial agent."""
 
-    agent: bytes
-    """Agent as returned by `sac.dump`; its updates are counted from here."""
-    sac: SacSettings
-    """Settings of the algorithm that it was trained with."""
-    gains: GainRange
-    """Range of gains that its actions map to."""
+    agent: bytes  # agent as returned by `sac.dump`; its updates are counted from here
+    sac: SacSettings  # settings of the algorithm that it was trained with
+    gains: GainRange  # range of gains that its actions map to
     reward: dict[str, Any]
     """Reward that it was trained on, fields of `TaskSettings`: its critics are valid for no other."""
     source: Path
-    made: MadeFor | None = None
-    """Box that it was made for; None: not recorded in its files."""
-    size: Size = NOMINAL
-    """Of the bench that its reward is for."""
+    made: MadeFor | None = None  # box that it was made for; None: not recorded in its files
+    size: Size = NOMINAL  # of the bench that its reward is for
 
     def adopted(self, settings: TrainingSettings) -> TrainingSettings:
         """Return the settings with this agent's network size, range of gains and reward.

@@ -12,7 +12,7 @@ from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import Table, plural, print_above_progress
 from hydro_core.files.atomic import write_whole
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 Events = Sequence[Mapping[str, Any]]
@@ -22,13 +22,21 @@ _LOSSES = ("critics_loss", "actor_loss")
 _TOLD = ("start", "uncovered", "stop", "override", "end")
 
 
-def sections(events: Events, curve: Path) -> list[Section]:
+def sections(record: RunRecord, curve: Path) -> list[Section]:
     """Return the sections of a training's page; `curve` is the picture of `draw_curve`."""
-    found = [Section(heading="Learning curve", text=_summary(events), picture=curve)]
-    exams = exam_table(events)
-    if exams.rows:
-        found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=exams))
-    return [*found, Section(heading="What happened", table=event_table(events))]
+    episodes, exams, stops = (record.of(kind) for kind in ("episode", "exam", "stop"))
+    last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
+    summary = f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}."
+    if exams and episodes and not any(exam["best"] and exam["episode"] > 0 for exam in exams):
+        summary += f" {NONE_BETTER[0].upper()}{NONE_BETTER[1:]}."
+    found = [Section(heading="Learning curve", text=summary, picture=curve)]
+    if exams:
+        found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=_table(exams)))
+    happened = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
+    for event in record.events:
+        if event["kind"] in _TOLD:
+            happened.add(time=_utc(str(event.get("time", ""))), event=event["kind"], sentence=_sentence(event))
+    return [*found, Section(heading="What happened", table=happened)]
 
 
 def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections: Sequence[Section]) -> None:
@@ -41,9 +49,9 @@ def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections
     refresh_index(run.path)
 
 
-def draw_curve(events: Events, path: Path) -> None:
+def draw_curve(record: RunRecord, path: Path) -> None:
     """Draw return and force RMSE of episodes, scores of examinations and rollbacks; draws nothing without data."""
-    episodes, exams = _of(events, "episode"), _of(events, "exam")
+    episodes, exams = record.of("episode"), record.of("exam")
     if not episodes and not exams:
         return
     learnt = [event for event in episodes if event.get(_LOSSES[0]) is not None]
@@ -56,13 +64,24 @@ def draw_curve(events: Events, path: Path) -> None:
         axes[1].plot(numbers, rmse, color=ORANGE, marker=".", label="while it explores")
         axes[1].set(ylabel="force RMSE [N]")
         if exams:
-            _draw_exams(axes[2], exams)
+            scored = [(event["episode"], event["score"]) for event in exams]
+            axes[2].plot(*zip(*scored, strict=True), color=GREEN, marker=".", label="examinations")
+            kept = [pair for pair, event in zip(scored, exams, strict=True) if event["best"]]
+            if kept:
+                ring = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "linestyle": "none"}
+                axes[2].plot(*kept[-1], color=GREEN, label="kept", **ring)
+            axes[2].axhline(1.0, color=GRAY, linestyle="--", label="fixed gains")
+            axes[2].set(ylabel="RMSE / fixed gains'")
         for axis, name, color in zip(axes[-len(_LOSSES) :], _LOSSES, (BLUE, ORANGE), strict=True) if learnt else ():
             losses = [event[name] for event in learnt]
             axis.plot([event["episode"] for event in learnt], losses, color=color, marker=".", label="last updates")
             axis.set(ylabel=name.replace("_", " "))
+        stops, episode = [], 0.5  # rollbacks, half an episode behind the last one
+        for event in record.events:
+            episode = event["episode"] + 0.5 if event["kind"] == "episode" else episode
+            stops += [episode] if event["kind"] == "stop" else []
         for panel in axes:
-            for n, stop in enumerate(_stops(events)):
+            for n, stop in enumerate(stops):
                 panel.axvline(stop, color=RED, linewidth=0.8, label=None if n else "rolled back")
             add_legend(panel)
         axes[-1].set(xlabel="episodes")
@@ -70,20 +89,7 @@ def draw_curve(events: Events, path: Path) -> None:
         drawing.align_ylabels()
 
 
-def _draw_exams(axes: Any, exams: Events) -> None:
-    numbers, scores = [event["episode"] for event in exams], [event["score"] for event in exams]
-    axes.plot(numbers, scores, color=GREEN, marker=".", label="examinations")
-    kept = [(event["episode"], event["score"]) for event in exams if event["best"]]
-    if kept:
-        axes.plot(
-            *kept[-1], color=GREEN, marker="o", markersize=9, markerfacecolor="none", linestyle="none", label="kept"
-        )
-    axes.axhline(1.0, color=GRAY, linestyle="--", label="fixed gains")
-    axes.set(ylabel="RMSE / fixed gains'")
-
-
-def exam_table(events: Events) -> Table:
-    """Return the table of all examinations."""
+def _table(exams: Events) -> Table:
     columns = {
         "episode": "episodes learnt from",
         "score": "mean of the RMSE over that of the fixed gains",
@@ -92,20 +98,9 @@ def exam_table(events: Events) -> Table:
         "kept": "whether it was the best so far",
     }
     table = Table(columns, title="Examinations")
-    for event in _of(events, "exam"):
-        cells = ", ".join(map(_number, event["rmse"]))
-        table.add(episode=event["episode"], score=event["score"], beaten=event["beaten"], rmse=cells,
-                  kept="yes" if event["best"] else "no")  # fmt: skip
-    return table
-
-
-def event_table(events: Events) -> Table:
-    """Return the table of events: start, stops, overrides, end."""
-    table = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
-    for event in events:
-        if event["kind"] in _TOLD:
-            when = _utc(str(event.get("time", "")))
-            table.add(time=when, event=event["kind"], sentence=_sentence(event))
+    for event in exams:
+        cells = {key: event[key] for key in ("episode", "score", "beaten")}
+        table.add(**cells, rmse=", ".join(map(_number, event["rmse"])), kept="yes" if event["best"] else "no")
     return table
 
 
@@ -125,28 +120,5 @@ def _sentence(event: Mapping[str, Any]) -> str:
     return "complete" if event.get("complete") else "ended before all was done; it can be resumed"
 
 
-def _summary(events: Events) -> str:
-    episodes, stops = _of(events, "episode"), _of(events, "stop")
-    last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
-    exams = _of(events, "exam")
-    none = exams and episodes and not any(exam["best"] and exam["episode"] > 0 for exam in exams)
-    kept = f" {NONE_BETTER[0].upper()}{NONE_BETTER[1:]}." if none else ""
-    return f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}.{kept}"
-
-
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"  # non-finite values are null
-
-
-def _stops(events: Events) -> list[float]:
-    """Return the positions of rollbacks on the episode axis, offset by half an episode."""
-    found, episode = [], 0
-    for event in events:
-        episode = event.get("episode", episode) if event["kind"] == "episode" else episode
-        if event["kind"] == "stop":
-            found.append(episode + 0.5)
-    return found
-
-
-def _of(events: Events, kind: str) -> list[Mapping[str, Any]]:
-    return [event for event in events if event["kind"] == kind]

@@ -177,23 +177,19 @@ class Scalars:
         if self._writer is None:  # its own SummaryWriter loses what waits in its queue at the end of the process
             self._folder.mkdir(parents=True, exist_ok=True)
             self._writer = EventsWriter(str(self._folder / "events"))
-        entries = dict(numbers)
-        step = entries.pop("episode")
-        for name, value in entries.items():
-            for tag, one in _numbered(name, value):
-                summary = scalar(f"{kind}/{tag}", one)
+        tagged: dict[str, Any] = {}
+        for name, value in numbers.items():
+            several = isinstance(value, (list, tuple))
+            tagged |= {f"{name}_{n}": one for n, one in enumerate(value)} if several else {name: value}
+        step = tagged.pop("episode")
+        for tag, value in tagged.items():
+            if isinstance(value, (int, float)) and math.isfinite(value):
+                summary = scalar(f"{kind}/{tag}", float(value))
                 self._writer.write_event(Event(wall_time=time.time(), step=step, summary=summary))
         self._writer.flush()
 
 
-def _numbered(name: str, value: Any) -> list[tuple[str, float]]:
-    if isinstance(value, (list, tuple)):
-        return [(f"{name}_{n}", one) for n, one in enumerate(value) if math.isfinite(one)]
-    return [(name, float(value))] if isinstance(value, (int, float)) and math.isfinite(value) else []
-
-
-_TRAINED = ("episode", "exam", "stop")
-"""Kinds of events after which a policy is another one."""
+_TRAINED = ("episode", "exam", "stop")  # kinds of events after which a policy is another one
 
 
 class RunRecord:
@@ -226,7 +222,12 @@ class RunRecord:
                 self._written.result()  # raises a write error
             if self._scalars is not None and "episode" in numbers:
                 self._writer.submit(self._scalars.add, kind, numbers)
-            self._written = self._writer.submit(_write, self._path, tuple(self.events))
+            self._written = self._writer.submit(self._write, self._path, tuple(self.events))
+
+    @staticmethod
+    def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
+        write_whole(path, encode_json({"events": events}))
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """Return all events of a kind."""
@@ -244,11 +245,6 @@ class RunRecord:
         Raises OSError: the file cannot be written.
         """
         self._written.result()
-
-
-def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
-    write_whole(path, encode_json({"events": events}))
 
 
 def _plain(value: Any) -> Any:
@@ -279,7 +275,8 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
         rows, produced = replay.stored()
         with (partial / "replay.npy").open("wb") as file:
             np.save(file, rows)
-            _flush(file)
+            file.flush()
+            os.fsync(file.fileno())
         write_whole(partial / "learner.safetensors", learner)
         state = {"produced": produced, "trainer": trainer}
         write_whole(partial / "trainer.json", json.dumps(state, indent=1).encode())
@@ -312,8 +309,3 @@ def load_checkpoint(folder: Path) -> Checkpoint:
         return Checkpoint((source / "learner.safetensors").read_bytes(), rows, int(state["produced"]), state["trainer"])
     except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{folder} holds no readable checkpoint: {error}") from error
-
-
-def _flush(file: Any) -> None:
-    file.flush()
-    os.fsync(file.fileno())

@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Soft Actor-Critic: the algorithm, its compiled updates, networks, replay buffer, snapshots, the acting policy.
-
-May import `task`.
-"""
+"""Soft Actor-Critic: the algorithm, its compiled updates, networks, replay buffer, snapshots, the acting policy."""

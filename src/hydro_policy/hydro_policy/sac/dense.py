@@ -28,10 +28,8 @@ BLOCK = 128
 BLOCKS = 4
 GAP = 16
 """Numbers between rows, one cache line: rows a power of two apart would share the same few places of the cache."""
-ROW = BLOCK * BLOCKS + GAP
-"""Numbers from one row to the next."""
-BATCH_MAX = BLOCK * BLOCKS
-"""Largest batch."""
+ROW = BLOCK * BLOCKS + GAP  # numbers from one row to the next
+BATCH_MAX = BLOCK * BLOCKS  # largest batch
 
 LOOSE = {"reassoc", "contract"}
 """Sums may be reordered and fused, which vectorizes them; NaN and infinity keep their meaning."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_whole
-from hydro_core.signals import FloatArray
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
 from hydro_sim.box.header import header_file, initializer, wrap_words
@@ -35,11 +34,11 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
     """Return the header that defines `HYDRO_POLICY`; the last layer contains only the outputs of the mean."""
     weights = [*policy.weights[:-1], policy.weights[-1][:, :ACTIONS]]
     biases = [*policy.biases[:-1], policy.biases[-1][:ACTIONS]]
-    arrays = [
-        f"static const float {name}_{k + 1}[{array.size}] = {{\n{_floats(array)}}};"
-        for k, pair in enumerate(zip(weights, biases, strict=True))
-        for name, array in zip(("HYDRO_POLICY_WEIGHT", "HYDRO_POLICY_BIAS"), pair, strict=True)
-    ]
+    arrays = []
+    for k, pair in enumerate(zip(weights, biases, strict=True), 1):
+        for name, array in zip(("HYDRO_POLICY_WEIGHT", "HYDRO_POLICY_BIAS"), pair, strict=True):
+            numbers = wrap_words(map(_decimal, np.asarray(array, np.float32).ravel()))
+            arrays.append(f"static const float {name}_{k}[{array.size}] = {{\n{numbers}}};\n")
     low, high = (gains.changes(np.full(ACTIONS, end)) for end in (-1.0, 1.0))
     center, scale = normalization(policy.size)
     members = {
@@ -49,20 +48,16 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
     }  # fmt: skip
     body = [
         f'#define HYDRO_POLICY_UNITS {policy.sizes[1]}\n#include "hydro/policy.h"\n',
-        *(f"{array}\n" for array in arrays),
+        *arrays,
         f"static const hydro_policy HYDRO_POLICY = {initializer(members)};",
     ]
     return header_file("HYDRO_POLICY_WEIGHTS_H", origin, "\n".join(body))
 
 
-def _floats(array: FloatArray) -> str:
-    """Return float32 numbers, row by row, as decimals that convert back to the same float32."""
-    return wrap_words(f"{_decimal(number)}f" for number in np.asarray(array, np.float32).ravel())
-
-
 def _decimal(number: np.float32) -> str:
+    """Return a number as the decimal that converts back to the same float32."""
     text = str(number)
-    return text if "." in text or "e" in text else f"{text}.0"
+    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
 
 
 @command(ValueError)

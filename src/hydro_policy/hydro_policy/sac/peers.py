@@ -40,8 +40,8 @@ def policy_of(learner: Any, size: Size) -> Policy:
 
     Raises ValueError: it cannot be deployed; the sentence says why.
     """
-    is_baseline = hasattr(learner, "get_vec_normalize_env")
-    actor, center, scale, bounds, act = (_of_baselines if is_baseline else _of_skrl)(learner)
+    baseline = hasattr(learner, "get_vec_normalize_env")
+    actor, center, scale, bounds, act = _of_baselines(learner) if baseline else _of_skrl(learner)
     layers = _layers(actor)
     shapes = [weight.shape for weight, _ in layers]
     hidden = shapes[0][1]

@@ -11,7 +11,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,13 +19,7 @@ from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_core.size import Size
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import (
-    ACTIONS,
-    OBSERVATION_NAMES,
-    OBSERVATIONS,
-    GainRange,
-    normalization,
-)
+from hydro_policy.task.mdp import ACTIONS, OBSERVATION_NAMES, OBSERVATIONS, GainRange, normalization
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.model.bench import NOMINAL
@@ -46,7 +39,7 @@ class Policy:
         self.biases = [np.zeros(o) for o in self.sizes[1:]]
 
     def load_flat(self, parameters: FloatArray) -> None:
-        """Take over the actor's flat parameters (order of `algorithm.StackedMlp`), any float type."""
+        """Take over the actor's flat parameters (in the order of `sac.layers`), any float type."""
         offset = 0
         for weight, bias in zip(self.weights, self.biases, strict=True):
             for array in (weight, bias):
@@ -110,32 +103,24 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
     """
     tensors, header = weights.load(path)
     try:
-        return _checked(header, tensors)
+        seen, (low, high) = header["observation"], header["log_std_bounds"]
+        size = Size(**seen["size"]) if "size" in seen else NOMINAL
+        check(size)
+        center, scale = normalization(size)
+        known = OBSERVATION_NAMES, center.tolist(), scale.tolist()
+        if (tuple(seen["names"]), seen["center"], seen["scale"]) != known:
+            raise ValueError(f"it was trained on another observation: {', '.join(seen['names'])}")
+        sac = SacSettings(hidden_size=int(header["architecture"]["sizes"][1]), log_std_min=low, log_std_max=high)
+        reach = GainRange(**header["gains"])
+        check(sac)
+        check(reach)
+        policy = Policy(sac, size)
+        for name, arrays in (("weight", policy.weights), ("bias", policy.biases)):
+            check_shapes(tensors, {f"{name}_{k}": array.shape for k, array in enumerate(arrays)})
+            for k, array in enumerate(arrays):
+                array[:] = tensors[f"{name}_{k}"]
+        return policy, reach, header["notes"]
     except (KeyError, IndexError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is not a policy, or damaged: its header lacks {error}") from error
     except ValueError as error:
         raise ValueError(f"{path} cannot be used: {error}") from error
-
-
-def _checked(header: dict[str, Any], tensors: dict[str, Any]) -> tuple[Policy, GainRange, dict[str, object]]:
-    """Return the policy of a file's header and tensors; raises ValueError, KeyError or TypeError if it is not one."""
-    seen = header["observation"]
-    size = Size(**seen["size"]) if "size" in seen else NOMINAL
-    check(size)
-    center, scale = normalization(size)
-    if (
-        tuple(seen["names"]) != OBSERVATION_NAMES
-        or seen["center"] != center.tolist()
-        or seen["scale"] != scale.tolist()
-    ):
-        raise ValueError(f"it was trained on another observation: {', '.join(seen['names'])}")
-    hidden, (low, high) = int(header["architecture"]["sizes"][1]), header["log_std_bounds"]
-    sac, reach = SacSettings(hidden_size=hidden, log_std_min=low, log_std_max=high), GainRange(**header["gains"])
-    check(sac)
-    check(reach)
-    policy = Policy(sac, size)
-    check_shapes(tensors, {f"weight_{k}": weight.shape for k, weight in enumerate(policy.weights)})
-    check_shapes(tensors, {f"bias_{k}": bias.shape for k, bias in enumerate(policy.biases)})
-    for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
-        weight[:], bias[:] = tensors[f"weight_{k}"], tensors[f"bias_{k}"]
-    return policy, reach, header["notes"]

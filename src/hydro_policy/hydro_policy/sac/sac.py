@@ -123,46 +123,31 @@ def four(count):
     return (count + 3) // 4 * 4
 
 
-class Sizes(NamedTuple):
-    """Sizes of `members` perceptrons with two equal hidden layers, in one flat vector, one after the other.
+Layer = tuple[Places, Places]
+"""Where the weights [member, fan_in, fan_out] and the biases [member, fan_out] of a layer lie."""
 
-    Every layer is padded with zeros to a multiple of four. The gradients there are zero, so that they stay zero.
+
+def layers(members: int, inputs: tuple[int, ...], hidden: int, outputs: int) -> tuple[int, list[Layer]]:
+    """Return the length of the flat vector of `members` perceptrons with two equal hidden layers, and their layers.
+
+    Every layer is padded with zeros to a multiple of four. The gradients there are zero, so that they stay zero. In the
+    order of the layers, without padding, weights and biases are in files and in `Policy.load_flat`. `inputs`: numbers
+    of the inputs of each kind, observations, then actions; each kind is padded.
     """
-
-    members: int
-    inputs: tuple[int, ...]
-    """Numbers of the inputs of each kind, observations, then actions; each kind is padded."""
-    hidden: int
-    outputs: int
-
-    @property
-    def padded(self) -> tuple[int, int, int]:
-        """Padded inputs, hidden units, outputs."""
-        return sum(map(four.py_func, self.inputs)), four.py_func(self.hidden), four.py_func(self.outputs)
-
-    @property
-    def length(self) -> int:
-        """Length of the flat vector."""
-        inputs, hidden, outputs = self.padded
-        return self.members * ((inputs + hidden + 2) * hidden + (hidden + 1) * outputs)
-
-    def places(self) -> list[tuple[Places, Places]]:
-        """Return where the weights [member, fan_in, fan_out] and the biases [member, fan_out] of each layer lie.
-
-        In this order, without padding, they are in files and in `Policy.load_flat`.
-        """
-        starts = np.cumsum([0, *map(four.py_func, self.inputs)])
-        inputs = np.concatenate([start + np.arange(n) for start, n in zip(starts, self.inputs, strict=False)])
-        units = [inputs, np.arange(self.hidden), np.arange(self.hidden), np.arange(self.outputs)]
-        members = np.arange(self.length).reshape(self.members, -1)
-        networks = [network.py_func(flat, *self.padded) for flat in members]
-        return [
-            (
-                np.stack([each[2 * k][np.ix_(units[k], units[k + 1])] for each in networks]),
-                np.stack([each[2 * k + 1][units[k + 1]] for each in networks]),
-            )
-            for k in range(3)
-        ]
+    starts = np.cumsum([0, *map(four.py_func, inputs)])
+    padded = int(starts[-1]), four.py_func(hidden), four.py_func(outputs)
+    length = (padded[0] + padded[1] + 2) * padded[1] + (padded[1] + 1) * padded[2]
+    of_inputs = np.concatenate([start + np.arange(n) for start, n in zip(starts, inputs, strict=False)])
+    units = [of_inputs, np.arange(hidden), np.arange(hidden), np.arange(outputs)]
+    networks = [network.py_func(flat, *padded) for flat in np.arange(members * length).reshape(members, -1)]
+    found = [
+        (
+            np.stack([each[2 * k][np.ix_(units[k], units[k + 1])] for each in networks]),
+            np.stack([each[2 * k + 1][units[k + 1]] for each in networks]),
+        )
+        for k in range(3)
+    ]
+    return members * length, found
 
 
 class Network(NamedTuple):
@@ -198,6 +183,13 @@ def network(flat, inputs, hidden, outputs):
         flat[a + hidden : b].reshape(hidden, hidden), flat[b : b + hidden],
         flat[b + hidden : c].reshape(hidden, outputs), flat[c : c + outputs],
     )  # fmt: skip
+
+
+@njit
+def twins(flat, inputs, hidden):
+    """Return the layers of both critics, whose only output is padded to four."""
+    half = len(flat) // 2
+    return network(flat[:half], inputs, hidden, 4), network(flat[half:], inputs, hidden, 4)
 
 
 @njit
@@ -290,24 +282,16 @@ def learn(agent, c, steps, rows, places, noise, losses):
     n, m, batch, kind = c.observations, c.actions, places.shape[1], agent.targets.dtype
     zero, one, two, share = kind.type(0.0), kind.type(1.0), kind.type(2.0), kind.type(1.0 / batch)
     first_action = four(n)  # row of the inputs
-    inputs, hidden, half = first_action + four(m), four(c.hidden), len(agent.targets) // 2
+    inputs, hidden = first_action + four(m), four(c.hidden)
     actor = network(agent.actor.parameters, first_action, hidden, four(2 * m))
     actor_gradient = network(agent.actor.gradient, first_action, hidden, four(2 * m))
-    q_1 = network(agent.critics.parameters[:half], inputs, hidden, 4)
-    q_2 = network(agent.critics.parameters[half:], inputs, hidden, 4)
-    gradient_1 = network(agent.critics.gradient[:half], inputs, hidden, 4)
-    gradient_2 = network(agent.critics.gradient[half:], inputs, hidden, 4)
-    target_1 = network(agent.targets[:half], inputs, hidden, 4)
-    target_2 = network(agent.targets[half:], inputs, hidden, 4)
-    of_actor, of_1, of_2 = passed(actor), passed(q_1), passed(q_2)
+    q, q_gradient = twins(agent.critics.parameters, inputs, hidden), twins(agent.critics.gradient, inputs, hidden)
+    target = twins(agent.targets, inputs, hidden)
+    of_actor, of_q = passed(actor), (passed(q[0]), passed(q[1]))
     now, following = np.zeros(inputs * ROW, kind), np.zeros(inputs * ROW, kind)  # [o, a] and [o', a'] as columns
-    slope_1, slope_2 = np.zeros(four(m) * ROW, kind), np.zeros(four(m) * ROW, kind)
-    reward, going_on, y, log_pi = (
-        np.empty(batch, kind),
-        np.empty(batch, kind),
-        np.empty(batch, kind),
-        np.empty(batch, kind),
-    )
+    slope = np.zeros(four(m) * ROW, kind), np.zeros(four(m) * ROW, kind)
+    reward, going_on = np.empty(batch, kind), np.empty(batch, kind)
+    y, log_pi = np.empty(batch, kind), np.empty(batch, kind)
     deviation, inside = np.empty((m, batch), kind), np.empty((m, batch), kind)
 
     for update in range(len(places)):
@@ -325,44 +309,43 @@ def learn(agent, c, steps, rows, places, noise, losses):
 
         # targets: y = c r + gamma (1 - d) (min_i Q'_i(o', a') - alpha log pi(a'|o')), a' ~ pi(o')
         sample(actor, c, following, noise[update, 0], of_actor, log_pi, deviation, inside)
-        forward(target_1, following, of_1, batch)
-        forward(target_2, following, of_2, batch)
+        for i in range(2):
+            forward(target[i], following, of_q[i], batch)
         for k in range(batch):
-            value = min(of_1.y[k], of_2.y[k]) - alpha * log_pi[k]
+            value = min(of_q[0].y[k], of_q[1].y[k]) - alpha * log_pi[k]
             y[k] = c.reward_scale * reward[k] + c.gamma * going_on[k] * value
 
         # critics: gradient of 1/2 sum_i mean (Q_i(o, a) - y)^2
-        forward(q_1, now, of_1, batch)
-        forward(q_2, now, of_2, batch)
+        for i in range(2):
+            forward(q[i], now, of_q[i], batch)
         squares = 0.0
         for k in range(batch):
-            error_1, error_2 = of_1.y[k] - y[k], of_2.y[k] - y[k]
-            of_1.gy[k], of_2.gy[k] = share * error_1, share * error_2
+            error_1, error_2 = of_q[0].y[k] - y[k], of_q[1].y[k] - y[k]
+            of_q[0].gy[k], of_q[1].gy[k] = share * error_1, share * error_2
             squares += error_1 * error_1 + error_2 * error_2
-        backward(q_1, now, of_1, batch, gradient_1)
-        backward(q_2, now, of_2, batch, gradient_2)
+        for i in range(2):
+            backward(q[i], now, of_q[i], batch, q_gradient[i])
         adam(agent.critics, step)
         losses[update, 0] = 0.5 * squares / batch
 
         # actor: gradient of mean(alpha log pi(a|o) - min_i Q_i(o, a)), a = tanh(u), u = mu + sigma eps
         sample(actor, c, now, noise[update, 1], of_actor, log_pi, deviation, inside)
-        forward(q_1, now, of_1, batch)
-        forward(q_2, now, of_2, batch)
+        for i in range(2):
+            forward(q[i], now, of_q[i], batch)
         total = 0.0
         for k in range(batch):  # only the smaller critic passes its gradient on
-            of_1.gy[k], of_2.gy[k] = (one, zero) if of_1.y[k] <= of_2.y[k] else (zero, one)
-            total += alpha * log_pi[k] - min(of_1.y[k], of_2.y[k])
-        backpropagate(q_1, of_1, batch)
-        backpropagate(q_2, of_2, batch)
-        to_actions_1, to_actions_2 = q_1.w1[first_action:].T.copy(), q_2.w1[first_action:].T.copy()
-        for at in range(0, batch, BLOCK):  # dQ/da
-            affine(to_actions_1, np.zeros(four(m), kind), of_1.g1, slope_1, at)
-            affine(to_actions_2, np.zeros(four(m), kind), of_2.g1, slope_2, at)
+            of_q[0].gy[k], of_q[1].gy[k] = (one, zero) if of_q[0].y[k] <= of_q[1].y[k] else (zero, one)
+            total += alpha * log_pi[k] - min(of_q[0].y[k], of_q[1].y[k])
+        for i in range(2):  # dQ_i/da
+            backpropagate(q[i], of_q[i], batch)
+            to_actions = q[i].w1[first_action:].T.copy()
+            for at in range(0, batch, BLOCK):
+                affine(to_actions, np.zeros(four(m), kind), of_q[i].g1, slope[i], at)
         for j in range(m):
             for k in range(batch):
                 # d log pi/du = 2 a, da/du = 1 - a^2, du/d log sigma = sigma eps, and log N has -log sigma
                 a = now[(first_action + j) * ROW + k]
-                to_u = two * alpha * a - (slope_1[j * ROW + k] + slope_2[j * ROW + k]) * (one - a * a)
+                to_u = two * alpha * a - (slope[0][j * ROW + k] + slope[1][j * ROW + k]) * (one - a * a)
                 of_actor.gy[j * ROW + k] = share * to_u
                 of_actor.gy[(m + j) * ROW + k] = share * (to_u * deviation[j, k] - alpha) * inside[j, k]
         backward(actor, now, of_actor, batch, actor_gradient)
@@ -453,15 +436,15 @@ class Sac:
 
     def __init__(self, observations: int, actions: int, settings: SacSettings, dtype: Any = np.float32) -> None:
         self.settings = settings
-        actor = Sizes(1, (observations,), settings.hidden_size, 2 * actions)
-        critics = Sizes(2, (observations, actions), settings.hidden_size, 1)
-        self.sizes = {"actor": actor, "critics": critics}
+        actor, of_actor = layers(1, (observations,), settings.hidden_size, 2 * actions)
+        critics, of_critics = layers(2, (observations, actions), settings.hidden_size, 1)
+        self.layers = {"actor": of_actor, "critics": of_critics}
         self.places = {
-            name: np.concatenate([places.ravel() for layer in sizes.places() for places in layer])
-            for name, sizes in self.sizes.items()
+            name: np.concatenate([places.ravel() for layer in found for places in layer])
+            for name, found in self.layers.items()
         }
         """Of the networks' numbers in their padded vectors, in the order of files."""
-        lengths = [actor.length] * 3 + [critics.length] * 3 + [1] * 3 + [critics.length]
+        lengths = [actor] * 3 + [critics] * 3 + [1] * 3 + [critics]
         numbers = -(-sum(lengths) * np.dtype(dtype).itemsize // 8)
         self.state: NDArray[np.int64] = np.zeros(2 + numbers, np.int64)
         """Everything that the next update depends on: counters, then all vectors of `agent`, which are views of it."""
@@ -473,8 +456,8 @@ class Sac:
         ]
         self.agent = Agent(optimizers[0], optimizers[1], optimizers[2], vectors[9])
         rng = np.random.default_rng(settings.seed).spawn(1)[0]  # exploration has the seed itself
-        for sizes, optimizer in ((actor, self.agent.actor), (critics, self.agent.critics)):
-            for layer in sizes.places():
+        for found, optimizer in ((of_actor, self.agent.actor), (of_critics, self.agent.critics)):
+            for layer in found:
                 bound = 1.0 / math.sqrt(layer[0].shape[1])
                 for places in layer:
                     optimizer.parameters[places] = rng.uniform(-bound, bound, places.shape)

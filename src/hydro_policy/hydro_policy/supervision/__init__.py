@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of plant and policy during a session: arming, requirements, safety monitor, rollback, override.
-
-May import `task` and `sac`.
-"""
+"""Supervision of plant and policy during a session: arming, requirements, safety monitor, rollback, override."""

@@ -99,19 +99,14 @@ class SafetyMonitor:
             self.reset()
             self._recovering = _RECOVERY
             return None
+        error, slope = abs(float(step.error.mean())), np.diff(step.current) / SAMPLE_PERIOD
         if self._recovering:
             self._recovering -= 1
-            self._failed = self._answered = 0
-            return self._verdict(abs(float(step.error.mean())))
-        slope = np.diff(step.current) / SAMPLE_PERIOD
-        self._squares.append(float(slope @ slope) / len(slope) if len(slope) else None)
-        self._violated.append((self._failed, self._answered))
+        else:
+            self._squares.append(float(slope @ slope) / len(slope) if len(slope) else None)
+            self._violated.append((self._failed, self._answered))
+            self.peak = max(self.peak, error)
         self._failed = self._answered = 0
-        error = abs(float(step.error.mean()))
-        self.peak = max(self.peak, error)
-        return self._verdict(error)
-
-    def _verdict(self, error: float) -> str | None:
         limits = self.settings
         if not error <= limits.peak_error:
             return f"error of {error:.0f} N, limit {limits.peak_error:g} N"

@@ -40,29 +40,26 @@ class GainOverride:
         change = (proportional - base[0], integral - base[1])
         if not (math.isfinite(seconds) and seconds >= 0.0):
             raise ValueError(f"an override lasts 0 (until told otherwise) or more seconds, not {seconds:g}")
-        inside = reach.delta_kp_min <= change[0] <= reach.delta_kp_max
-        if not (inside and reach.delta_ki_min <= change[1] <= reach.delta_ki_max):  # NaN is outside
-            allowed = (
-                f"K_p within [{base[0] + reach.delta_kp_min:g}, {base[0] + reach.delta_kp_max:g}], "
-                f"K_i within [{base[1] + reach.delta_ki_min:g}, {base[1] + reach.delta_ki_max:g}]"
-            )
-            raise ValueError(f"({proportional:g}, {integral:g}) cannot be held here: {allowed}")
+        ends = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
+        if not all(low <= one <= high for one, (low, high) in zip(change, ends, strict=True)):  # NaN is outside
+            kp, ki = (f"within [{own + low:g}, {own + high:g}]" for own, (low, high) in zip(base, ends, strict=True))
+            raise ValueError(f"({proportional:g}, {integral:g}) cannot be held here: K_p {kp}, K_i {ki}")
         self._held, self._until = change, now + seconds if seconds else math.inf
         how_long = f"for {seconds:g} s" if seconds else "until told otherwise"
-        return self._tell(f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}")
+        return self._told(f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}")
 
     def release(self) -> str:
         """Return the gains to the controller; returns a report."""
         if self._held is None:
             return "nothing was overridden"
         self._held = None
-        return self._tell("override ended: the gains are the policy's again")
+        return self._told("override ended: the gains are the policy's again")
 
     def gains(self, now: float) -> tuple[float, float] | None:
         """Return the (delta_kp, delta_ki) to publish instead of the controller's at time `now` [s], or None."""
         if self._held is not None and now >= self._until:
             self._held = None
-            self._tell("override is over: the gains are the policy's again")
+            self._told("override is over: the gains are the policy's again")
         return self._held
 
     @property
@@ -76,6 +73,6 @@ class GainOverride:
         held, base = self._held, self.base
         return "no" if held is None else f"K_p {base[0] + held[0]:g}, K_i {base[1] + held[1]:g}"
 
-    def _tell(self, sentence: str) -> str:
+    def _told(self, sentence: str) -> str:
         self.say(sentence)
         return sentence

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the plant: present, armed and ready for a run; shared by sessions, whose interfaces are here, too.
+"""Supervision of the plant: present, armed and ready for a run; shared by sessions, whose outputs are here, too.
 
 no state for 100 ms      lost: disarming is requested, so that a reconnected plant is not armed
 requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`); if found armed: disarmed
@@ -24,7 +24,7 @@ from typing import Protocol
 from hydro_bridge.safety.limits import PAPER_RANGES
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_core.files.site import RECOMMISSION_HINT
-from hydro_core.signals import FAULTS, CorrectionStatus, Flag, FloatArray, LawCommand, ReferenceSignal
+from hydro_core.signals import FAULTS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
 COMPILES = "loading takes some seconds, and a minute more after a change without `make setup`"
@@ -41,15 +41,9 @@ def plant_requirement(ready: Callable[[], bool]) -> Requirement:
 
 def corrections_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the filter's corrections reach the plant, which else continues at base gains."""
-    hint = HOW_TO_GET_A_FILTER
-    return Requirement(name="the filter", ready=ready, hint=hint, within=90.0, missing=NO_FILTER, essential=False)
-
-
-def fitting_filter_requirement(ready: Callable[[], bool]) -> Requirement:
-    """Return the requirement that the filter's monitor accepts its model for this bench."""
-    hint = f"its model is not this bench's: {RECOMMISSION_HINT}"
-    missing = f"the filter says MISMATCH for 300 s: {hint}"
-    return Requirement(name="a filter that fits", ready=ready, hint=hint, within=300.0, missing=missing)
+    return Requirement(
+        name="the filter", ready=ready, hint=HOW_TO_GET_A_FILTER, within=90.0, missing=NO_FILTER, essential=False
+    )
 
 
 def learner_requirement(ready: Callable[[], bool]) -> Requirement:
@@ -64,15 +58,13 @@ FALLBACK = (PAPER_RANGES.delta_kp_max, PAPER_RANGES.delta_ki_max)
 """Changes of K_p, K_i held while the filter reports MISMATCH: the upper end of the range that the guard then passes,
 the paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
 
-CALM = 1.0
-"""s, armed, between a stop and the next run."""
+CALM = 1.0  # s, armed, between a stop and the next run
 
 TRIALS = 3
 """Trips in a row within `CALM` of arming after which a session may try another force law, and no more is armed."""
 UNHELD = f"the box tripped {TRIALS} times within {CALM:g} s of arming: its base gains do not hold this bench"
 
-IDLE = 2.0
-"""s armed without a controller after which none may begin (measurements in decision 0056)."""
+IDLE = 2.0  # s armed without a controller after which none may begin (measurements in decision 0056)
 
 LOST_AFTER = 0.1  # s without a sample
 
@@ -96,7 +88,7 @@ TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so t
 
 
 class Outputs(Protocol):
-    """Outputs of a session to the graph. No call blocks."""
+    """Outputs of a session to the graph; gains in [1/s] and [1/s^2]. No call blocks."""
 
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track."""
@@ -108,42 +100,26 @@ class Outputs(Protocol):
         """Report a sentence to the user."""
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        """Publish gains [1/s], [1/s^2]."""
+        """Publish changes of the gains."""
 
     def command_law(self, command: LawCommand, step: int) -> None:
         """Publish the force law to run; a plant of which none is asked runs the paper's."""
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """Report a learning policy's result of `step`, once its gains are sent; see `PolicyStep.msg`.
+        """Report a learning policy's result of `step`, as given to `gains`, once these are sent; see `PolicyStep.msg`.
 
-        Parameters
-        ----------
-        step
-            As given to `gains`.
-        mean
-            Gains of the mean action [1/s], [1/s^2].
-        reward
-            Reward of the previous step; NaN if there is none.
-        weights
-            Digest of the weights that acted.
+        `mean`: gains of the mean action. `reward`: of the previous step; NaN if there is none. `weights`: digest of
+        those that acted.
         """
 
 
 class PlantSupervisor:
     """Tracks the box's flags and requests arming.
 
-    Parameters
-    ----------
-    outputs
-        Outputs of the requests.
-    rearm
-        Whether a disarmed or tripped box may be armed without the user (simulation: yes; bench: on purpose only).
-    requirements
-        Requirements before arming, besides plant and filter.
-    override
-        Gains held by a person: under them a plant is not idle.
-    filtered
-        Whether a filter that answers and fits is required, too.
+    `outputs`: outputs of the requests. `rearm`: whether a disarmed or tripped box may be armed without the user
+    (simulation: yes; bench: on purpose only). `requirements`: requirements before arming, besides plant and filter.
+    `override`: gains held by a person: under them a plant is not idle. `filtered`: whether a filter that answers and
+    fits is required, too.
     """
 
     def __init__(
@@ -157,29 +133,33 @@ class PlantSupervisor:
     ) -> None:
         self.outputs, self.override = outputs, override or GainOverride()
         self._alone = rearm
-        self._arm_after = math.inf  # time to arm after a disarm, s
-        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
-        self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed, s
-        self._prompted = ""  # condition in which a person was asked to arm
         samples = plant_requirement(lambda: not self.lost)
         answers = corrections_requirement(
-            lambda: self.mismatched or self._bypassed or not self._flags & Flag.FILTER_STALE
-        )
-        fitting = fitting_filter_requirement(lambda: not self.mismatched)
+            lambda: self.mismatched or not self._flags & Flag.FILTER_STALE
+            or (self._status == CorrectionStatus.BYPASSED and self._silent < HEARD_WITHIN)
+        )  # fmt: skip
+        unfit = f"its model is not this bench's: {RECOMMISSION_HINT}"
+        fitting = Requirement(
+            name="a filter that fits", ready=lambda: not self.mismatched, hint=unfit, within=300.0,
+            missing=f"the filter says MISMATCH for 300 s: {unfit}",
+        )  # fmt: skip
         needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
-        self._seen = -math.inf
-        self._acted = -math.inf  # time of the last action of a controller, or of arming
-        self._armed_at = -math.inf
-        self.trips = 0
-        """Trips in a row, but by silence, within `CALM` of arming."""
-        self._spoilt = TOO_EARLY  # why no controller may act: it has been armed for an unknown time
+        self.trips = 0  # trips in a row, but by silence, within `CALM` of arming
         self._flags = int(Flag.FILTER_STALE)
-        self._told: str | None = None
+        self._seen = -math.inf  # time of the last sample, s; -inf: lost
+        self._armed_at = -math.inf
+        self._acted = -math.inf  # time of the last action of a controller, or of arming
+        self._spoilt = TOO_EARLY  # why no controller may act: it has been armed for an unknown time
         self._calm_until: float | None = None  # math.inf: requested, but not armed yet
+        self._arm_after = math.inf  # time to arm after a disarm
+        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm
+        self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed
+        self._prompted = ""  # condition in which a person was asked to arm
+        self._told: str | None = None  # condition last reported
         self._status: int = CorrectionStatus.PASS  # the filter's last one
         self._heard = False  # a correction since the last tick
-        self._silent, self._ticked = math.inf, math.inf  # s without one at the last tick, and its time
+        self._silent = self._ticked = math.inf  # s without one at the last tick, and its time
 
     @property
     def lost(self) -> bool:
@@ -192,11 +172,6 @@ class PlantSupervisor:
         return self._status == CorrectionStatus.MISMATCH
 
     @property
-    def _bypassed(self) -> bool:
-        """Whether a filter that decides nothing is heard."""
-        return self._status == CorrectionStatus.BYPASSED and self._silent < HEARD_WITHIN
-
-    @property
     def armed(self) -> bool:
         """Whether samples arrive and the last one was armed."""
         return not self.lost and bool(self._flags & Flag.ARMED)
@@ -204,14 +179,11 @@ class PlantSupervisor:
     @property
     def condition(self) -> str:
         """Condition of the plant as text."""
-        if self.lost:
-            return "no plant"
-        if self._flags & Flag.ARMED:
-            return "armed"
-        faults = [flag.name or "" for flag in (Flag.FORCE_LIMIT, Flag.SENSOR_FAULT) if self._flags & flag]
-        return ("tripped" if self._flags & Flag.TRIPPED else "disarmed") + (
-            f" ({', '.join(faults).lower()})" if faults else ""
-        )
+        if self.lost or self.armed:
+            return "no plant" if self.lost else "armed"
+        faults = [f"{flag.name}".lower() for flag in (Flag.FORCE_LIMIT, Flag.SENSOR_FAULT) if self._flags & flag]
+        state = "tripped" if self._flags & Flag.TRIPPED else "disarmed"
+        return f"{state} ({', '.join(faults)})" if faults else state
 
     @property
     def summary(self) -> str:
@@ -293,39 +265,35 @@ class PlantSupervisor:
         self.readiness.look(now)
         if self.armed or self.lost:
             self._arm_after, self._asked, self._not_before, self._prompted = math.inf, -math.inf, -math.inf, ""
-            why = self.unready(now) if self.armed else ""
-            if why and not (self.calming or self.override.active):
-                self._lower(now, why)
+            why = self.unready(now) if self.armed and not (self.calming or self.override.active) else ""
+            if why and now - self._lowered > RETRY:
+                if self._lowered == -math.inf:
+                    self.outputs.say(why, warning=True)
+                self._lowered = now
+                self.outputs.reference(ReferenceSignal())
+                self.outputs.arm(False)
         else:
-            self._seek_arming(now)
-        self._tell(now)
-
-    def _seek_arming(self, now: float) -> None:
-        """Arm where that is allowed without a person and all is ready; what a person asked for is done once it is."""
-        self._lowered = -math.inf
-        if not self.readiness.complete:
-            if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
+            self._lowered = -math.inf
+            if not self.readiness.complete:
+                if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
+                    self._arm_after = math.inf
+            elif now >= self._arm_after:
                 self._arm_after = math.inf
-        elif now >= self._arm_after:
-            self._arm_after = math.inf
-            self.outputs.arm(True)
-        elif self._alone and now - self._asked > RETRY and now >= self._not_before:
-            self._arm_anew(now)
+                self.outputs.arm(True)
+            elif self._alone and now - self._asked > RETRY and now >= self._not_before:
+                self._arm_anew(now)
+        condition, hint = self.condition, ""
+        waits = not (self.armed or self.lost or self._alone) and self.readiness.complete and now - self._asked > RETRY
+        if waits and condition != self._prompted:  # once in each condition
+            self._prompted, hint = condition, f": {HOW_TO_ARM}"
+        if hint or self._told not in (None, condition):
+            self.outputs.say(f"plant: {condition}{hint}", warning=not self.armed)
+        self._told = condition
 
     def _arm_anew(self, now: float) -> None:
         """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
         self.outputs.arm(False)
         self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
-
-    def _lower(self, now: float, why: str) -> None:
-        """Disarm with reference 0 N and report why; on each tick as long as it stays armed."""
-        if now - self._lowered <= RETRY:
-            return
-        if self._lowered == -math.inf:
-            self.outputs.say(why, warning=True)
-        self._lowered = now
-        self.outputs.reference(ReferenceSignal())
-        self.outputs.arm(False)
 
     def defer_to_person(self, now: float) -> None:
         """Request arming again after `REMINDER` only: the plant refused since a person disarmed it."""
@@ -342,33 +310,3 @@ class PlantSupervisor:
             self._prompted = ""
             sentence = f"not armed, still waiting for {self.readiness.missing_names}: you are asked once all is ready"
             self.outputs.say(sentence, warning=True)
-
-    def _tell(self, now: float) -> None:
-        """Report the plant's condition when it changes, and once in each what a person has to do."""
-        condition, ready, hint = self.condition, self.readiness.complete, ""
-        waits = not (self.armed or self.lost or self._alone) and ready and now - self._asked > RETRY
-        if waits and condition != self._prompted:
-            self._prompted, hint = condition, HOW_TO_ARM
-        if hint or self._told not in (None, condition):
-            self.outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
-        self._told = condition
-
-
-class Session(Protocol):
-    """Controls a plant: a `TrialRunner`, or `Rest`."""
-
-    watch: PlantSupervisor
-    override: GainOverride
-
-    @property
-    def finished(self) -> bool:
-        """Whether it needs no more samples."""
-
-    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Process a sample; returns True if gains were sent."""
-
-    def on_correction(self, after: float, status: int) -> None:
-        """Process the filter's result of a sample: M_c [1/s] under its correction, and the status."""
-
-    def on_tick(self, now: float) -> None:
-        """Handle a tick, some twenty times a second."""

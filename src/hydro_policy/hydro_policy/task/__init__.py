@@ -1,5 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task: Markov decision process, 10 ms steps from 1 ms samples, evaluation cases, scores.
-
-May import nothing else of this package.
-"""
+"""The task: Markov decision process, 10 ms steps from 1 ms samples, evaluation cases, scores."""

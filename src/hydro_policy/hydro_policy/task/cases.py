@@ -25,8 +25,7 @@ K = TypeVar("K")
 class Case:
     """A reference to track, measured over whole periods (for a multisine, those of its slowest sine)."""
 
-    name: str
-    """Name for tables: `2 Hz`, `multisine`, `steps`."""
+    name: str  # name for tables: `2 Hz`, `multisine`, `steps`
     signal: ReferenceSignal
     pieces: tuple[ReferenceSignal, ...] = ()
     """Signals that follow `signal`, one every 0.3 s: a recorded reference (`task.recorded`), played to its end."""
@@ -146,33 +145,21 @@ class Score:
     """Score of one run."""
 
     controller: str
-    case: str
-    """Name of the reference."""
-    frequency: float
-    """Frequency of the reference [Hz] (of a multisine: its slowest sine)."""
+    case: str  # name of the reference
+    frequency: float  # frequency of the reference [Hz] (of a multisine: its slowest sine)
     repeat: int
-    rmse: float = math.nan
-    """Force RMSE [N]; NaN if the run was stopped."""
-    reference_rms: float = math.nan
-    """N, RMS of the reference."""
+    rmse: float = math.nan  # force RMSE [N]; NaN if the run was stopped
+    reference_rms: float = math.nan  # N, RMS of the reference
     true_rmse: float = math.nan
     """N, the same of the force on the specimen, in front of the load cell; NaN unless the plant is emulated."""
-    peak: float = math.nan
-    """N, largest |e|."""
-    chatter: float = math.nan
-    """A/s, RMS of u'."""
-    proportional_gain: float = math.nan
-    """1/s, mean that the box applied."""
-    integral_gain: float = math.nan
-    """1/s^2, mean that the box applied."""
-    samples: int = 0
-    """Samples that were measured."""
-    lost: int = 0
-    """Samples that never arrived."""
-    held: int = 0
-    """Samples for which the box held base gains (stale correction or command)."""
-    stopped: str = ""
-    """Why the run was not completed: the box tripped, or the monitor stopped it; empty if it was."""
+    peak: float = math.nan  # N, largest |e|
+    chatter: float = math.nan  # A/s, RMS of u'
+    proportional_gain: float = math.nan  # 1/s, mean that the box applied
+    integral_gain: float = math.nan  # 1/s^2, mean that the box applied
+    samples: int = 0  # samples that were measured
+    lost: int = 0  # samples that never arrived
+    held: int = 0  # samples for which the box held base gains (stale correction or command)
+    stopped: str = ""  # why the run was not completed: the box tripped, or the monitor stopped it; empty if it was
 
     @classmethod
     def of_event(cls, event: Mapping[str, Any]) -> Score:

@@ -23,14 +23,10 @@ from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 
-SECONDS = 20.0
-"""Of a longer record that many seconds are played, those with the largest RMS."""
-BANDWIDTH = 3.0
-"""Hz, of the low-pass, second order forwards and backwards."""
-FREQUENCIES = np.arange(0.5, 10.01, 0.25)
-"""Hz, of a piece."""
-SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)
-"""Samples between two pieces."""
+SECONDS = 20.0  # of a longer record that many seconds are played, those with the largest RMS
+BANDWIDTH = 3.0  # Hz, of the low-pass, second order forwards and backwards
+FREQUENCIES = np.arange(0.5, 10.01, 0.25)  # Hz, of a piece
+SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)  # samples between two pieces
 
 
 def read(path: Path) -> tuple[FloatArray, FloatArray]:

@@ -129,27 +129,23 @@ def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedB
     factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _SPREAD.items()}
     noise = rng.uniform(settings.noise_min, settings.noise_max)
     delays = int(rng.integers(1, settings.gain_delay_max + 1)), int(rng.integers(0, settings.dead_time_max + 1))
-    plant = AnalyticPlant(_drawn(source, spring, supply, factors), noise=noise, settings=Sensors.of_size(source.size))
+    bandwidth = source.load_cell_bandwidth
+    drawn = replace(
+        source,
+        spring_stiffness=spring,
+        supply_pressure=supply,
+        bulk_modulus=source.bulk_modulus * factors["bulk_modulus"],
+        moving_mass=source.moving_mass * factors["moving_mass"],
+        viscous_friction=source.viscous_friction * factors["viscous_friction"],
+        valve_nominal_flow=source.valve_nominal_flow * factors["valve_gain"],
+        load_cell_bandwidth=bandwidth and bandwidth * factors["load_cell_frequency"],
+        effects=tuple(_changed(effect, factors) for effect in source.effects),
+    )
+    plant = AnalyticPlant(drawn, noise=noise, settings=Sensors.of_size(source.size))
     return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=source.stroke)
 
 
-def _drawn(bench: Bench, spring: float, supply: float, factors: dict[str, float]) -> Bench:
-    bandwidth = bench.load_cell_bandwidth
-    return replace(
-        bench,
-        spring_stiffness=spring,
-        supply_pressure=supply,
-        bulk_modulus=bench.bulk_modulus * factors["bulk_modulus"],
-        moving_mass=bench.moving_mass * factors["moving_mass"],
-        viscous_friction=bench.viscous_friction * factors["viscous_friction"],
-        valve_nominal_flow=bench.valve_nominal_flow * factors["valve_gain"],
-        load_cell_bandwidth=bandwidth and bandwidth * factors["load_cell_frequency"],
-        effects=tuple(_changed(effect, factors) for effect in bench.effects),
-    )
-
-
 def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping[str, Any]:
-    """Return a bench file's effect with scaled parameters."""
     parameters = {
         name: float(value) * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
         for name, value in effect["parameters"].items()
@@ -157,8 +153,8 @@ def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping
     return {**effect, "parameters": parameters}
 
 
-def episode_bench(settings: Randomisation | None, source: Bench, episode: int, seed: int) -> RandomisedBench | None:
+def episode_bench(settings: Randomisation, source: Bench, episode: int, seed: int) -> RandomisedBench | None:
     """Return the bench of an episode, drawn around `source`; None: the one that is known."""
-    if settings is None or _stream(seed, episode, KNOWN).random() < settings.known_share:
+    if _stream(seed, episode, KNOWN).random() < settings.known_share:
         return None
     return draw_bench(settings, source, stream_seed(seed, episode, BENCH))

@@ -84,9 +84,8 @@ class StepClock:
         if flags & HELD:
             self._held |= int(held(flags, sample[KP], sample[KI], base))
         self._common &= flags
-        return self._complete(sample) if block_changed else None
-
-    def _complete(self, sample: FloatArray) -> Step:
+        if not block_changed:
+            return None
         complete = not self._gap and len(self._samples) == SAMPLES_PER_STEP
         whole = complete and not self._held and bool(self._common & Flag.ARMED)
         rows = np.array(self._samples)
