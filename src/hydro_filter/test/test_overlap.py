@@ -11,7 +11,8 @@ import pytest
 from hydro_core.signals import CorrectionStatus, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import valve_overlap, without_overlap
+from hydro_filter.model.loop import without_overlap
+from hydro_filter.model.terms import valve_overlap
 from hydro_filter.precompile import EXAMPLE_EFFECTS
 from hydro_filter.validation.runs import Run, Trial, run
 from hydro_sim.model.bench import Bench

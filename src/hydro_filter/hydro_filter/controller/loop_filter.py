@@ -32,7 +32,7 @@ from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_core.size import Size
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import coordinate_names, make_loop, valve_overlap
+from hydro_filter.model.loop import coordinate_names, make_loop
 from hydro_filter.model.records import (
     DECISION,
     FILTER,
@@ -43,6 +43,7 @@ from hydro_filter.model.records import (
     new_monitors,
 )
 from hydro_filter.model.sample import Sample
+from hydro_filter.model.terms import valve_overlap
 from hydro_sim.box.firmware import Records, address_of
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import NOMINAL, Bench
