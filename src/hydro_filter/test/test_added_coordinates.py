@@ -12,7 +12,7 @@ import pytest
 
 from hydro_core.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric import MetricDesign, ScheduledMetric, linearize_at_rest, require_stable_gain
+from hydro_filter.metric import MetricDesign, ScheduledMetric, closed_loop_at_rest, require_stable_gain
 from hydro_filter.model.coordinates import LOOP_SIZE
 from hydro_filter.model.loop import SUBSTEPS, Loop, coordinate_names, make_loop, make_samples, rest_measurement
 from hydro_filter.model.records import (
@@ -89,10 +89,8 @@ def whole_loop(bench: Bench, gain: float) -> FloatArray:
 def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: str) -> None:
     """But for the sum of the pressures, which no force moves, and what the coordinates leave out of it."""
     gain = 60.0
-    free, push, feedback = linearize_at_rest(of(case), gain)
-    ours, theirs = (
-        np.linalg.eigvals(one) for one in (free + np.outer(push, feedback), whole_loop(having(*CASES[case]), gain))
-    )
+    loops = closed_loop_at_rest(of(case), gain), whole_loop(having(*CASES[case]), gain)
+    ours, theirs = (np.linalg.eigvals(one) for one in loops)
     slow = ours[np.abs(ours) > 0.05]
     assert np.abs(slow[:, None] - theirs).min(axis=1).max() < 2e-3
     moving = theirs[np.abs(theirs.imag) > 1e-2]

@@ -113,13 +113,10 @@ def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
 
 def sensor_calibration(bench: Bench) -> tuple[FloatArray, FloatArray]:
     """Return gain and bias of the five readings, shape (5,) each."""
-    bias, ends = np.zeros(len(RAW_FIELDS)), np.ones(len(RAW_FIELDS))
+    ends = np.array([np.zeros(len(RAW_FIELDS)), np.ones(len(RAW_FIELDS))])
     for made in (_evaluable(effect, None) for effect in bench.effects):
-        bias, ends = (
-            np.array([made.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)])
-            for row in (bias, ends)
-        )
-    return ends - bias, bias
+        ends = np.array([[made.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends])
+    return ends[1] - ends[0], ends[0]
 
 
 def _evaluable(effect: Mapping[str, Any], numbers: Any, velocity: float = 0.0) -> Effect:
@@ -183,13 +180,15 @@ def lagging_sensors(
     bench: Bench, whole: Mapping[StateName, int], linear: Mapping[StateName, int]
 ) -> list[LaggingSensor]:
     """Return the bench's lagging pressure sensors; `whole`, `linear`: `hidden_state_indices` of the two models."""
-    return [
-        LaggingSensor(
-            chamber, *(state_index(of, label, name) for of in (whole, linear) for name in ("signal", "rate")),
-            omega=2.0 * pi * lag["bandwidth"], delay=lag_delay(lag),
-        )
-        for chamber, label in enumerate(PRESSURE_LAGS) if (lag := find_parameters(bench, label))
-    ]  # fmt: skip
+    found = []
+    for chamber, label in enumerate(PRESSURE_LAGS):
+        if lag := find_parameters(bench, label):
+            signal, rate, linear_signal, linear_rate = (
+                state_index(of, label, name) for of in (whole, linear) for name in ("signal", "rate")
+            )
+            omega = 2.0 * pi * lag["bandwidth"]
+            found.append(LaggingSensor(chamber, signal, rate, linear_signal, linear_rate, omega, lag_delay(lag)))
+    return found
 
 
 def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size: Size) -> FloatArray:

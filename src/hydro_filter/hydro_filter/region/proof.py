@@ -104,8 +104,7 @@ def decay_margin(
 ) -> FloatArray:
     """Return the margin 1 - ||M+^1/2 (H + E) D^-1/2|| at every vertex, shape (vertices,); positive: it contracts."""
     before, after = pair
-    n, decay = len(before), math.exp(-2.0 * of.tube_rate * SAMPLE_PERIOD)
-    used = [i for i, weight in enumerate(of.weights) if weight > 0.0]
+    n, decay, used = len(before), of.decay, of.directions
     bound = np.zeros((n + len(used), n + len(used)))
     bound[:n, :n] = decay * (1.0 - 4.0 * EPS) * before
     bound[n:, n:] = np.diag([(1.0 - decay) * of.weights[i] for i in used]) * (1.0 - 1e-9)

@@ -20,12 +20,19 @@ import numpy as np
 
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, to_matrix
-from hydro_filter.model.coordinates import Q_LOAD
+from hydro_filter.model.coordinates import LOOP_SIZE, Q_LOAD
 from hydro_filter.model.loop import closing_current, make_loop, recorded_samples
 from hydro_filter.model.records import linearize
 from hydro_filter.region.facts import STATES, bench_numbers, containment_share, region_states
 from hydro_filter.region.proof import prove_cell
-from hydro_filter.region.statement import TOLERANCES, Bounds, CertifiedRegion, ToleranceCell, region_path
+from hydro_filter.region.statement import (
+    TOLERANCES,
+    Bounds,
+    CertifiedRegion,
+    ToleranceCell,
+    region_path,
+    started_samples,
+)
 from hydro_filter.training.region_metric import solve_cell
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -105,7 +112,8 @@ def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
 def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool = True) -> CertifiedRegion | None:
     """Return the certified region of the largest provable amplitude; None: none is proved."""
     ours, law = bench_numbers(model, bench)
-    loop, sensors, began = make_loop(model, bench), Sensors.of_size(model.size), time.process_time()
+    sensors, began = Sensors.of_size(model.size), time.process_time()
+    unit = make_loop(model, bench).scale[:LOOP_SIZE].tolist()
     band = (1.0 - wanted.tolerance, 1.0 + wanted.tolerance)
     tolerances = {name: band if name in wanted.names else (1.0, 1.0) for name in TOLERANCES}
     tolerances["dead_time"] = (ours["dead_time"], ours["dead_time"] + wanted.dead_time)
@@ -128,7 +136,7 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool =
             velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
             gain_rate=wanted.gain_rate, disturbances=noise, weights=weights, contraction_rate=wanted.rate,
             tube_rate=wanted.rate, tube=math.inf,
-            scale=tuple(map(float, _scale(loop.scale, tolerances))),
+            scale=(*unit, *[unit[1]] * started_samples(tolerances["dead_time"][1])),
         )  # fmt: skip
         cells: list[ToleranceCell] = []
         for part in _parts(tolerances, wanted.split):
@@ -205,9 +213,3 @@ def write_regions(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw |
             f"{path}: {name}, K_p {low:g} to {high:g} 1/s, the states of a sine of {statement.facts['force']:.0f} N: "
             f"decay at {statement.contraction_rate:g} 1/s, tube {statement.tube:.0f} N"
         )
-
-
-def _scale(scale: FloatArray, tolerances: dict[str, Bounds]) -> FloatArray:
-    """Units of the coordinates, of those of a dead time too."""
-    ways = math.ceil(tolerances["dead_time"][1] / SAMPLE_PERIOD - 1e-9)
-    return np.concatenate((scale[:8], [scale[1]] * ways))

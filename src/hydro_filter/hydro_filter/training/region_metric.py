@@ -18,7 +18,7 @@ from scipy import sparse
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.region.enclosure import coordinate_count, enclose_closed_loop
+from hydro_filter.region.enclosure import enclose_closed_loop
 from hydro_filter.region.interval import AffineSet, Interval
 from hydro_filter.region.proof import decay_margin, reduce_symbols
 from hydro_filter.region.statement import Bounds, CertifiedRegion, ToleranceCell
@@ -95,9 +95,8 @@ def _solve(
     """Matrices of the program with the active vertices, shape (nodes, n, n); None: it has no solution."""
     import clarabel
 
-    n, used = coordinate_count(of), [i for i, weight in enumerate(of.weights) if weight > 0.0]
+    n, used, rate = of.coordinates, of.directions, of.decay
     width, columns = n + len(used), [*range(n), *(n + i for i in used)]
-    rate = math.exp(-2.0 * of.tube_rate * SAMPLE_PERIOD)
     row, column, root = _triangle(n)
     r, c, factors = _triangle(width)
     units = np.zeros((len(row), n, n))
