@@ -257,7 +257,7 @@ def enclose_closed_loop(
     if ways:
         late = affine_symbol("dead_time", ((ways - 1.0) * PERIOD + PERIOD - n.dead_time) / PERIOD)
         fresh = enclose_transition(rates, varies, inputs, late, whole=False)[1].submatrix(within, [0])
-        newest = law if ways < 2 else _unit_row(count + ways - 2, width)
+        newest = law if ways < 2 else _unit_row(8 + ways - 2, width)
         driven = fresh @ newest + (by_current + fresh * -1.0) @ _unit_row(8 + ways - 1, width)
     else:
         driven = by_current @ law
