@@ -41,6 +41,15 @@ class FilterChoice:
     model: Path | None = None
     """Bench file of the model; None: the shipped one."""
 
+    @classmethod
+    def from_files(
+        cls, *, metric: str | Path | None = None, model: str | Path | None = None, bench: str | Path | None = None
+    ) -> FilterChoice:
+        """Create the choice of these files; None: the shipped ones, and the bench.yaml of hydro_sim."""
+        file = Path(bench) if bench else None
+        believed = Bench.load(file) if file else Bench.nominal()
+        return cls(bench=believed, bench_file=file, metric=str(metric or LEARNED), model=Path(model) if model else None)
+
     @property
     def files(self) -> dict[str, Path]:
         """Paths of the metric's and the model's file, by these names."""
@@ -192,8 +201,7 @@ def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argp
     """
     asked = parser().parse_args(given)
     site.apply_site_option(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
-    bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-    choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=str(asked.metric or LEARNED), model=asked.model)
+    choice = FilterChoice.from_files(metric=asked.metric, model=asked.model, bench=asked.bench)
     numbers = {name: value for name in NUMERIC_OPTIONS if (value := getattr(asked, name)) is not None}
     raise_if_mismatched(choice.pairing_error())
     return choice, LoopFilterSettings(bypass=asked.bypass, **numbers), asked
