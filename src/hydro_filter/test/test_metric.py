@@ -28,7 +28,6 @@ from hydro_filter.training.data import (
     Rollout,
     Windows,
     combine_labels,
-    concatenate,
     draw_windows,
     roll_out,
     stability_label,
@@ -64,7 +63,7 @@ def rollouts(bench: Bench) -> list[Rollout]:
 @pytest.fixture(scope="module")
 def windows(rollouts: list[Rollout], loop: Loop) -> Windows:
     made = [draw_windows(rollout, loop, DATA, index) for index, rollout in enumerate(rollouts)]
-    return concatenate([each for each in made if each is not None])
+    return Windows.concatenate([each for each in made if each is not None])
 
 
 def twins(growth: float) -> tuple[StateArray, StateArray]:

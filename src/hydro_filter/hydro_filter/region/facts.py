@@ -83,12 +83,12 @@ STATES = (
 """Columns of `region_states`: m, m/s, Pa, Pa, A, A/s, A, Pa/s, Pa/s, 1/s."""
 
 
-def region_states(of: Mapping[str, float], x: FloatArray, valve: FloatArray) -> FloatArray:
+def region_states(bench: Mapping[str, float], x: FloatArray, valve: FloatArray) -> FloatArray:
     """Return the region's states, shape (n, 10), columns `STATES`.
 
     Parameters
     ----------
-    of
+    bench
         Numbers of the bench file (`bench_numbers`).
     x
         Measured states, shape (n, 8).
@@ -97,15 +97,18 @@ def region_states(of: Mapping[str, float], x: FloatArray, valve: FloatArray) -> 
     """
     position, velocity, p_a, p_b = x[:, POSITION], x[:, VELOCITY], x[:, PRESSURE_A], x[:, PRESSURE_B]
     opening, rate, nominal = valve.T
-    area, area_b = of["piston_area"], of["piston_area"] * of["area_ratio"]
-    volume_a, volume_b = of["dead_volume_a"] + area * position, of["dead_volume_b"] + area_b * (of["stroke"] - position)
+    area, area_b = bench["piston_area"], bench["piston_area"] * bench["area_ratio"]
+    volume_a, volume_b = (
+        bench["dead_volume_a"] + area * position,
+        bench["dead_volume_b"] + area_b * (bench["stroke"] - position),
+    )
     out, side = opening >= 0.0, np.where(opening >= 0.0, 1.0, -1.0)
-    drop_a = np.where(out, of["supply_pressure"] - p_a, p_a - of["tank_pressure"])
-    drop_b = np.where(out, p_b - of["tank_pressure"], of["supply_pressure"] - p_b)
+    drop_a = np.where(out, bench["supply_pressure"] - p_a, p_a - bench["tank_pressure"])
+    drop_b = np.where(out, p_b - bench["tank_pressure"], bench["supply_pressure"] - p_b)
     root_a, root_b = np.sqrt(np.maximum(drop_a, 1.0)), np.sqrt(np.maximum(drop_b, 1.0))
-    leak = of["leakage"] * (p_a - p_b)
-    rate_a = of["bulk_modulus"] / volume_a * (of["valve_gain"] * root_a * opening - area * velocity - leak)
-    rate_b = of["bulk_modulus"] / volume_b * (area_b * velocity + leak - of["valve_gain"] * root_b * opening)
+    leak = bench["leakage"] * (p_a - p_b)
+    rate_a = bench["bulk_modulus"] / volume_a * (bench["valve_gain"] * root_a * opening - area * velocity - leak)
+    rate_b = bench["bulk_modulus"] / volume_b * (area_b * velocity + leak - bench["valve_gain"] * root_b * opening)
     g_a, g_b = area * root_a / volume_a, area_b * root_b / volume_b
     drift_a = -0.5 * side * rate_a / drop_a - area * velocity / volume_a
     drift_b = 0.5 * side * rate_b / drop_b + area_b * velocity / volume_b

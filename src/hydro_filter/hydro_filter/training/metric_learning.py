@@ -51,7 +51,6 @@ from hydro_filter.training.data import (
     Rollout,
     Windows,
     certified_range,
-    concatenate,
     draw_windows,
     measure_integral_allowance,
     noise_levels,
@@ -414,7 +413,7 @@ def collect_rollouts(
         windows = draw_windows(rollout, loop, data, index)
         if windows is not None and rollout.label != NEITHER:
             (held_out if index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1 else kept).append(windows)
-    return TrainingData(concatenate(kept), concatenate(held_out), rollouts)
+    return TrainingData(Windows.concatenate(kept), Windows.concatenate(held_out), rollouts)
 
 
 def _say(sentence: str) -> None:

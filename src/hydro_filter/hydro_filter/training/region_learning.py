@@ -130,7 +130,7 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool =
     for share in wanted.forces:
         force = share * model.size.force
         samples = simulate_states(model, bench, wanted, force, wanted.gains[-1])
-        of = CertifiedRegion(
+        region = CertifiedRegion(
             believed=law, bench=ours, tolerances=tolerances,
             states=_box(samples, ours["dry_friction"], ours["moving_mass"]),
             velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
@@ -140,17 +140,17 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool =
         )  # fmt: skip
         cells: list[ToleranceCell] = []
         for part in _parts(tolerances, wanted.split):
-            if (cell := _proved(of, part, wanted.gains, say)) is None:
+            if (cell := _proved(region, part, wanted.gains, say)) is None:
                 break
             cells.append(cell)
         else:
             inverse = [np.linalg.inv(one)[Q_LOAD, Q_LOAD] for cell in cells for one in cell.matrices]
-            tubes = [of.scale[Q_LOAD] * math.sqrt(one) for one in inverse]
+            tubes = [region.scale[Q_LOAD] * math.sqrt(one) for one in inverse]
             facts = {
                 "force": force, "seconds": round(time.process_time() - began, 1), "tubes": tubes,
-                "inside": containment_share(of.states, samples)[0], "model": model.digest, "box": bench.digest,
+                "inside": containment_share(region.states, samples)[0], "model": model.digest, "box": bench.digest,
             }  # fmt: skip
-            return replace(of, cells=tuple(cells), tube=max(tubes) * (1.0 + 1e-9), facts=facts)
+            return replace(region, cells=tuple(cells), tube=max(tubes) * (1.0 + 1e-9), facts=facts)
     return None
 
 
@@ -164,14 +164,14 @@ def _parts(tolerances: dict[str, Bounds], split: int) -> Iterator[dict[str, Boun
 
 
 def _proved(
-    of: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...], say: bool
+    region: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...], say: bool
 ) -> ToleranceCell | None:
     """Return a metric that is proved for a part of the tolerances; None: none was found."""
-    for reserve in RESERVES if of.velocity_compensation[1] == 1.0 else FAST_RESERVES:
+    for reserve in RESERVES if region.velocity_compensation[1] == 1.0 else FAST_RESERVES:
         cell, left = None, -math.inf
         try:
-            cell = solve_cell(of, tolerances, np.array(gains), reserve)
-            left = prove_cell(of, cell, SEGMENT_PARTS) if cell is not None else left
+            cell = solve_cell(region, tolerances, np.array(gains), reserve)
+            left = prove_cell(region, cell, SEGMENT_PARTS) if cell is not None else left
         except (ValueError, np.linalg.LinAlgError) as error:
             print(f"{error}", file=sys.stderr)
         if say:
