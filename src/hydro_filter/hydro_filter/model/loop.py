@@ -8,7 +8,7 @@ Two models stand behind it, both compiled from the bench file::
 
 Dry friction, as an effect or a closure, overlap and gaps are bounded disturbances to the metric: within them nothing
 moves, and a derivative there does not describe the loop. The certificate counts what of the current passes an overlap
-(`overlap`).
+(`terms.valve_overlap`).
 
 The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
 (`terms`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
@@ -123,6 +123,7 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     Raises ValueError: the certificate's coordinates cannot represent this bench; the message is one sentence.
     """
     check_representable(truth)
+    # both models, and where the states of the loop's are in the whole one
     linear_bench = without_disturbances(truth)
     whole, linear = BenchModel(truth, substeps=SUBSTEPS), BenchModel(linear_bench, substeps=SUBSTEPS)
     states, linear_states = hidden_state_indices(truth), hidden_state_indices(linear_bench)
@@ -131,18 +132,20 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     past = whole.structure.past
     from_whole = [*range(TEXTBOOK), *(states[name] for name in linear_states), *range(len(rest) - past, len(rest))]
 
+    # load, friction, sensors and valve
     numbers, law, size = truth.constants()[0], believed.constants()[0], believed.size
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
     forces = load_curve(numbers, [one for one in truth.terms if one["id"] not in DISTURBANCES], positions)
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
-    level, before_and_after = dry_friction(truth), null_shifts(truth)
+    level, (before, after) = dry_friction(truth), null_shifts(truth)
     bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
     (lag, inertia), (gain, bias) = load_cell_coefficients(truth), sensor_calibration(truth)
     area, stiffness_a = float(numbers["piston_area"]), hydraulics.stiffnesses(numbers, float(rest[2]))[0]
     half_supply = sqrt(0.5 * float(numbers["supply_pressure"]))
     delay = catalogue.total_delay(truth.effects)
 
+    # coordinates that the bench file adds to the eight: of lagging pressure sensors, then of currents in the dead time
     sensors, on_their_way = lagging_sensors(truth, states, linear_states), ceil(delay / SAMPLE_PERIOD - WHOLE_SAMPLE)
     lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
     for i, one in enumerate(sensors):
@@ -162,7 +165,7 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
         "force_shown": state_index(states, FORCE_CELL_LAG, "signal"),
         "delay": delay, "past": past, "at_valve": floor(delay / SAMPLE_PERIOD + WHOLE_SAMPLE),
         "on_their_way": on_their_way, "spool_age": lag_delay(find_parameters(truth, VALVE_LAG)),
-        "before": before_and_after[0], "after": before_and_after[1],
+        "before": before, "after": after,
         "points": len(forces), "first": positions[0], "step": positions[1] - positions[0],
         "level": level, "holds": level > 0.0 and not bristles, "creep": size.length * VELOCITY_NOISE_FLOOR,
         "lag": lag, "inertia": inertia, "gain": gain, "bias": bias,

@@ -3,9 +3,9 @@
 
 ::
 
-    parts = loop_parts(metric, model, bench)            a record of FILTER, shape (1,)
-    follow(loop, samples)                               F, G, K, v of samples that follow one another
-    decide(calls().decide, parts, memory, sample, made) one decision, in a loop that numba compiles
+    parts = loop_parts(metric, model, bench)                   a record of FILTER, shape (1,)
+    linearize(loop, samples)                                   F, G, K, v of successive samples
+    decide(decide_address(), parts, memory, sample, made)      one decision, in a loop that numba compiles
 
 A record and what it points to are one piece of memory (`make_record`): pointers live as long as the record, and a copy
 of the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
