@@ -212,6 +212,8 @@ def gammas(results: list[Result], current_max: float) -> Gammas:
 
 FILTERS = ("none", "learned")
 """none: bypassed, its certificate evaluated; learned: the default."""
+FAILED = (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE, CorrectionStatus.NAN)
+"""Statuses of a sample whose certificate could not be restored."""
 SETTLING_SAMPLES = 2000
 """Samples left out of RMSE and chattering: the fade from rest."""
 
@@ -249,7 +251,7 @@ class Outcome:
     numbers: Gammas
     samples: int
     failed: int
-    """Samples with status RELAXED, INFEASIBLE or NAN."""
+    """Samples with a status of `FAILED`."""
     agreed: int
     """Problems that OSQP solves as the filter does."""
     differed: int
@@ -306,16 +308,16 @@ def evaluate_task(task: Task) -> Outcome:
     settled = states[min(SETTLING_SAMPLES, len(states) // 2) :]
     return Outcome(
         bounded=done.bounded, peak=float(np.abs(states["load_force"]).max()),
-        rmse=float(np.sqrt(np.mean(tracking_error(settled) ** 2))), chattering=chattering(settled),
+        rmse=tracking_rmse(settled), chattering=chattering(settled),
         numbers=gammas(done.results, limit), samples=len(states),
-        failed=sum(int(result.status) in (2, 3, 4) for result in done.results),
+        failed=sum(result.status in FAILED for result in done.results),
         agreed=osqp.agreed, differed=osqp.differed,
     )  # fmt: skip
 
 
-def tracking_error(states: StateArray) -> FloatArray:
-    """Return the tracking error f_r - f_l [N], shape (n,)."""
-    return np.asarray(states["reference_force"] - states["load_force"])
+def tracking_rmse(states: StateArray) -> float:
+    """Return the RMSE of f_r - f_l [N]."""
+    return float(np.sqrt(np.mean((states["reference_force"] - states["load_force"]) ** 2)))
 
 
 def chattering(states: StateArray) -> float:
