@@ -67,8 +67,7 @@ class FilterChoice:
 
         Raises PairingError: they do not belong together; ValueError, OSError: one cannot be read.
         """
-        bench = Bench.load(self.bench_file) if self.bench_file else self.bench
-        choice = replace(self, bench=bench)
+        choice = replace(self, bench=Bench.load(self.bench_file) if self.bench_file else self.bench)
         raise_if_mismatched(choice.pairing_error())
         return choice
 
@@ -92,13 +91,11 @@ class FilterChoice:
         box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
         learn = "make one of its recordings with `ros2 run hydro_diagnosis diagnose`, or take its bench.yaml (--model)"
         learn_metric = "make one with `ros2 run hydro_filter learn_metric` and its --bench and --model"
-        metric, path = self.stored_metric, self.files["model"]
+        stored, name = self.stored_metric, self.files["metric"].name
         return (
-            learned_bench.box_mismatch(path, box, learn)
-            or mismatch(
-                f"the metric {self.files['metric'].name}", metric.made, box, learn_metric, model=self._model_digest
-            )
-            or metric.validity_error(self.files["metric"].name)
+            learned_bench.box_mismatch(self.files["model"], box, learn)
+            or mismatch(f"the metric {name}", stored.made, box, learn_metric, model=self._model_digest)
+            or stored.validity_error(name)
         )
 
     @cached_property
@@ -130,9 +127,8 @@ class FilterChoice:
         Raises WeightsError: a file is missing, unreadable, or of a model that has no certificate; ValueError: as
         `loop_parts`.
         """
-        files = self.files
-        metric, model = self.stored_metric, learned_bench.load_model(files["model"])
-        return loop_filter(metric, model, self.bench, settings)
+        metric = self.stored_metric
+        return loop_filter(metric, learned_bench.load_model(self.files["model"]), self.bench, settings)
 
     @cached_property
     def _statements(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
