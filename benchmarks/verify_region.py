@@ -142,7 +142,7 @@ def sample(D, tolerances, side, gain):  # [F + G K, disturbances], of the file D
     out.put(0, 0, body)
     body.s[0, 5, 5], memory = body.s[0, 5, 5] - 1, b["velocity_memory"]  # x' of the box: of what x moves by
     seen = body.cut([5], range(width)) * ((1 - memory) / T * S[5] / S[7])
-    seen.s[0, 0, 7], seen.s[0, 0, n + 2] = memory, w["velocity_noise"] / S[7]
+    seen.s[0, 0, 7], seen.s[0, 0, n + 2] = seen.s[0, 0, 7] + memory, w["velocity_noise"] / S[7]
     moved = {1: body.cut([1], range(width)), 2: body.cut([2], range(width)), **{8 + i: rows[i] for i in range(ways)}}
     for i, row in {7: seen, **{i: later @ row for i, row in moved.items()}}.items():
         out.put(i, 0, row)

@@ -46,6 +46,6 @@ def _run(store: Store, name: str, chosen: str, seed: int) -> Result:
     units = np.array([100.0, 100.0, 1.0, 100.0, 1.0])
     return {
         "bounded": done.bounded, "seconds": len(done.states) * SAMPLE_PERIOD,
-        "rmse": float(np.sqrt(np.mean(runs.tracking_error(settled) ** 2))), "chatter": runs.chattering(settled),
+        "rmse": runs.tracking_rmse(settled), "chatter": runs.chattering(settled),
         "gammas": (units * np.array(gammas(done.results, bench.valve_current_max))).tolist(),
     }  # fmt: skip

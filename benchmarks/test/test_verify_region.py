@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from benchmarks.verify_region import verify
+from benchmarks.verify_region import I, sample, verify
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.region.enclosure import enclose_closed_loop
 from hydro_filter.region.interval import AffineSet, Interval
 from hydro_filter.region.proof import interpolate_metric, prove_cell
 from hydro_filter.region.statement import CertifiedRegion
@@ -120,6 +121,18 @@ def test_the_shipped_statement_is_proved(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_no_point_of_the_region_violates(name: str) -> None:
     assert drawn(content_of(name), 50_000).max() <= 0.0
+
+
+@pytest.mark.parametrize("dead_time", [0.0, 0.4e-3, 1.4e-3, 2.7e-3])
+def test_both_enclose_the_same_loop_whatever_the_dead_time(dead_time: float) -> None:
+    content = content_of(NAMES[0])
+    content["tolerances"]["dead_time"] = [0.9 * dead_time, dead_time]
+    content["scale"] += [content["scale"][1]] * math.ceil(1e3 * dead_time)
+    region, count = CertifiedRegion.from_mapping(content), len(content["scale"])
+    theirs = sample(content, content["tolerances"], 1, I(20.0, 21.0))
+    ours = enclose_closed_loop(region, region.tolerances, 1, Interval(20.0, 21.0))
+    np.testing.assert_allclose(ours.center[:, :count], theirs.s[0, :, :count], atol=1e-6)
+    np.testing.assert_allclose(ours.slopes, theirs.s[1:], atol=1e-6)
 
 
 def test_a_statement_with_half_of_lambda_is_accepted() -> None:

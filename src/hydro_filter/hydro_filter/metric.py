@@ -26,7 +26,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib import resources
-from math import isqrt
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,7 +35,7 @@ from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 from hydro_core.files.tensors import MAX_MAGNITUDE, InvalidTensorError, check_shapes
 from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
-from hydro_filter.model.coordinates import LOOP_FIELDS, LOOP_SIZE, Q_HYDRAULIC
+from hydro_filter.model.coordinates import LOOP_FIELDS, LOOP_SIZE, Q_HYDRAULIC, Q_LOAD
 from hydro_filter.model.loop import Loop, closing_current, coordinate_names, make_samples, rest_measurement
 from hydro_filter.model.records import FILTER, library, linearize, make_record
 from hydro_sim.box.firmware import Records, address_of
@@ -86,33 +85,42 @@ def linearize_at_rest(
     loop: Loop, proportional_gain: float, velocity_compensation: float = 1.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the linearization F, G, K of the loop at rest with the valve closed, shapes (n, n), (n,), (n,)."""
-    closing = closing_current(loop)
-    signals = {
-        "nominal": 1e-9,
-        "current": closing,
-        "k_p": float(proportional_gain),
-        "c_1": float(velocity_compensation),
-    }
-    rest = linearize(loop.record, make_samples(rest_measurement(loop)[None], **signals))
+    rest = linearize(
+        loop.record,
+        make_samples(
+            rest_measurement(loop)[None], nominal=1e-9, current=closing_current(loop), k_p=proportional_gain,
+            c_1=velocity_compensation,
+        ),
+    )  # fmt: skip
     return rest.transition[0], rest.push[0], rest.feedback[0]
 
 
-def solve_lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
+def closed_loop_at_rest(loop: Loop, proportional_gain: float, velocity_compensation: float = 1.0) -> FloatArray:
+    """Return F + G K at rest with the valve closed, shape (n, n)."""
+    free, push, feedback = linearize_at_rest(loop, proportional_gain, velocity_compensation)
+    return free + np.outer(push, feedback)
+
+
+def spectral_radius(closed: FloatArray) -> float:
+    """Return the largest magnitude of a loop's eigenvalues: below 1 it decays."""
+    return float(np.abs(np.linalg.eigvals(closed)).max())
+
+
+def solve_lyapunov(closed: FloatArray, own_decay: float) -> FloatArray:
     """Return the solution P, shape (n, n), of the discrete Lyapunov equation for a share of the loop's decay rate.
 
     Raises ValueError if the loop does not decay.
     """
-    slowest = float(np.abs(np.linalg.eigvals(closed)).max())
+    slowest = spectral_radius(closed)
     if slowest >= 1.0:
         raise ValueError("a metric is wanted of a loop that does not decay: the certified range of K_p is too wide")
     sped = closed / slowest**own_decay
-    return np.asarray(solve_discrete_lyapunov(sped.T, np.diag(weights)))
+    return np.asarray(solve_discrete_lyapunov(sped.T, np.eye(len(closed))))
 
 
 def require_stable_gain(loop: Loop, velocity_compensation: float = 1.0) -> None:
     """Raise ValueError if the linearized loop at rest is stable at no gain: then no metric exists."""
-    closed = (_closed(loop, gain, velocity_compensation) for gain in SCANNED_GAINS)
-    if any(float(np.abs(np.linalg.eigvals(each)).max()) < 1.0 for each in closed):
+    if any(spectral_radius(closed_loop_at_rest(loop, k_p, velocity_compensation)) < 1.0 for k_p in SCANNED_GAINS):
         return
     valve, dead = 1e3 * loop["spool_age"], 1e3 * loop["delay"]
     raise ValueError(
@@ -132,7 +140,7 @@ def limit_to_stable_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     low, share = design.gain_low, design.gain_share
     high = design.gain_high / share
     for gain in np.arange(low, high, max(1.0, (high - low) / SCANNED_GAINS_MAX)):
-        if float(np.abs(np.linalg.eigvals(_closed(loop, float(gain), design.velocity_compensation))).max()) >= 1.0:
+        if spectral_radius(closed_loop_at_rest(loop, float(gain), design.velocity_compensation)) >= 1.0:
             break
     else:
         return design
@@ -156,33 +164,6 @@ def solve_riccati(loop: Loop, design: MetricDesign) -> tuple[FloatArray, FloatAr
     weight = np.asarray(solve_discrete_are(free, push[:, np.newaxis], np.diag(weights), np.array([[design.effort]])))
     feedback = -(push @ weight @ free) / (design.effort + push @ weight @ push)
     return weight, unit * feedback
-
-
-def design_table(loop: Loop, design: MetricDesign) -> dict[str, Any]:
-    """Solve the metrics of a design, each scaled to 1 along the load force (raises as `solve_lyapunov`).
-
-    Returns `gains`, `table` and `floor` of a `ScheduledMetric`.
-    """
-    gains = _gains(design)
-    closed = [_closed(loop, gain, design.velocity_compensation) for gain in gains]
-    rows = [solve_lyapunov(each, np.ones(len(loop.scale)), design.own_decay) for each in closed]
-    rows.append(solve_riccati(loop, design)[0])
-    table = np.array([cholesky_entries(row / row[3, 3]) for row in rows])
-    return {"gains": gains, "table": table, "floor": design.floor}
-
-
-def _gains(design: MetricDesign) -> FloatArray:
-    """K_p [1/s] of the table."""
-    low, high, step = design.gain_low, design.gain_high, design.gain_step
-    wide = high - low > TABLE_STEPS_MAX * step
-    gains = np.linspace(low, high, TABLE_STEPS_MAX + 1) if wide else np.arange(low, high + 0.5 * step, step)
-    return np.asarray(gains, np.float64)
-
-
-def _closed(loop: Loop, proportional_gain: float, velocity_compensation: float) -> FloatArray:
-    """F + G K at rest."""
-    free, push, feedback = linearize_at_rest(loop, float(proportional_gain), velocity_compensation)
-    return free + np.outer(push, feedback)
 
 
 def cholesky_entries(weight: FloatArray) -> FloatArray:
@@ -239,12 +220,20 @@ class ScheduledMetric:
 
     @classmethod
     def from_design(cls, loop: Loop, design: MetricDesign) -> ScheduledMetric:
-        """Create a metric from a design, solved for the loop at rest."""
+        """Solve a design's metrics for the loop at rest, each scaled to 1 along f_l; raises as `solve_lyapunov`."""
+        low, high, step, c_1 = design.gain_low, design.gain_high, design.gain_step, design.velocity_compensation
+        wide = high - low > TABLE_STEPS_MAX * step
+        gains = np.linspace(low, high, TABLE_STEPS_MAX + 1) if wide else np.arange(low, high + 0.5 * step, step)
+        solved = [solve_lyapunov(closed_loop_at_rest(loop, gain, c_1), design.own_decay) for gain in gains]
+        solved.append(solve_riccati(loop, design)[0])
         return cls(
-            **design_table(loop, design), coordinates=coordinate_names(loop),
-            velocity_compensation=design.velocity_compensation,
+            gains=np.asarray(gains, np.float64),
+            table=np.array([cholesky_entries(one / one[Q_LOAD, Q_LOAD]) for one in solved]),
+            floor=design.floor,
+            coordinates=coordinate_names(loop),
+            velocity_compensation=c_1,
             thresholds=Thresholds(integral_allowance=float(loop.scale[Q_HYDRAULIC]) * 2.0 / 3.0),
-        )  # fmt: skip
+        )
 
     def validity_error(self, name: str) -> str:
         """Return an error message if too many held-out samples violated the metric of file `name`; else empty."""
@@ -318,39 +307,27 @@ class ScheduledMetric:
     def _of(
         cls, tensors: weights.Tensors, header: Mapping[str, Any], made: MadeFor | None, prefix: str = ""
     ) -> ScheduledMetric:
+        """Return one metric of a file; raises ValueError if its tensors and its header do not form one."""
         arrays = {name: np.asarray(tensors[prefix + name], np.float64) for name in ARRAYS}
-        coordinates = tuple(str(name) for name in header["coordinates"])
-        entries = len(coordinates) * (len(coordinates) + 1) // 2
-        coordinate_count(entries)
-        thresholds, c_1 = Thresholds(**header["thresholds"]), float(header["velocity_compensation"])
-        _check(arrays, entries, float(header["floor"]), thresholds, c_1)
+        coordinates, gains = tuple(str(name) for name in header["coordinates"]), arrays["gains"]
+        width, thresholds = len(coordinates), Thresholds(**header["thresholds"])
+        floor, c_1 = float(header["floor"]), float(header["velocity_compensation"])
+        if width < LOOP_SIZE:
+            raise InvalidTensorError(f"{width} coordinates are fewer than the {LOOP_SIZE} of every loop")
+        if not 0.0 <= c_1 <= 1.0:
+            raise InvalidTensorError(f"velocity_compensation is {c_1:g}: it is a share")
+        check_shapes(arrays, {"table": (len(gains) + 1, width * (width + 1) // 2)})
+        check(thresholds)
+        if gains.ndim != 1 or not (np.diff(gains) > 0.0).all():
+            raise InvalidTensorError("gains do not rise")
+        if not 0.0 < floor < MAX_MAGNITUDE:
+            raise InvalidTensorError(f"floor is {floor:g}: M is definite for a floor above 0 only")
         return cls(
-            floor=float(header["floor"]), thresholds=thresholds, coordinates=coordinates,
-            training=dict(header["training"]), made=made, velocity_compensation=c_1, another=None, **arrays,
+            floor=floor, thresholds=thresholds, coordinates=coordinates, training=dict(header["training"]), made=made,
+            velocity_compensation=c_1, gains=gains, table=arrays["table"],
         )  # fmt: skip
-
-
-def _check(arrays: Mapping[str, FloatArray], entries: int, floor: float, thresholds: Thresholds, c_1: float) -> None:
-    """Raise ValueError if these do not form a metric."""
-    if not 0.0 <= c_1 <= 1.0:
-        raise InvalidTensorError(f"velocity_compensation is {c_1:g}: it is a share")
-    gains = arrays["gains"]
-    check_shapes(arrays, {"table": (len(gains) + 1, entries)})
-    check(thresholds)
-    if gains.ndim != 1 or not (np.diff(gains) > 0.0).all():
-        raise InvalidTensorError("gains do not rise")
-    if not 0.0 < floor < MAX_MAGNITUDE:
-        raise InvalidTensorError(f"floor is {floor:g}: M is definite for a floor above 0 only")
 
 
 def shipped_metric() -> Path:
     """Return the path of the metric shipped with this package."""
     return Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors"))
-
-
-def coordinate_count(entries: int) -> int:
-    """Return n for a Cholesky factor with n (n + 1) / 2 entries; raises ValueError if there is no such n."""
-    width = (isqrt(8 * entries + 1) - 1) // 2
-    if width * (width + 1) != 2 * entries or width < LOOP_SIZE:
-        raise ValueError(f"{entries} entries are no Cholesky factor of {LOOP_SIZE} coordinates or more")
-    return width

@@ -3,18 +3,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from hydro_core.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import (
+    SAMPLE_PERIOD,
+    STATE_DTYPE,
+    Command,
+    Flag,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+    Waveform,
+    to_matrix,
+)
 from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric import MetricDesign, ScheduledMetric, linearize_at_rest, require_stable_gain
+from hydro_filter.metric import MetricDesign, ScheduledMetric, closed_loop_at_rest, require_stable_gain
 from hydro_filter.model.coordinates import LOOP_SIZE
-from hydro_filter.model.loop import SUBSTEPS, Loop, coordinate_names, make_loop, make_samples, rest_measurement
+from hydro_filter.model.loop import (
+    SUBSTEPS,
+    Loop,
+    coordinate_names,
+    make_loop,
+    make_samples,
+    recorded_samples,
+    rest_measurement,
+)
 from hydro_filter.model.records import (
     NO_STATE,
     Linearization,
@@ -89,10 +107,8 @@ def whole_loop(bench: Bench, gain: float) -> FloatArray:
 def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: str) -> None:
     """But for the sum of the pressures, which no force moves, and what the coordinates leave out of it."""
     gain = 60.0
-    free, push, feedback = linearize_at_rest(of(case), gain)
-    ours, theirs = (
-        np.linalg.eigvals(one) for one in (free + np.outer(push, feedback), whole_loop(having(*CASES[case]), gain))
-    )
+    loops = closed_loop_at_rest(of(case), gain), whole_loop(having(*CASES[case]), gain)
+    ours, theirs = (np.linalg.eigvals(one) for one in loops)
     slow = ours[np.abs(ours) > 0.05]
     assert np.abs(slow[:, None] - theirs).min(axis=1).max() < 2e-3
     moving = theirs[np.abs(theirs.imag) > 1e-2]
@@ -107,42 +123,32 @@ def test_with_two_milliseconds_and_this_valve_no_gain_decays() -> None:
         require_stable_gain(of("2 ms"))
 
 
-@dataclass
-class Run:
-    """A run without noise: x, shape (n, 8), states y, and what the law says."""
+class Run(NamedTuple):
+    """A run of box and plant: records of `STATE_DTYPE`, and the plant's states y."""
 
-    x: FloatArray
+    states: StateArray
     y: FloatArray
-    law: FloatArray
 
 
 def run(bench: Bench, gain: float, *, noise: float = 0.0, samples: int = 700, amplitude: float = 100.0) -> Run:
     """`amplitude` [N] at 1 Hz."""
-    box, plant = Box(Bench.nominal()), AnalyticPlant(bench, noise=noise)
+    box, plant, states, y = Box(Bench.nominal()), AnalyticPlant(bench, noise=noise), np.zeros(samples, STATE_DTYPE), []
     reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=1.0)
+    changes = {"delta_kp": gain - box.config.base_kp, "delta_ki": -box.config.base_ki}
     box.receive(Command(), 0.0)
     x = plant.reset(0)
-    xs, ys, laws = [], [], []
     for k in range(samples):
-        asked: dict[str, Any] = {"delta_kp": gain - box.config.base_kp, "delta_ki": -box.config.base_ki}
-        box.receive(Command(arm=True, **asked, filter_fresh=True, reference=reference), k * SAMPLE_PERIOD)
-        ys.append(plant.state[0]["y"].copy())
-        xs.append(x.copy())
-        record = box.tick(x, k * SAMPLE_PERIOD)
-        assert not int(record["flags"]) & Flag.TRIPPED
-        laws.append([float(record[name]) for name in LAW])
-        x = plant.step(float(record["valve_current"]))
-    return Run(np.array(xs), np.array(ys), np.array(laws))
-
-
-LAW = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
+        box.receive(Command(arm=True, **changes, filter_fresh=True, reference=reference), k * SAMPLE_PERIOD)
+        y.append(plant.state[0]["y"].copy())
+        states[k] = box.tick(x, k * SAMPLE_PERIOD)
+        x = plant.step(float(states["valve_current"][k]))
+    assert not (states["flags"] & Flag.TRIPPED).any()
+    return Run(states, np.array(y))
 
 
 def seen_by(loop: Loop, seen: Run) -> Linearization:
     """What the filter makes of a run's samples."""
-    fields = ("nominal", "current", "reference", "reference_rate", "k_p")
-    signals = dict(zip(fields, seen.law.T, strict=True))
-    return linearize(loop.record, make_samples(seen.x, **signals), linearized=np.zeros(len(seen.x), np.bool_))
+    return linearize(loop.record, recorded_samples(seen.states), linearized=np.zeros(len(seen.states), np.bool_))
 
 
 def test_the_pressure_behind_a_slow_sensor_is_estimated() -> None:
@@ -152,7 +158,7 @@ def test_the_pressure_behind_a_slow_sensor_is_estimated() -> None:
         seen = run(bench, 60.0, noise=noise)
         found = seen_by(loop, seen).states[:, :2]
         late = slice(100, None)
-        ours, theirs = ((one - seen.y[:, :2])[late].std() for one in (found, seen.x[:, 4:6]))
+        ours, theirs = ((one - seen.y[:, :2])[late].std() for one in (found, to_matrix(seen.states)[:, 4:6]))
         assert ours < share * theirs, (noise, ours, theirs)
 
 
@@ -162,7 +168,7 @@ def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(
     gain, loop = {"id": "valve_gain", "parameters": {"ratio": ratio}}, of("all of it")
     seen = run(having(*CASES["all of it"], gain), 60.0, noise=1.0, samples=2000, amplitude=250.0)
     monitor = new_monitors()
-    run_monitor(loop.record, make_samples(seen.x, current=seen.law[:, 1]), new_memories(), monitor)
+    run_monitor(loop.record, recorded_samples(seen.states), new_memories(), monitor)
     assert bool(monitor["broken"][0]) == (ratio < 1.0)
 
 
@@ -193,6 +199,8 @@ def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None
     for effects in ((LAG, LEAK), (LAG, LEAK, slow)):
         bench = having(*effects)
         seen = run(bench, 60.0, samples=550)
-        found.append((seen_by(make_loop(bench, Bench.nominal()), seen).displacement[-1], seen.x[-1, 0]))
+        found.append(
+            (seen_by(make_loop(bench, Bench.nominal()), seen).displacement[-1], seen.states["hydraulic_force"][-1])
+        )
     np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-3)
     assert abs(found[0][1] - found[1][1]) > 1.0

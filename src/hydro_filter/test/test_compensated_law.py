@@ -22,7 +22,7 @@ from hydro_core.signals import (
     Waveform,
 )
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter, loop_filter
-from hydro_filter.metric import ScheduledMetric, linearize_at_rest, solve_lyapunov
+from hydro_filter.metric import ScheduledMetric, closed_loop_at_rest, solve_lyapunov, spectral_radius
 from hydro_filter.model.loop import make_loop, make_samples
 from hydro_filter.model.records import linearize
 from hydro_filter.model.sample import Sample
@@ -94,9 +94,7 @@ def pulsed(bench: Bench, plant: AnalyticPlant, gain: float, pulse: float) -> Flo
 def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(bench: Bench, gain: float) -> None:
     """Plant and box know nothing of the linearized loop; K_i at its least, it moves the eigenvalue by K_i / K_p."""
     smooth = replace(bench, effects=tuple(each for each in EXAMPLE_EFFECTS if each["id"] != "friction_coulomb"))
-    free, push, feedback = linearize_at_rest(make_loop(smooth, bench), gain, C_1)
-    values = np.linalg.eigvals(free + np.outer(push, feedback))
-    slowest = -float(np.log(np.abs(values).max())) / SAMPLE_PERIOD
+    slowest = -np.log(spectral_radius(closed_loop_at_rest(make_loop(smooth, bench), gain, C_1))) / SAMPLE_PERIOD
     plant = AnalyticPlant(smooth, noise=0.0)
     apart = np.abs(pulsed(bench, plant, gain, 1e-4) - pulsed(bench, plant, gain, 0.0))  # in f_h the oil still rings
     begin, span = 1100, min(200, round(1.5e3 / slowest))
@@ -108,13 +106,11 @@ def test_the_certificate_holds_at_every_gain_of_the_law(bench: Bench, model: Ben
     """Lyapunov's inequality at rest, between the table's gains, too; at C_1 = 1 there is none above 100 1/s."""
     loop, one = make_loop(model, bench), metric.certificates[1]
     for gain in np.linspace(15.0, 400.0, 50):
-        free, push, feedback = linearize_at_rest(loop, gain, C_1)
-        closed, weight = free + np.outer(push, feedback), one.matrix(gain)
+        closed, weight = closed_loop_at_rest(loop, gain, C_1), one.matrix(gain)
         kept = np.exp(-2.0 * 0.1 * SAMPLE_PERIOD)
         assert np.linalg.eigvalsh(closed.T @ weight @ closed - kept * weight).max() < 0.0
-    free, push, feedback = linearize_at_rest(loop, 200.0)
     with pytest.raises(ValueError, match="does not decay"):
-        solve_lyapunov(free + np.outer(push, feedback), np.ones(len(push)), 0.3)
+        solve_lyapunov(closed_loop_at_rest(loop, 200.0), 0.3)
 
 
 def test_a_file_keeps_both_and_the_shipped_one_holds_for_the_papers_law(

@@ -98,6 +98,13 @@ class Source:
         numbers = [float(values.get(name, 0.0)) for name in STATE_FIELDS]
         self.states.publish(STATES.pack(time.time_ns() - round(1e9 * age), sequence, *numbers, flags))
 
+    def ask(self, sequence: int, sample: Sample, *, flags: int = 1, timeout: float = 150.0) -> Correction:
+        """Publish a state and return its correction."""
+        before = len(self.corrections)
+        self.publish(sequence, sample, flags=flags)
+        self.wait(lambda: len(self.corrections) > before, timeout)
+        return self.corrections[-1]
+
     def close(self) -> None:
         self.executor.shutdown()
         self.node.destroy_node()
@@ -165,11 +172,9 @@ def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[.
 
 def test_bypass_is_loud(started: Callable[..., Source], unstable: Sample) -> None:
     source = started("--bypass", *PATIENT)
-    source.publish(0, unstable)
-    source.wait(lambda: bool(source.corrections))
-    assert source.corrections[0].status == CorrectionStatus.BYPASSED
-    assert source.corrections[0].delta_u == 0.0
-    assert source.corrections[0].certificate_before > 0.0
+    answer = source.ask(0, unstable)
+    assert (answer.status, answer.delta_u) == (CorrectionStatus.BYPASSED, 0.0)
+    assert answer.certificate_before > 0.0
     source.wait(lambda: any("BYPASSED" in status.message for status in source.diagnostics))
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
 
@@ -197,11 +202,8 @@ def test_new_files_are_taken_over_while_disarmed_and_not_before(
         replace(metric, made=MadeFor(box=bench.digest, model=digest_of(of))).save(file)
 
     def play(flags: int = 1) -> CorrectionStatus:
-        for record in records:
-            sequence = next(number)
-            source.publish(sequence, Sample.from_record(record), flags=flags)
-            source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
-        return CorrectionStatus(source.corrections[-1].status & STATUS_MASK)
+        answers = [source.ask(next(number), Sample.from_record(record), flags=flags) for record in records]
+        return CorrectionStatus(answers[-1].status & STATUS_MASK)
 
     write(replace(model, spring_stiffness=1.5 * model.spring_stiffness))
     source, number = started("--metric", str(file), "--model", str(of), *PATIENT), itertools.count()
@@ -286,11 +288,10 @@ def test_every_state_gets_one_correction_with_the_cores_numbers_and_a_gap_a_new_
         if 200 <= k < 210:
             continue
         sample, sequence = Sample.from_record(record), (first + k) % 2**32
-        source.publish(sequence, sample)
-        source.wait(lambda wanted=k + 1 if k < 200 else k - 9: len(source.corrections) >= wanted, timeout=5.0)
+        message = source.ask(sequence, sample, timeout=5.0)
         if k == 210:
             contraction_filter.reset_history()
-        expected, message = contraction_filter.correct(sample), source.corrections[-1]
+        expected = contraction_filter.correct(sample)
         assert (message.sequence, message.status & STATUS_MASK) == (sequence, expected.status)
         assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
         assert message.certificate_before == pytest.approx(expected.before, rel=1e-9, abs=1e-12)
@@ -309,14 +310,9 @@ def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_agai
     source: Source, unstable: Sample
 ) -> None:
     told = create_publisher(source.node, BOX)
-    digests = (Bench.nominal().digest, "0123456789ab", "", Bench.nominal().digest)
-    wanted = (
-        CorrectionStatus.MODIFIED,
-        CorrectionStatus.MISMATCH,
-        CorrectionStatus.MODIFIED,
-        CorrectionStatus.MODIFIED,
-    )
-    for turn, (digest, status) in enumerate(zip(digests, wanted, strict=True)):
+    own, fits = Bench.nominal().digest, CorrectionStatus.MODIFIED
+    boxes = ((own, fits), ("0123456789ab", CorrectionStatus.MISMATCH), ("", fits), (own, fits))
+    for turn, (digest, status) in enumerate(boxes):
         told.publish(BoxInfo(plant="bridge", bench_digest=digest))
         sequence = 1000 * turn
 
@@ -347,13 +343,11 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     source = started("--metric", "learned", *PATIENT)
     truth = modified_truth({"bench": {"spring_stiffness": 3e4}})
     records = record_offline(truth, [Segment(seconds=1.0, amplitude=300.0, frequency=1.0)]).states
-    for k, record in enumerate(records):
-        source.publish(k, Sample.from_record(record))
-        source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
-    statuses = [message.status & STATUS_MASK for message in source.corrections]
+    answers = [source.ask(k, Sample.from_record(record), timeout=5.0) for k, record in enumerate(records)]
+    statuses = [message.status & STATUS_MASK for message in answers]
     first = statuses.index(CorrectionStatus.MISMATCH)
     assert set(statuses[first:]) == {CorrectionStatus.MISMATCH}
-    assert all(message.delta_u == 0.0 and not message.active for message in source.corrections[first:])
+    assert all(message.delta_u == 0.0 and not message.active for message in answers[first:])
     source.wait(lambda: "MISMATCH" in source.diagnostics[-1].message)
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
     source.wait(lambda: dict_of(source.diagnostics[-1]).get("mismatch") == str(len(statuses) - first))
@@ -363,11 +357,10 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     for plant, firmware, mismatched in (("bridge", "one", True), ("sim", "one", True), ("sim", "another", False)):
         latched.publish(BoxInfo(plant=plant, firmware=firmware))  # again, by whichever node; then another box
         for _ in range(20):
-            sequence, wanted = sequence + 1, len(source.corrections) + 1
-            source.publish(sequence, still)
-            source.wait(lambda wanted=wanted: len(source.corrections) >= wanted, timeout=5.0)
+            sequence += 1
+            answer = source.ask(sequence, still, timeout=5.0)
             time.sleep(0.01)
-        assert (source.corrections[-1].status == CorrectionStatus.MISMATCH) is mismatched, firmware
+        assert (answer.status == CorrectionStatus.MISMATCH) is mismatched, firmware
     source.node.destroy_publisher(latched)
 
 
@@ -396,13 +389,10 @@ def test_outside_of_the_proved_region_is_said_beside_the_status(source: Source) 
         plan = Schedule(reference=signal, gains=(90.0, 15.0), seconds=1.5)
         said = []
         for index, record in enumerate(simulate(AnalyticPlant(learned_bench.load_model()), bench, plan, seed=0)):
-            sequence = next(number)
             sample = Sample.from_record(record)
             if 1200 <= index < 1300:
                 sample = sample._replace(proportional_gain=proportional_gain)
-            source.publish(sequence, sample, flags=int(record["flags"]) | Flag.ARMED)
-            source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
-            status = source.corrections[-1].status
+            status = source.ask(next(number), sample, flags=int(record["flags"]) | Flag.ARMED).status
             assert CorrectionStatus(status & STATUS_MASK) <= CorrectionStatus.INFEASIBLE
             said.append(bool(status & OUTSIDE_REGION))
         return said

@@ -14,7 +14,7 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric import linearize_at_rest
 from hydro_filter.model.coordinates import LOOP_SIZE
 from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, make_samples, rest_measurement, without_disturbances
-from hydro_filter.model.records import Linearization, linearize, new_memories, sensitivity
+from hydro_filter.model.records import Linearization, library, linearize, new_memories
 from hydro_filter.model.sample import POSITION, VELOCITY
 from hydro_filter.model.terms import hidden_state_indices
 from hydro_sim.box import firmware
@@ -135,10 +135,18 @@ def seen_by(loop: Loop, case: Case, gain: float, scales: tuple[float, float] = (
     return linearize(loop.record, sample, memory.copy())
 
 
+def sensitivity(loop: Loop, state: FloatArray, opening: float) -> FloatArray:
+    """g [N/s/A], -d f_h'/dv, f_h' of the closed valve at rest, -d p_a'/dv and d p_b'/dv at a state, by the firmware."""
+    made = np.empty(5)
+    pointers = firmware.address_of(loop.record), firmware.address_of(state), firmware.address_of(made)
+    library().hydro_c_filter_sensitivity(*pointers[:2], opening, pointers[2])
+    return made
+
+
 def displaced(loop: Loop, y: FloatArray, opening: float, q: FloatArray) -> FloatArray:
     """A state with a displacement q of the loop, in units of its scale (docstring of `coordinates`)."""
     change, moved = q * loop.scale, y.copy()
-    gain, _, _, soft_a, soft_b = sensitivity(loop.record, y, opening)
+    gain, _, _, soft_a, soft_b = sensitivity(loop, y, opening)
     total = loop["gain"][0] * loop["area"] * (soft_a + loop["ratio"] * soft_b)
     moved[0] += soft_a / total * change[0]
     moved[1] -= soft_b / total * change[0]
@@ -160,7 +168,7 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: lis
         before, opening = seen.states[0][loop.arrays["from_whole"]], float(seen.opening[0, 0])
         after = before.copy()
         model.sample(k, after, current)
-        later = sensitivity(loop.record, after, opening)[0]
+        later = sensitivity(loop, after, opening)[0]
 
         def shown(  # q a sample later
             q: FloatArray, change: float, y: FloatArray = before, later: float = later, opening: float = opening,

@@ -10,7 +10,14 @@ import pytest
 
 from hydro_core.settings import check
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray, StateArray
-from hydro_filter.metric import TABLE_STEPS_MAX, MetricDesign, ScheduledMetric, limit_to_stable_range, linearize_at_rest
+from hydro_filter.metric import (
+    TABLE_STEPS_MAX,
+    MetricDesign,
+    ScheduledMetric,
+    closed_loop_at_rest,
+    limit_to_stable_range,
+    spectral_radius,
+)
 from hydro_filter.model.loop import Loop, make_loop, without_overlap
 from hydro_filter.precompile import EXAMPLE_EFFECTS
 from hydro_filter.training.data import (
@@ -21,7 +28,6 @@ from hydro_filter.training.data import (
     Rollout,
     Windows,
     combine_labels,
-    concatenate,
     draw_windows,
     roll_out,
     stability_label,
@@ -57,7 +63,7 @@ def rollouts(bench: Bench) -> list[Rollout]:
 @pytest.fixture(scope="module")
 def windows(rollouts: list[Rollout], loop: Loop) -> Windows:
     made = [draw_windows(rollout, loop, DATA, index) for index, rollout in enumerate(rollouts)]
-    return concatenate([each for each in made if each is not None])
+    return Windows.concatenate([each for each in made if each is not None])
 
 
 def twins(growth: float) -> tuple[StateArray, StateArray]:
@@ -84,14 +90,12 @@ def test_rollouts_are_labelled_as_the_bench_is(rollouts: list[Rollout]) -> None:
 def test_a_solved_metric_decays_with_its_loop(loop: Loop, bench: Bench) -> None:
     metric = ScheduledMetric.from_design(loop, MetricDesign())
     for gain in metric.gains:
-        free, push, feedback = linearize_at_rest(loop, float(gain))
-        assert decay_rate(free + np.outer(push, feedback), metric.matrix(float(gain))) > 0.1
+        assert decay_rate(closed_loop_at_rest(loop, gain), metric.matrix(gain)) > 0.1
 
 
 def test_descent_makes_one_metric_decay_along_loops_that_differ(loop: Loop) -> None:
     metric = ScheduledMetric.from_design(loop, MetricDesign())
-    loops = [linearize_at_rest(loop, gain) for gain in np.linspace(40.0, 60.0, 40)]
-    closed = np.array([free + np.outer(push, feedback) for free, push, feedback in loops])
+    closed = np.array([closed_loop_at_rest(loop, gain) for gain in np.linspace(40.0, 60.0, 40)])
     row = int(np.searchsorted(metric.gains, 50.0))
 
     def slowest(one: ScheduledMetric) -> float:
@@ -113,8 +117,7 @@ def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: Loop, be
 
 def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: Loop) -> None:
     def slowest(gain: float) -> float:
-        free, push, feedback = linearize_at_rest(loop, gain)
-        return float(np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max())
+        return spectral_radius(closed_loop_at_rest(loop, gain))
 
     asked = replace(MetricDesign(), gain_high=200.0)
     found = limit_to_stable_range(loop, asked)

@@ -15,7 +15,7 @@ from hydro_core.settings import to_mapping
 from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_core.size import rescale
 from hydro_filter.controller.loop_filter import loop_filter
-from hydro_filter.metric import MetricDesign, ScheduledMetric, design_table
+from hydro_filter.metric import MetricDesign, ScheduledMetric
 from hydro_filter.model.loop import make_loop
 from hydro_filter.validation.runs import Trial, run
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
@@ -188,5 +188,7 @@ def test_the_compensated_law_and_its_residual_track_alike() -> None:
 
 
 def test_the_metric_of_a_similar_bench_is_the_same_table() -> None:
-    here, there = (design_table(make_loop(bench, bench), MetricDesign()) for bench in similar(effects=True))
-    np.testing.assert_allclose(there["table"], here["table"], rtol=1e-6, atol=1e-6 * float(np.abs(here["table"]).max()))
+    here, there = (
+        ScheduledMetric.from_design(make_loop(bench, bench), MetricDesign()).table for bench in similar(effects=True)
+    )
+    np.testing.assert_allclose(there, here, rtol=1e-6, atol=1e-6 * float(np.abs(here).max()))

@@ -41,6 +41,15 @@ class FilterChoice:
     model: Path | None = None
     """Bench file of the model; None: the shipped one."""
 
+    @classmethod
+    def from_files(
+        cls, *, metric: str | Path | None = None, model: str | Path | None = None, bench: str | Path | None = None
+    ) -> FilterChoice:
+        """Create the choice of these files; None: the shipped ones, and the bench.yaml of hydro_sim."""
+        file = Path(bench) if bench else None
+        believed = Bench.load(file) if file else Bench.nominal()
+        return cls(bench=believed, bench_file=file, metric=str(metric or LEARNED), model=Path(model) if model else None)
+
     @property
     def files(self) -> dict[str, Path]:
         """Paths of the metric's and the model's file, by these names."""
@@ -58,8 +67,7 @@ class FilterChoice:
 
         Raises PairingError: they do not belong together; ValueError, OSError: one cannot be read.
         """
-        bench = Bench.load(self.bench_file) if self.bench_file else self.bench
-        choice = replace(self, bench=bench)
+        choice = replace(self, bench=Bench.load(self.bench_file) if self.bench_file else self.bench)
         raise_if_mismatched(choice.pairing_error())
         return choice
 
@@ -83,13 +91,11 @@ class FilterChoice:
         box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
         learn = "make one of its recordings with `ros2 run hydro_diagnosis diagnose`, or take its bench.yaml (--model)"
         learn_metric = "make one with `ros2 run hydro_filter learn_metric` and its --bench and --model"
-        metric, path = self.stored_metric, self.files["model"]
+        stored, name = self.stored_metric, self.files["metric"].name
         return (
-            learned_bench.box_mismatch(path, box, learn)
-            or mismatch(
-                f"the metric {self.files['metric'].name}", metric.made, box, learn_metric, model=self._model_digest
-            )
-            or metric.validity_error(self.files["metric"].name)
+            learned_bench.box_mismatch(self.files["model"], box, learn)
+            or mismatch(f"the metric {name}", stored.made, box, learn_metric, model=self._model_digest)
+            or stored.validity_error(name)
         )
 
     @cached_property
@@ -121,9 +127,8 @@ class FilterChoice:
         Raises WeightsError: a file is missing, unreadable, or of a model that has no certificate; ValueError: as
         `loop_parts`.
         """
-        files = self.files
-        metric, model = self.stored_metric, learned_bench.load_model(files["model"])
-        return loop_filter(metric, model, self.bench, settings)
+        metric = self.stored_metric
+        return loop_filter(metric, learned_bench.load_model(self.files["model"]), self.bench, settings)
 
     @cached_property
     def _statements(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
@@ -192,8 +197,7 @@ def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argp
     """
     asked = parser().parse_args(given)
     site.apply_site_option(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
-    bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-    choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=str(asked.metric or LEARNED), model=asked.model)
+    choice = FilterChoice.from_files(metric=asked.metric, model=asked.model, bench=asked.bench)
     numbers = {name: value for name in NUMERIC_OPTIONS if (value := getattr(asked, name)) is not None}
     raise_if_mismatched(choice.pairing_error())
     return choice, LoopFilterSettings(bypass=asked.bypass, **numbers), asked

@@ -18,12 +18,10 @@ from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
-from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, without_disturbances
 from hydro_sim.box.firmware import Records
 from hydro_sim.box.header import header_file, initializer, record_members, wrap_words
 from hydro_sim.files.learned_bench import load_model
-from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.source import embedded_source
 
@@ -102,14 +100,12 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     """Entry point."""
     options = parser().parse_args()
-    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    choice = FilterChoice(bench=bench, bench_file=options.bench, metric=options.metric, model=options.model)
+    choice = FilterChoice.from_files(metric=options.metric, model=options.model, bench=options.bench)
     if trouble := choice.pairing_error():
         raise ValueError(trouble)
-    truth = load_model(choice.files["model"])
+    truth, bench, metric = load_model(choice.files["model"]), choice.bench, choice.stored_metric
     settings = LoopFilterSettings(contraction_rate=options.contraction_rate)
-    metric, loop = ScheduledMetric.load(choice.files["metric"]), make_loop(truth, bench)
-    parts = loop_parts(metric, truth, bench, settings)
+    loop, parts = make_loop(truth, bench), loop_parts(metric, truth, bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     origin = f"Written by `ros2 run hydro_filter export_c` for the bench {bench.digest}: {told}."
     write_whole(Path(options.out), render_header(parts, loop, metric.table, origin).encode())

@@ -32,7 +32,7 @@ from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_core.size import Size
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.model.loop import coordinate_names, make_loop, valve_overlap
+from hydro_filter.model.loop import coordinate_names, make_loop
 from hydro_filter.model.records import (
     DECISION,
     FILTER,
@@ -43,6 +43,7 @@ from hydro_filter.model.records import (
     new_monitors,
 )
 from hydro_filter.model.sample import Sample
+from hydro_filter.model.terms import valve_overlap
 from hydro_sim.box.firmware import Records, address_of
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import NOMINAL, Bench
@@ -129,10 +130,13 @@ class LoopFilter:
         """Of the last sample, with a, b, low, high of its QP."""
         self._sample = np.zeros(1, SAMPLE)
         self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
-        self._every = [(float(each["velocity_compensation"][0]), address_of(each), each) for each in (parts, *others)]
-        """C_1 of each record, its address, and the record, which has to live as long."""
-        self._unknown = [not any((c_1 == 1.0) is paper for c_1, *_ in self._every) for paper in (True, False)]
-        self._at = tuple(map(address_of, (self.memory, self.monitor, self._sample, self.decision)))
+        self._parts = (parts, *others)  # have to live as long as their addresses
+        self._certificates = [(float(each["velocity_compensation"][0]), address_of(each)) for each in self._parts]
+        """C_1 and address of each record."""
+        papers = [c_1 == 1.0 for c_1, _ in self._certificates]
+        self._unknown = [True not in papers, False not in papers]
+        """Whether there is no certificate under the paper's law, and under the compensated one."""
+        self._addresses = tuple(map(address_of, (self.memory, self.monitor, self._sample, self.decision)))
 
     @property
     def mismatch(self) -> str:
@@ -162,20 +166,18 @@ class LoopFilter:
         if self._unknown[sample.compensated]:
             self.reset_history()
             return Result(0.0, math.nan, math.nan, CorrectionStatus.BYPASSED)
-        law, parts = sample.law_inputs, self._every[0][1]
-        for c_1, address, _ in self._every[1:]:
+        law, (_, parts) = sample.law_inputs, self._certificates[0]
+        for c_1, address in self._certificates[1:]:
             if abs(law[2] - law[3] * c_1) <= C1_TOLERANCE * law[3]:
                 parts = address
         _PACK(
             self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
         )  # fmt: skip
-        self._judge(parts, self.settings.innovation_limit, *self._at)
-        delta_u, before, after, _, _, _, _, status, _ = (
-            self.decision.item()
-        )  # also of an old sample: the memory moves on
+        self._judge(parts, self.settings.innovation_limit, *self._addresses)  # an old sample, too: the memory moves on
+        delta_u, before, after, *_, status, _ = self.decision.item()
         if status == CorrectionStatus.NAN:
-            delta_u, before, after = 0.0, math.nan, math.nan
+            before = math.nan
         if self.settings.bypass:
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
         if status == CorrectionStatus.NAN:
@@ -208,27 +210,22 @@ def loop_parts(
 
     Raises ValueError: the metric's coordinates are not those of the model's loop, or as `make_loop`.
     """
-    chosen, levels, loop = settings or LoopFilterSettings(), metric.thresholds, make_loop(model, bench)
+    settings, levels, loop = settings or LoopFilterSettings(), metric.thresholds, make_loop(model, bench)
     if metric.coordinates != (needed := coordinate_names(loop)):
         raise ValueError(
             f"the metric is of the coordinates {', '.join(metric.coordinates)}, this model's loop has "
             f"{', '.join(needed)}: make one with `ros2 run hydro_filter learn_metric --model`"
         )
-    kept = {
-        name: math.exp(-2.0 * rate * SAMPLE_PERIOD)
-        for name, rate in (("kept", chosen.contraction_rate), ("foreign_kept", chosen.foreign_rate))
-    }
-    values = (
-        {f"loop.{name}": value for name, value in loop.values.items()}
-        | metric.firmware_fields
-        | valve_overlap(model)
-        | kept
-    )
+    values = {f"loop.{name}": value for name, value in loop.values.items()}
+    values |= metric.firmware_fields | valve_overlap(model)
     values |= {
-        "noise_size": chosen.noise_share * levels.noise_size,
-        "foreign_noise_size": chosen.noise_share * levels.foreign_noise_size,
-        "integral_allowance": levels.integral_allowance, "most": _most(bench.size),
-    }  # fmt: skip
+        "kept": math.exp(-2.0 * settings.contraction_rate * SAMPLE_PERIOD),
+        "foreign_kept": math.exp(-2.0 * settings.foreign_rate * SAMPLE_PERIOD),
+        "noise_size": settings.noise_share * levels.noise_size,
+        "foreign_noise_size": settings.noise_share * levels.foreign_noise_size,
+        "integral_allowance": levels.integral_allowance,
+        "most": _most(bench.size),
+    }
     arrays = {f"loop.{name}": array for name, array in loop.arrays.items()}
     return make_record(FILTER, values, arrays | {"table": metric.table})
 

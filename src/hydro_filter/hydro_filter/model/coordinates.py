@@ -27,8 +27,6 @@ computed by `firmware/hydro/loop.h`.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hydro_core.signals import FloatArray
@@ -48,8 +46,3 @@ def coordinate_scales(bench: Bench) -> FloatArray:
     position, rate = force / bench.spring_stiffness, force * SCALING_RATE
     speed, drive = position * SCALING_RATE, 20.0 * rate  # the oil is some 18 times as stiff as the spring
     return np.array([force, drive, 500.0 * drive, force, rate, position, speed, speed])
-
-
-def gain_lower_bound(area: float, stiffness_a: float, valve_gain: float, supply: float) -> float:
-    """Return the lower bound of g [N/s/A] in a linearization; g is zero where both chambers are at their limits."""
-    return 0.1 * area * stiffness_a * valve_gain * math.sqrt(0.5 * supply)

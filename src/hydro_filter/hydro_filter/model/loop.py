@@ -8,7 +8,7 @@ Two models stand behind it, both compiled from the bench file::
 
 Dry friction, as an effect or a closure, overlap and gaps are bounded disturbances to the metric: within them nothing
 moves, and a derivative there does not describe the loop. The certificate counts what of the current passes an overlap
-(`overlap`).
+(`terms.valve_overlap`).
 
 The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
 (`terms`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
@@ -19,22 +19,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from math import ceil, floor, sqrt
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_core.signals import FloatArray, StateArray, to_matrix
-from hydro_filter.model.coordinates import LOOP_FIELDS, Q_SPOOL_RATE, coordinate_scales, gain_lower_bound
+from hydro_core.signals import SAMPLE_PERIOD, FloatArray, StateArray, to_matrix
+from hydro_filter.model.coordinates import LOOP_FIELDS, Q_HYDRAULIC, Q_SPOOL, Q_SPOOL_RATE, coordinate_scales
 from hydro_filter.model.records import LOOP, SAMPLE, make_record
 from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_filter.model.terms import (
+    FORCE_CELL_LAG,
+    LOAD_CELL_LAG,
+    OVERLAP,
+    PRESSURE_LAGS,
     UNCERTAINTY,
-    added_coordinates,
-    count_delayed_currents,
-    dead_time_samples,
+    VALVE_LAG,
     depends_on_velocity,
+    dry_friction,
+    find_parameters,
     hidden_state_indices,
+    lag_delay,
+    lagging_sensors,
     load_cell_coefficients,
     load_cell_indices,
     load_curve,
@@ -42,7 +49,6 @@ from hydro_filter.model.terms import (
     pressure_observer,
     sensor_calibration,
     state_index,
-    valve_lag_time,
 )
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.firmware import BENCH_FIELDS, Records
@@ -53,11 +59,8 @@ from hydro_sim.model.effects import catalogue
 from hydro_sim.model.grammar import depends_on_direction, has_hidden_states, signals_of
 from hydro_sim.model.sensors import Sensors
 
-DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
+DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", OVERLAP, "backlash")
 """Effects that the linearized loop leaves out."""
-
-OVERLAP = "valve_deadband"
-"""Of these, the one within which no current moves anything: B = 0."""
 
 REFERENCE_ACCELERATION_MAX = 2000.0 / 3.0
 """1/s^2, limit of f_r'' over the bench's force: that at 4 Hz."""
@@ -75,13 +78,16 @@ SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
 
 SINGLE_LAG_EFFECTS = {
-    "the valve": "valve_lag",
-    "the load cell": "sensor_lag sensor=load_force",
-    "the load cell of f_h": "sensor_lag sensor=hydraulic_force",
-    "the pressure sensor of a": "sensor_lag sensor=pressure_a",
-    "the pressure sensor of b": "sensor_lag sensor=pressure_b",
+    "the valve": VALVE_LAG,
+    "the load cell": LOAD_CELL_LAG,
+    "the load cell of f_h": FORCE_CELL_LAG,
+    "the pressure sensor of a": PRESSURE_LAGS[0],
+    "the pressure sensor of b": PRESSURE_LAGS[1],
 }
 """Labels of effects of which a bench has one at most."""
+
+WHOLE_SAMPLE = 1e-9
+"""Of a sample: a dead time this close to whole samples is one of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +123,76 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     Raises ValueError: the certificate's coordinates cannot represent this bench; the message is one sentence.
     """
     check_representable(truth)
-    values, arrays = _fields(truth, believed)
+    # both models, and where the states of the loop's are in the whole one
+    linear_bench = without_disturbances(truth)
+    whole, linear = BenchModel(truth, substeps=SUBSTEPS), BenchModel(linear_bench, substeps=SUBSTEPS)
+    states, linear_states = hidden_state_indices(truth), hidden_state_indices(linear_bench)
+    k, rest, _ = whole.begin(whole.values)
+    carried = whole.values * [MASS_FACTOR if one.name == "moving_mass" else 1.0 for one in whole.parameters]
+    past = whole.structure.past
+    from_whole = [*range(TEXTBOOK), *(states[name] for name in linear_states), *range(len(rest) - past, len(rest))]
+
+    # load, friction, sensors and valve
+    numbers, law, size = truth.constants()[0], believed.constants()[0], believed.size
+    positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
+    forces = load_curve(numbers, [one for one in truth.terms if one["id"] not in DISTURBANCES], positions)
+    if not (np.diff(forces) > 0.0).all():
+        raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
+    level, (before, after) = dry_friction(truth), null_shifts(truth)
+    bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
+    (lag, inertia), (gain, bias) = load_cell_coefficients(truth), sensor_calibration(truth)
+    area, stiffness_a = float(numbers["piston_area"]), hydraulics.stiffnesses(numbers, float(rest[2]))[0]
+    half_supply = sqrt(0.5 * float(numbers["supply_pressure"]))
+    delay = catalogue.total_delay(truth.effects)
+
+    # coordinates that the bench file adds to the eight: of lagging pressure sensors, then of currents in the dead time
+    sensors, on_their_way = lagging_sensors(truth, states, linear_states), ceil(delay / SAMPLE_PERIOD - WHOLE_SAMPLE)
+    lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
+    for i, one in enumerate(sensors):
+        lagging[i] = one.signal, one.rate, one.chamber, one.delay
+    if count := len(sensors):
+        observer[: count + 1, : 3 * count] = pressure_observer(linear, sensors, size)
+    scale = coordinate_scales(believed)
+    pressure, currents = float(scale[Q_HYDRAULIC]) / truth.piston_area, TEXTBOOK + len(linear_states)
+    kept = [index for one in sensors for index in (one.linear_signal, one.linear_rate)]
+    kept += range(currents, currents + on_their_way)
+    added = [unit for one in sensors for unit in (pressure, one.omega * pressure)]
+    added += [float(scale[Q_SPOOL])] * on_their_way
+
+    values: dict[str, Any] = {
+        "sample": whole.address_of("bench_sample"), "jacobian": linear.address_of("bench_jacobian"),
+        "coordinates": len(scale) + len(added), "lagging": lagging, "lagging_count": count, "observer": observer,
+        "force_shown": state_index(states, FORCE_CELL_LAG, "signal"),
+        "delay": delay, "past": past, "at_valve": floor(delay / SAMPLE_PERIOD + WHOLE_SAMPLE),
+        "on_their_way": on_their_way, "spool_age": lag_delay(find_parameters(truth, VALVE_LAG)),
+        "before": before, "after": after,
+        "points": len(forces), "first": positions[0], "step": positions[1] - positions[0],
+        "level": level, "holds": level > 0.0 and not bristles, "creep": size.length * VELOCITY_NOISE_FLOOR,
+        "lag": lag, "inertia": inertia, "gain": gain, "bias": bias,
+        "allowed": size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
+        "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
+        "dead_a": float(numbers["dead_volume_a"]), "dead_b": float(numbers["dead_volume_b"]),
+        "stroke": float(numbers["stroke"]), "bend_max": size.force * REFERENCE_ACCELERATION_MAX,
+        # g is zero where both chambers are at their limits
+        "least_gain": 0.1 * area * stiffness_a * float(numbers["valve_gain"]) * half_supply,
+        "least_opening": 0.1 * float(numbers["valve_current_max"]),
+        "gain_floor": float(BoxConfig().constants(believed)["gain_floor"][0]),
+        "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
+        "bench": tuple(float(law[name]) for name in BENCH_FIELDS),
+    }  # fmt: skip
+    for name, model, indices in (("whole", whole, states), ("linear", linear, linear_states)):
+        cell, cell_rate = load_cell_indices(model.bench, indices)
+        values |= {
+            f"{name}.rates": model.address_of("bench_rates"), f"{name}.states": len(model.states),
+            f"{name}.spool": state_index(indices, VALVE_LAG, "spool"),
+            f"{name}.spool_rate": state_index(indices, VALVE_LAG, "rate"),
+            f"{name}.cell": cell, f"{name}.cell_rate": cell_rate,
+        }  # fmt: skip
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "whole.k": k, "linear.k": linear.begin(linear.values)[0], "sample_k": whole.begin(carried)[0],
+        "from_whole": np.array(from_whole, np.int32), "rest": rest, "forces": forces,
+        "scale": np.append(scale, added), "kept": np.array(kept, np.int32),
+    }  # fmt: skip
     return Loop(truth, believed, values, arrays, make_record(LOOP, values, arrays))
 
 
@@ -190,74 +265,6 @@ def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> 
     return make_samples(to_matrix(states), **signals, c_1=velocity_compensation)
 
 
-def _fields(truth: Bench, believed: Bench) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-    """Fields of the record of a bench file, and what its pointers point to."""
-    loop_bench, size, drive = without_disturbances(truth), believed.size, coordinate_scales(believed)
-    whole, loop = BenchModel(truth, substeps=SUBSTEPS), BenchModel(loop_bench, substeps=SUBSTEPS)
-    k, rest, _ = whole.begin(whole.values)
-    carried = whole.values * [MASS_FACTOR if one.name == "moving_mass" else 1.0 for one in whole.parameters]
-    places, loop_places = hidden_state_indices(truth), hidden_state_indices(loop_bench)
-    numbers, past = truth.constants()[0], whole.structure.past
-    chosen = [effect for effect in truth.terms if effect["id"] not in DISTURBANCES]
-    from_whole = [*range(TEXTBOOK), *(places[name] for name in loop_places), *range(len(rest) - past, len(rest))]
-    before, after = null_shifts(truth)
-    lag, inertia = load_cell_coefficients(truth)
-    added = added_coordinates(truth, places, loop_places, drive)
-    count = len(added.lagging)
-    sensors = np.column_stack((added.kept[: 2 * count].reshape(-1, 2), added.lagging[:, 2:]))
-    lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
-    for name, column in zip(("signal", "rate", "chamber"), added.lagging.T, strict=True):
-        lagging[name][:count] = column
-    lagging["age"][:count] = added.ages
-    observer[: count + 1, : 3 * count] = pressure_observer(loop, sensors, size)
-    positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
-    forces = load_curve(numbers, chosen, positions)
-    if not (np.diff(forces) > 0.0).all():
-        raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
-    dry = [
-        effect["parameters"] for effect in truth.effects if effect["id"] in ("friction_coulomb", "friction_stribeck")
-    ]
-    level = sum(max(value for name, value in each.items() if "force" in name) for each in dry)
-    bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
-    gain, bias = sensor_calibration(truth)
-    area, believes = float(numbers["piston_area"]), believed.constants()[0]
-    stiffness_a = hydraulics.stiffnesses(numbers, float(rest[2]))[0]
-    values: dict[str, Any] = {
-        "sample": whole.address_of("bench_sample"), "jacobian": loop.address_of("bench_jacobian"),
-        "lagging": lagging, "observer": observer, "coordinates": len(drive) + len(added.scale), "points": len(forces),
-        "lagging_count": count, "past": past, "at_valve": dead_time_samples(truth),
-        "on_their_way": count_delayed_currents(truth), "holds": level > 0.0 and not bristles, "level": level,
-        "force_shown": state_index(places, "sensor_lag sensor=hydraulic_force", "signal"),
-        "first": positions[0], "step": positions[1] - positions[0], "before": before, "after": after,
-        "delay": catalogue.total_delay(truth.effects), "spool_age": valve_lag_time(truth), "lag": lag,
-        "inertia": inertia,
-        "gain": gain, "bias": bias,
-        "allowed": size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
-        "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
-        "dead_a": float(numbers["dead_volume_a"]), "dead_b": float(numbers["dead_volume_b"]),
-        "stroke": float(numbers["stroke"]), "bend_max": size.force * REFERENCE_ACCELERATION_MAX, "creep": size.length *
-        VELOCITY_NOISE_FLOOR, "least_gain": gain_lower_bound(area, stiffness_a, float(numbers["valve_gain"]),
-        float(numbers["supply_pressure"])), "least_opening": 0.1 * float(numbers["valve_current_max"]),
-        "gain_floor": float(BoxConfig().constants(believed)["gain_floor"][0]),
-        "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
-        "bench": tuple(float(believes[name]) for name in BENCH_FIELDS),
-    }  # fmt: skip
-    for name, model, numbered, of in (("whole", whole, places, truth), ("linear", loop, loop_places, loop_bench)):
-        cell, cell_rate = load_cell_indices(of, numbered)
-        values |= {
-            f"{name}.rates": model.address_of("bench_rates"), f"{name}.states": len(model.states),
-            f"{name}.spool": state_index(numbered, "valve_lag", "spool"),
-            f"{name}.spool_rate": state_index(numbered, "valve_lag", "rate"),
-            f"{name}.cell": cell, f"{name}.cell_rate": cell_rate,
-        }  # fmt: skip
-    arrays: dict[str, npt.NDArray[Any]] = {
-        "whole.k": k, "linear.k": loop.begin(loop.values)[0], "sample_k": whole.begin(carried)[0],
-        "from_whole": np.array(from_whole, np.int32), "rest": rest, "forces": forces,
-        "scale": np.append(drive, added.scale), "kept": added.kept.astype(np.int32),
-    }  # fmt: skip
-    return values, arrays
-
-
 def without_disturbances(truth: Bench) -> Bench:
     """Return the bench without `DISTURBANCES` and closures, which the linearization leaves out."""
     return replace(
@@ -271,17 +278,3 @@ def without_overlap(truth: Bench) -> Bench | None:
     """Return the bench without its valve's overlap; None if it has none."""
     kept = tuple(effect for effect in truth.effects if effect["id"] != OVERLAP)
     return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None
-
-
-def valve_overlap(truth: Bench) -> dict[str, float]:
-    """Return the overlap of a bench's valve [A], summed over its effects.
-
-    `closing`: current that closes the valve; `back`, `out`: half widths of negative openings and of others.
-    """
-    closing, back, out = -sum(null_shifts(truth)), 0.0, 0.0
-    for effect in truth.effects:
-        if effect["id"] == OVERLAP:
-            widths = effect["parameters"]
-            out += float(widths["half_width"])
-            back += float(widths.get("half_width_negative", widths["half_width"]))
-    return {"closing": closing, "back": back, "out": out}

@@ -3,9 +3,9 @@
 
 ::
 
-    parts = loop_parts(metric, model, bench)            a record of FILTER, shape (1,)
-    follow(loop, samples)                               F, G, K, v of samples that follow one another
-    decide(calls().decide, parts, memory, sample, made) one decision, in a loop that numba compiles
+    parts = loop_parts(metric, model, bench)                   a record of FILTER, shape (1,)
+    linearize(loop, samples)                                   F, G, K, v of successive samples
+    decide(decide_address(), parts, memory, sample, made)      one decision, in a loop that numba compiles
 
 A record and what it points to are one piece of memory (`make_record`): pointers live as long as the record, and a copy
 of the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
@@ -202,15 +202,8 @@ def linearize(
 def run_monitor(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
     """Run the model monitor on successive samples; returns its sums after each, shape (n, 5, 2)."""
     sums = np.empty((len(samples), EQUATIONS, 2))
-    library().hydro_c_filter_watch(
-        address_of(loop),
-        limit,
-        address_of(memory),
-        address_of(monitor),
-        len(samples),
-        address_of(samples),
-        address_of(sums),
-    )
+    at = map(address_of, (memory, monitor))
+    library().hydro_c_filter_watch(address_of(loop), limit, *at, len(samples), *map(address_of, (samples, sums)))
     return sums
 
 
@@ -218,15 +211,4 @@ def law_gradient(loop: Records, sample: Records) -> FloatArray:
     """Return the gradient du/dx of the force law at a sample, shape (8,), A per unit of each measurement."""
     made = np.empty(8)
     library().hydro_c_filter_gradient(address_of(loop), address_of(sample), address_of(made))
-    return made
-
-
-def sensitivity(loop: Records, state: FloatArray, opening: float) -> FloatArray:
-    """Return sensitivities of the loop's model at a state and an opening [A], shape (5,).
-
-    g [N/s/A] on the opening's side, -d f_h'/dv [N/m], f_h' with valve closed and at rest [N/s], -d p_a'/dv and
-    d p_b'/dv [Pa/m].
-    """
-    made = np.empty(5)
-    library().hydro_c_filter_sensitivity(address_of(loop), address_of(state), opening, address_of(made))
     return made

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a bench file's effects for the certificate: hidden states, load, sensors, null shifts.
+"""What the certificate reads off a bench file's effects: hidden states, load, sensors, valve, and added coordinates.
 
-And the coordinates that its loop has beside the eight of `coordinates`: readings that lag, commands on their way.
-
-::
+The loop has coordinates beside the eight of `coordinates` for readings that lag and commands on their way::
 
     a pressure sensor's lag    what it shows, and its rate       Pa, Pa/s     the force law reads this, not the pressure
     a dead time                the currents still on their way   N/s          T = 1 ms: the last ceil(time / T) of them
@@ -15,18 +13,16 @@ force rate that it will drive, as the spool does. Without these effects there ar
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import ceil, floor, inf, pi
+from collections.abc import Mapping, Sequence
+from math import inf, pi
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_discrete_are
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_core.size import Size
-from hydro_filter.model.coordinates import Q_HYDRAULIC, Q_SPOOL
 from hydro_filter.model.records import NO_STATE
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
@@ -39,36 +35,92 @@ from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 StateName = tuple[str, int, str]
 """Of a hidden state: its effect's label, which one of several with that label, the state."""
 
-LOAD_CELL_LAG = "sensor_lag sensor=load_force"
-_LOAD, _LOAD_RATE = 4, 5  # of the textbook's states: what an amplifier of the bench itself shows
+VALVE_LAG, LOAD_CELL_LAG, FORCE_CELL_LAG = (
+    "valve_lag", "sensor_lag sensor=load_force", "sensor_lag sensor=hydraulic_force",
+)  # fmt: skip
+PRESSURE_LAGS = "sensor_lag sensor=pressure_a", "sensor_lag sensor=pressure_b"
+"""Labels of effects."""
+OVERLAP = "valve_deadband"
+"""Effect within which no current moves anything."""
+POSITION_STATE, VELOCITY_STATE, LOAD_STATE, LOAD_RATE_STATE = 2, 3, 4, 5
+"""Of the textbook's states; the load is what an amplifier of the bench itself shows."""
+
+UNCERTAINTY = 1.875e-4
+"""Standard deviation of the model's pressure after one sample, over the supply's: what the monitor allows."""
+
+
+def parameters_of(effect: Mapping[str, Any]) -> dict[str, float]:
+    """Return the parameters of a bench file's entry by name."""
+    kind, values = catalogue.parse_entry(effect)
+    return {one.name: value for one, value in zip(kind.parameters, values, strict=True)}
+
+
+def find_parameters(bench: Bench, label: str) -> dict[str, float]:
+    """Return the parameters of the first effect whose label begins with `label`, by name; empty if there is none."""
+    return next((parameters_of(one) for one in bench.effects if catalogue.label(one).startswith(label)), {})
+
+
+def lag_delay(lag: Mapping[str, float]) -> float:
+    """Return the delay [s] of a lag at low frequency: 2 d/w, 1/w if it is of first order, 0 of no parameters."""
+    return (2.0 * lag["damping"] if "damping" in lag else 1.0) / (2.0 * pi * lag["bandwidth"]) if lag else 0.0
 
 
 def hidden_state_indices(bench: Bench) -> dict[StateName, int]:
     """Return the index of each hidden state in the bench's model."""
     seen: dict[str, int] = {}
-    places: dict[StateName, int] = {}
+    indices: dict[StateName, int] = {}
     for effect in bench.terms:
         label = catalogue.label(effect)
         seen[label] = seen.get(label, -1) + 1
         for state in catalogue.parse_entry(effect)[0].effect.states:
-            places[label, seen[label], state.name] = TEXTBOOK + len(places)
-    return places
+            indices[label, seen[label], state.name] = TEXTBOOK + len(indices)
+    return indices
 
 
-def state_index(numbers: Mapping[StateName, int], label: str, state: str) -> int:
+def state_index(indices: Mapping[StateName, int], label: str, state: str) -> int:
     """Return the index of the first state of this name of an effect whose label begins with `label`, or `NO_STATE`."""
-    return next((at for (has, _, name), at in numbers.items() if has.startswith(label) and name == state), NO_STATE)
+    return next((at for (has, _, name), at in indices.items() if has.startswith(label) and name == state), NO_STATE)
 
 
-def load_cell_indices(bench: Bench, numbers: Mapping[StateName, int]) -> tuple[int, int]:
+def load_cell_indices(bench: Bench, indices: Mapping[StateName, int]) -> tuple[int, int]:
     """Return the indices of the load cell's states, force and rate; `NO_STATE` for the rate of an ideal cell."""
-    if (force := state_index(numbers, LOAD_CELL_LAG, "signal")) != NO_STATE:
-        return force, state_index(numbers, LOAD_CELL_LAG, "rate")
-    return _LOAD, _LOAD_RATE if float(bench.constants()["load_cell_omega"][0]) > 0.0 else NO_STATE
+    if (force := state_index(indices, LOAD_CELL_LAG, "signal")) != NO_STATE:
+        return force, state_index(indices, LOAD_CELL_LAG, "rate")
+    return LOAD_STATE, LOAD_RATE_STATE if float(bench.constants()["load_cell_omega"][0]) > 0.0 else NO_STATE
 
 
-def _made(numbers: Any, effect: Mapping[str, Any], velocity: float = 0.0) -> Effect:
-    """An effect with its numbers, for terms that need no state but the velocity [m/s]."""
+def load_cell_coefficients(bench: Bench) -> tuple[float, float]:
+    """Return the coefficients 2 d/w [s] and 1/w^2 [s^2] of the load cell's amplifier."""
+    if lag := find_parameters(bench, LOAD_CELL_LAG):
+        return lag_delay(lag), (2.0 * pi * lag["bandwidth"]) ** -2
+    omega = float(bench.constants()["load_cell_omega"][0]) or inf
+    return 2.0 * LOAD_CELL_DAMPING / omega, 1.0 / omega**2
+
+
+def load_curve(record: Any, effects: Sequence[Mapping[str, Any]], positions: FloatArray) -> FloatArray:
+    """Return the load force f_l [N] at `positions` [m], without backlash."""
+    numbers = SimpleNamespace(**{name: float(record[name]) for name in record.dtype.names})
+    force = rates.load_force(numbers, [_evaluable(effect, numbers) for effect in effects], positions)
+    return np.asarray(force, np.float64)
+
+
+def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
+    """Return whether an effect of the load without states depends on the velocity."""
+    positions = np.linspace(0.0, bench.stroke, 9)
+    still, *moving = (_evaluable(effect, bench, v).load(0.0 * positions, positions) for v in (0.0, 0.1, -0.1))
+    return not all(np.array_equal(still, one) for one in moving)
+
+
+def sensor_calibration(bench: Bench) -> tuple[FloatArray, FloatArray]:
+    """Return gain and bias of the five readings, shape (5,) each."""
+    ends = np.array([np.zeros(len(RAW_FIELDS)), np.ones(len(RAW_FIELDS))])
+    for made in (_evaluable(effect, None) for effect in bench.effects):
+        ends = np.array([[made.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends])
+    return ends[1] - ends[0], ends[0]
+
+
+def _evaluable(effect: Mapping[str, Any], numbers: Any, velocity: float = 0.0) -> Effect:
+    """Return an effect with its parameters' values, for terms that need no state but the velocity [m/s]."""
     kind, values = catalogue.parse_entry(effect)
     made = kind.make()
     made.at = SimpleNamespace(numbers=numbers, velocity=velocity)
@@ -77,129 +129,69 @@ def _made(numbers: Any, effect: Mapping[str, Any], velocity: float = 0.0) -> Eff
     return made
 
 
-def load_curve(record: Any, effects: list[Mapping[str, Any]], positions: FloatArray) -> FloatArray:
-    """Return the load force f_l [N] at `positions` [m], without backlash."""
-    numbers = SimpleNamespace(**{name: float(record[name]) for name in record.dtype.names})
-    force = rates.load_force(numbers, [_made(numbers, effect) for effect in effects], positions)
-    return np.asarray(force, np.float64)
+def dry_friction(bench: Bench) -> float:
+    """Return the level [N] up to which dry friction holds the piston."""
+    dry = [parameters_of(one) for one in bench.effects if one["id"] in ("friction_coulomb", "friction_stribeck")]
+    return sum(max(value for name, value in each.items() if "force" in name) for each in dry)
 
 
-def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
-    """Return whether an effect of the load without states depends on the velocity."""
-    positions = np.linspace(0.0, bench.stroke, 9)
-    still, out, back = (
-        _made(bench, effect, velocity).load(0.0 * positions, positions) for velocity in (0.0, 0.1, -0.1)
-    )
-    return not (np.array_equal(still, out) and np.array_equal(still, back))
-
-
-def sensor_calibration(truth: Bench) -> tuple[FloatArray, FloatArray]:
-    """Return gain and bias of the five readings, shape (5,) each."""
-    made = [_made(None, effect) for effect in truth.effects]
-    ends = np.array([[0.0] * len(RAW_FIELDS), [1.0] * len(RAW_FIELDS)])
-    for effect in made:
-        ends = np.array(
-            [[effect.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends]
-        )
-    return ends[1] - ends[0], ends[0]
-
-
-def null_shifts(truth: Bench) -> tuple[float, float]:
+def null_shifts(bench: Bench) -> tuple[float, float]:
     """Return the null shifts [A] before and after the valve's lag, in the order of the bench file."""
     shifts, behind = [0.0, 0.0], False
-    for effect in truth.effects:
-        behind = behind or effect["id"] == "valve_lag"
+    for effect in bench.effects:
+        behind = behind or effect["id"] == VALVE_LAG
         if effect["id"] == "valve_offset":
-            shifts[int(behind)] += catalogue.parse_entry(effect)[1][0]
+            shifts[behind] += parameters_of(effect)["current"]
     return shifts[0], shifts[1]
 
 
-def load_cell_coefficients(truth: Bench) -> tuple[float, float]:
-    """Return the coefficients 2 d/w [s] and 1/w^2 [s^2] of the load cell's amplifier."""
-    for effect in truth.effects:
-        if catalogue.label(effect) == LOAD_CELL_LAG:
-            bandwidth, damping = catalogue.parse_entry(effect)[1]
-            return 2.0 * damping / (2.0 * pi * bandwidth), (2.0 * pi * bandwidth) ** -2
-    omega = float(truth.constants()["load_cell_omega"][0]) or inf
-    return 2.0 * LOAD_CELL_DAMPING / omega, 1.0 / omega**2
+def valve_overlap(bench: Bench) -> dict[str, float]:
+    """Return the overlap of a bench's valve [A], summed over its effects.
 
-
-def valve_lag_time(truth: Bench) -> float:
-    """Return the delay [s] of the valve's lag at low frequency: 2 d/w, or 1/w of a first-order lag."""
-    for effect in truth.effects:
-        if effect["id"] == "valve_lag":
-            bandwidth, *damping = catalogue.parse_entry(effect)[1]
-            return (2.0 * damping[0] if damping else 1.0) / (2.0 * pi * bandwidth)
-    return 0.0
-
-
-CHAMBERS = "ab"
-ROUNDING = 1e-9
-"""Of a sample: a dead time of whole samples is one."""
-
-POSITION_STATE, VELOCITY_STATE = 2, 3
-"""Of the textbook's states."""
-
-UNCERTAINTY = 1.875e-4
-"""Standard deviation of the model's pressure after one sample, over the supply's: what the monitor allows."""
-
-
-class AddedCoordinates(NamedTuple):
-    """Coordinates that a bench's sensor lags and dead time add to the common eight."""
-
-    lagging: npt.NDArray[np.int64]
-    """Rows, one of each lagging sensor: what it shows, its rate, the pressure (0 or 1); of the whole model."""
-    kept: npt.NDArray[np.int64]
-    """Numbers of the added coordinates in the loop's model: of sensors, then of currents, the newest first."""
-    scale: FloatArray
-    """Of each; of currents [N/s]."""
-    ages: FloatArray
-    """s, 2 d/w of each lagging sensor."""
-
-
-def added_coordinates(
-    bench: Bench, whole: Mapping[StateName, int], loop: Mapping[StateName, int], drive: FloatArray
-) -> AddedCoordinates:
-    """Return the coordinates that a bench adds to the common eight.
-
-    `bench`: bench file. `whole`, `loop`: numbers of hidden states of the whole and of the loop's model. `drive`:
-    `coordinates.coordinate_scales`.
+    `closing`: current that closes the valve; `back`, `out`: half widths of negative openings and of others.
     """
-    lagging, kept, scale, ages = [], [], [], []
-    pressure = float(drive[Q_HYDRAULIC]) / bench.piston_area
-    for place, chamber in enumerate(CHAMBERS):
-        label = f"sensor_lag sensor=pressure_{chamber}"
-        if (signal := state_index(whole, label, "signal")) == NO_STATE:
-            continue
-        bandwidth, damping = next(
-            catalogue.parse_entry(effect)[1] for effect in bench.effects if catalogue.label(effect) == label
-        )
-        omega = 2.0 * pi * bandwidth
-        lagging.append((signal, state_index(whole, label, "rate"), place))
-        kept += [state_index(loop, label, "signal"), state_index(loop, label, "rate")]
-        scale += [pressure, omega * pressure]
-        ages.append(2.0 * damping / omega)
-    on_their_way = count_delayed_currents(bench)
-    first = 6 + len(loop)
-    kept += range(first, first + on_their_way)
-    scale += [float(drive[Q_SPOOL])] * on_their_way
-    return AddedCoordinates(
-        np.array(lagging, np.int64).reshape(-1, 3), np.array(kept, np.int64), np.array(scale, np.float64),
-        np.array(ages, np.float64),
-    )  # fmt: skip
+    closing, back, out = -sum(null_shifts(bench)), 0.0, 0.0
+    for effect in bench.effects:
+        if effect["id"] == OVERLAP:
+            widths = parameters_of(effect)
+            out += widths["half_width"]
+            back += widths.get("half_width_negative", widths["half_width"])
+    return {"closing": closing, "back": back, "out": out}
 
 
-def count_delayed_currents(bench: Bench) -> int:
-    """Return the number of past currents still within the dead time at the beginning of a sample."""
-    return ceil(catalogue.total_delay(bench.effects) / SAMPLE_PERIOD - ROUNDING)
+class LaggingSensor(NamedTuple):
+    """Pressure sensor with a lag."""
+
+    chamber: int
+    """0: p_a, 1: p_b."""
+    signal: int
+    """Index of what it shows, in the whole model."""
+    rate: int
+    linear_signal: int
+    """The same, in the loop's model."""
+    linear_rate: int
+    omega: float
+    """rad/s."""
+    delay: float
+    """s, 2 d/w."""
 
 
-def dead_time_samples(bench: Bench) -> int:
-    """Return the dead time in whole samples: the age of the current at the valve at the end of a sample."""
-    return floor(catalogue.total_delay(bench.effects) / SAMPLE_PERIOD + ROUNDING)
+def lagging_sensors(
+    bench: Bench, whole: Mapping[StateName, int], linear: Mapping[StateName, int]
+) -> list[LaggingSensor]:
+    """Return the bench's lagging pressure sensors; `whole`, `linear`: `hidden_state_indices` of the two models."""
+    found = []
+    for chamber, label in enumerate(PRESSURE_LAGS):
+        if lag := find_parameters(bench, label):
+            signal, rate, linear_signal, linear_rate = (
+                state_index(of, label, name) for of in (whole, linear) for name in ("signal", "rate")
+            )
+            omega = 2.0 * pi * lag["bandwidth"]
+            found.append(LaggingSensor(chamber, signal, rate, linear_signal, linear_rate, omega, lag_delay(lag)))
+    return found
 
 
-def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64], size: Size) -> FloatArray:
+def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size: Size) -> FloatArray:
     """Return the gains of the observer of pressures behind lagging sensors.
 
     It corrects pressure, what the sensor shows and its rate, of each lagging sensor, twice a sample. By the position's
@@ -211,8 +203,8 @@ def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64], size: S
     ----------
     model
         The loop's model.
-    lagging
-        As `Added.lagging`, of this model.
+    sensors
+        One or two.
     size
         Of the bench.
 
@@ -221,17 +213,15 @@ def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64], size: S
     Columns: pressure, signal, rate of each in turn; rows: per Pa of the readings' errors in turn, per m of the
     position's. Shape (n + 1, 3 n).
     """
-    count = len(lagging)
-    if not count:
-        return np.zeros((1, 0))
+    count = len(sensors)
     k, rest, _ = model.begin(model.values)
     slopes = model.jacobian(k, rest, 0.0)[1]
-    numbers = [number for signal, rate, pressure in lagging for number in (pressure, signal, rate)]
-    by_position = slopes[numbers, VELOCITY_STATE] / slopes[POSITION_STATE, VELOCITY_STATE]
+    states = [index for one in sensors for index in (one.chamber, one.linear_signal, one.linear_rate)]
+    by_position = slopes[states, VELOCITY_STATE] / slopes[POSITION_STATE, VELOCITY_STATE]
     # a wrong pressure moves the position, too, and is corrected as if by a velocity
-    moves = slopes[np.ix_(numbers, numbers)] - np.outer(by_position, slopes[POSITION_STATE, numbers])
+    moves = slopes[np.ix_(states, states)] - np.outer(by_position, slopes[POSITION_STATE, states])
     noise, uncertain = Sensors.of_size(size).pressure_noise, UNCERTAINTY * size.pressure
-    into = slopes[np.ix_(numbers, [pressure for _, _, pressure in lagging])]
+    into = slopes[np.ix_(states, [one.chamber for one in sensors])]
     # units of 1 Pa and, of rates, 1 Pa a sample
     units = np.tile([1.0, 1.0, 1.0 / SAMPLE_PERIOD], count)
     moves, into = moves * units / units[:, None], into / units[:, None]

@@ -37,7 +37,7 @@ import time
 from collections import Counter
 from dataclasses import dataclass, field
 from math import nan
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -132,12 +132,6 @@ class FilterStatistics:
         self._sequence = sequence
         return gap == 0
 
-    def add(self, status: CorrectionStatus, work: float, age: float) -> None:
-        """Count one correction; durations in s."""
-        self.statuses[status] += 1
-        self.work.add(work)
-        self.age.add(age)
-
     def counts_since_last(self) -> Counter[CorrectionStatus]:
         """Return the number of corrections by status since the last call."""
         fresh = self.statuses - self._told
@@ -146,17 +140,15 @@ class FilterStatistics:
 
     def values(self) -> dict[str, object]:
         """Return the values by name, for /diagnostics."""
-        counts = {status.name.lower(): self.statuses[status] for status in CorrectionStatus}
-        return {
-            **counts,
-            "outside": self.outside,
-            "missing_states": self.missing,
-            **_shown("work", self.work),
-            **_shown("age", self.age),
-        }
+        shown: dict[str, object] = {status.name.lower(): self.statuses[status] for status in CorrectionStatus}
+        shown |= {"outside": self.outside, "missing_states": self.missing}
+        for name, latency in (("work", self.work), ("age", self.age)):
+            for percent, key in ((50.0, "p50"), (99.0, "p99"), (99.9, "p99_9")):
+                shown[f"{name}_{key}_ms"] = 1e3 * latency.percentile(percent)
+        return shown
 
 
-def summarize_statuses(news: Counter[CorrectionStatus]) -> str:
+def summarize_statuses(counts: Counter[CorrectionStatus]) -> str:
     """Return a summary of the statuses of the last second, worst first."""
     order = (
         CorrectionStatus.BYPASSED,
@@ -167,14 +159,61 @@ def summarize_statuses(news: Counter[CorrectionStatus]) -> str:
         CorrectionStatus.RELAXED,
         CorrectionStatus.MODIFIED,
     )
-    parts = [f"{news[status]} {status.name.lower()}" for status in order if news[status]]
-    total = sum(news.values())
+    parts = [f"{counts[status]} {status.name.lower()}" for status in order if counts[status]]
+    total = counts.total()
     return f"{total} corrections" + (f": {', '.join(parts)}" if parts else "")
 
 
-def _shown(name: str, latency: Latency) -> dict[str, object]:
-    percentiles = (50.0, 99.0, 99.9)
-    return {f"{name}_p{percent:g}_ms".replace(".", "_"): 1e3 * latency.percentile(percent) for percent in percentiles}
+class Loaded(NamedTuple):
+    """A choice of files, with the filter and the certified regions that they give."""
+
+    choice: FilterChoice
+    description: dict[str, str]
+    """Of the files, for logs and /diagnostics."""
+    filter: LoopFilter
+    region: RegionMonitor | None
+
+    @classmethod
+    def load(cls, choice: FilterChoice, settings: LoopFilterSettings) -> Loaded:
+        """Make the filter of a choice, which compiles its models at first use; raises as `FilterChoice.make`."""
+        made = choice.make(settings)
+        return cls(choice, choice.describe(), made, choice.make_region_monitor(made))
+
+    def __str__(self) -> str:
+        return "; ".join(f"{name}: {value}" for name, value in self.description.items())
+
+
+class FileWatch:
+    """Reads a choice's files again, in a thread, once they have changed and been left alone for a poll."""
+
+    def __init__(self, choice: FilterChoice, settings: LoopFilterSettings) -> None:
+        self._choice, self._settings = choice, settings
+        self._read = self._seen = choice.modification_times
+        """When the files were written: those that were read, or refused, and those of the last poll."""
+        self._reading: concurrent.futures.Future[Loaded] | None = None
+
+    def poll(self, *, armed: bool) -> Loaded | None:
+        """Return new files once they are read; None: there are none, or the plant is armed.
+
+        Raises ValueError, OSError, UserError: they cannot be read, or do not belong together.
+        """
+        if self._reading is not None:
+            if armed or not self._reading.done():
+                return None
+            reading, self._reading = self._reading, None
+            self._choice = (loaded := reading.result()).choice
+            return loaded
+        before, self._seen = self._seen, self._choice.modification_times
+        if not armed and self._seen != self._read and self._seen == before:
+            self._read, self._reading = self._seen, concurrent.futures.Future()
+            threading.Thread(target=self._load, args=[self._reading], daemon=True).start()
+        return None
+
+    def _load(self, reading: concurrent.futures.Future[Loaded]) -> None:
+        try:
+            reading.set_result(Loaded.load(self._choice.reload(), self._settings))
+        except Exception as error:
+            reading.set_exception(error)
 
 
 class FilterNode(Node):
@@ -190,69 +229,91 @@ class FilterNode(Node):
         super().__init__("filter")
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
-        self.filter = self._first(choice)
-        self._region, self._outside = choice.make_region_monitor(self.filter), False
-        self._left: set[str] = set()
-        """What has left the region since the plant was armed, and was told."""
-        self._unknown = self.filter.missing_certificate(compensated=True)
-        self.tally = FilterStatistics()
-        self.foreign = ""
-        """Why its files do not fit this bench, by the plant's description; empty: they do."""
+        self._statistics, self._handed, self._armed = FilterStatistics(), handed, False
+        self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
+        self._loaded, self._files = self._load(choice), FileWatch(choice, self.settings)
         self._box: KnownBox | None = None
-        self._armed = False
-        self._read = self._seen = choice.modification_times
-        """When its files were written: those that it has read, or refused, and those of the last look."""
-        self._taking: concurrent.futures.Future[Any] | None = None
-        """New files that are being read."""
         self._identity: object = None
         """The box's description and assumed bench, once received."""
+        self._foreign = ""
+        """Why the files do not fit this bench, by the plant's description; empty: they do."""
         self._mismatch = ""
-        self._choice = choice
-        self._epoch = 0
-        self._handed = handed
-        self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
-        self._publisher: Publisher | None = None  # as long as another filter answers
+        """Why every answer is MISMATCH; empty: the model fits."""
+        self._left: set[str] = set()
+        """What has left the region since the plant was armed, and was told."""
+        self._outside = False
+        self._law: Any = None  # record of the last one, while another law than the paper's acts
+        self._waiting: Any = None  # record of a state that waits for its law
         self._last: Any = None  # record of the last correction
+        self._epoch = 0
+        self._publisher: Publisher | None = None  # None as long as another filter answers
         self._answers: PaceResponder | None = None
-        self._told = choice.describe()
+        self._states: Subscription | None = None
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._advice = "" if realtime else ", or start it with --realtime"
         scheduling = "in the plant's process" if handed else request_realtime(realtime=realtime)
-        told = "; ".join(f"{name}: {value}" for name, value in self._told.items())
-        self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
+        rate = f"contraction rate {self.settings.contraction_rate:g} 1/s"
+        self.get_logger().info(f"{self._loaded}; {rate}, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
         self._boxes = subscribe_to_box(self, self._on_box)
-        self._states: Subscription | None = None
         time.sleep(max(0.0, begun + DISCOVERY_TIME - time.monotonic()))
-        self._come_forward()
-        self.create_timer(DISCOVERY_TIME, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.create_timer(FILE_POLL_PERIOD, self._look_for_new_files, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._law: Any = None  # record of the last one, while another law than the paper's acts
-        self._waiting: Any = None  # record of a state that waits for its law
+        self._start_publishing()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(DISCOVERY_TIME, self._start_publishing, clock=steady)
+        self.create_timer(FILE_POLL_PERIOD, self._poll_files, clock=steady)
         if handed:
             return
         self._laws = subscribe(self, LAW_STATE, LAW_STATES, self._on_law_state)
-        self._words = create_subscription(self, AUTHORITY, self._on_authority)
-        # last: states are queued from now on
-        self._states = subscribe(self, STATE, STATES, self._on_state)
+        self._authority = create_subscription(self, AUTHORITY, self._on_authority)
+        self._states = subscribe(self, STATE, STATES, self._on_state)  # last: states are queued from now on
         if self._publisher is not None:
             self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
 
-    def _come_forward(self) -> None:
+    def _load(self, choice: FilterChoice) -> Loaded:
+        """Compile now, not at the first sample, and report it: until then nothing is corrected."""
+        log, begin = self.get_logger().info, time.monotonic()
+        notice = "compiling the filter: once, for up to a minute; until then there are no corrections"
+        late = threading.Timer(WAIT_NOTICE_DELAY, log, [notice])
+        late.daemon = True
+        late.start()
+        before = endings.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
+        try:
+            loaded = Loaded.load(choice, self.settings)
+        finally:
+            endings.restore_handlers(before)
+            late.cancel()
+        if (taken := time.monotonic() - begin) > WAIT_NOTICE_DELAY:
+            log(f"compiled in {taken:.0f} s")
+        return loaded
+
+    def _start_publishing(self) -> None:
         """Start answering, unless another filter does."""
         if self._publisher is not None:
             return
-        others = self.get_publishers_info_by_topic(CORRECTION)
-        if others:
-            waits = (
-                "its corrections do not reach this plant, end it" if self._handed else "this filter waits until it ends"
-            )
+        if others := self.get_publishers_info_by_topic(CORRECTION):
+            waits = "this filter waits until it ends"
+            if self._handed:
+                waits = "its corrections do not reach this plant, end it"
             self.get_logger().warning(f"{others[0].node_name} answers already: {waits}", throttle_duration_sec=10.0)
-        else:
-            self._publisher = create_publisher(self, CORRECTION)
-            if self._states is not None:
-                self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
+            return
+        self._publisher = create_publisher(self, CORRECTION)
+        if self._states is not None:
+            self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
+
+    def _poll_files(self) -> None:
+        """Take new files over, if the plant is disarmed or silent and they have been written."""
+        armed, self._armed = self._armed, False  # the next sample tells
+        try:
+            if (loaded := self._files.poll(armed=armed)) is None:
+                return
+        except (ValueError, OSError, UserError) as error:
+            self.get_logger().warning(f"the new files are not taken over: {error}")
+            return
+        with self._lock:
+            self._loaded, self._mismatch = loaded, ""
+        self._foreign = loaded.choice.box_mismatch(self._box) if self._box else ""
+        self.get_logger().info(f"new files are taken over: {loaded}")
 
     def correct(self, state: Any, law: Any, epoch: int) -> Any:
         """See `hydro_bridge.nodes.plant_node.Corrector`."""
@@ -268,63 +329,8 @@ class FilterNode(Node):
             self._publisher.publish(CORRECTIONS.pack(*self._last))
 
     def _on_authority(self, message: Authority) -> None:
-        if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone
+        if self._authority.get_publisher_count() < 2:  # else the plant repeats it once it is alone
             self._epoch = message.epoch
-
-    def _first(self, choice: FilterChoice) -> LoopFilter:
-        """Compile now, not at the first sample, and report it: until then nothing is corrected."""
-        say = self.get_logger().info
-        begin = time.monotonic()
-        told = "compiling the filter: once, for up to a minute; until then there are no corrections"
-        late = threading.Timer(WAIT_NOTICE_DELAY, say, [told])
-        late.daemon = True
-        late.start()
-        before = endings.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
-        try:
-            made = choice.make(self.settings)
-        finally:
-            endings.restore_handlers(before)
-            late.cancel()
-        if (taken := time.monotonic() - begin) > WAIT_NOTICE_DELAY:
-            say(f"compiled in {taken:.0f} s")
-        return made
-
-    def _look_for_new_files(self) -> None:
-        """Take new files over, if the plant is disarmed or silent and they have been written."""
-        armed, self._armed = self._armed, False  # the next sample tells
-        if self._taking is not None:
-            if not armed and self._taking.done():
-                taking, self._taking = self._taking, None
-                self._take_over(taking)
-            return
-        before, self._seen = self._seen, self._choice.modification_times
-        if armed or self._seen == self._read or self._seen != before:
-            return
-        self._read = self._seen
-        self._taking = concurrent.futures.Future()
-        threading.Thread(target=self._read_again, args=[self._taking], daemon=True).start()
-
-    def _read_again(self, found: concurrent.futures.Future[Any]) -> None:
-        """Read and compile the new files, beside what answers."""
-        try:
-            choice = self._choice.reload()
-            made = choice.make(self.settings)
-            found.set_result((choice, choice.describe(), made, choice.make_region_monitor(made)))
-        except Exception as error:
-            found.set_exception(error)
-
-    def _take_over(self, taking: concurrent.futures.Future[Any]) -> None:
-        try:
-            choice, told, made, region = taking.result()
-        except (ValueError, OSError, UserError) as error:
-            self.get_logger().warning(f"the new files are not taken over: {error}")
-            return
-        with self._lock:
-            self._choice, self._told, self.filter, self._region = choice, told, made, region
-            self._unknown, self._mismatch = made.missing_certificate(compensated=True), ""
-        self.foreign = choice.box_mismatch(self._box) if self._box else ""
-        words = "; ".join(f"{name}: {value}" for name, value in told.items())
-        self.get_logger().info(f"new files are taken over: {words}")
 
     def _on_state(self, message: Any) -> None:
         self._armed = bool(message.flags & Flag.ARMED)
@@ -334,41 +340,85 @@ class FilterNode(Node):
             self.publish()
             return
         if self._waiting is not None:  # its law never came
-            waiting, self._waiting = self._waiting, None
-            self._answer(waiting)
+            self._answer_waiting()
         law = self._law_near(message.sequence)
-        if law is None or law.sequence == message.sequence or not message.flags & Flag.ARMED or self._bypasses(law):
+        if law is None or law.sequence == message.sequence or not self._armed or self._bypass_reason(law):
             self._answer(message)
         else:
             self._waiting = message
 
+    def _on_law_state(self, message: Any) -> None:
+        if self._law is None:
+            reason = self._bypass_reason(message)
+            if message.law != Law.COMPENSATED:
+                self.get_logger().warning(f"BYPASSED, nothing is corrected: {reason}")
+            else:
+                bypassed = f": BYPASSED, {reason}" if reason else ""
+                self.get_logger().info(f"the box runs the compensated law{bypassed}")
+        self._law = message
+        if self._waiting is not None and self._waiting.sequence == message.sequence:
+            self._answer_waiting()
+
+    def _answer_waiting(self) -> None:
+        waiting, self._waiting = self._waiting, None
+        self._answer(waiting)
+
+    def _bypass_reason(self, law: Any) -> str:
+        """Return why nothing is decided under this law; empty: the metric is made for it."""
+        if law.law != Law.COMPENSATED:
+            return f"law {law.law} is unknown"
+        return self._loaded.filter.missing_certificate(compensated=True)
+
+    def _law_near(self, sequence: int) -> Any:
+        """Return the last law that is not the paper's; None if the paper's acts: the filter starts again with it."""
+        law = self._law
+        if law is None or (sequence - law.sequence + LAW_VALID_SAMPLES) & 0xFFFFFFFF < 2 * LAW_VALID_SAMPLES:
+            return law
+        self._law = None
+        self._loaded.filter.reset()
+        self.get_logger().info("the box runs the paper's law again: the filter starts over")
+        return None
+
     def _answer(self, message: Any) -> None:
+        """Correct a state and publish the correction."""
         with self._lock:
-            self._correct(message)
+            begin, made = time.perf_counter(), self._loaded.filter
+            if not self._statistics.track_sequence(message.sequence):
+                made.reset_history()
+            age, law, armed = self._age(message), self._law_near(message.sequence), message.flags & Flag.ARMED
+            if law is not None and self._bypass_reason(law):
+                result = BYPASSED
+            elif law is not None and law.sequence != message.sequence and armed:
+                made.reset_history()
+                result = STALE
+            else:
+                sample = make_sample(message, law)
+                if message.sequence % SAMPLES_PER_STEP == 0:
+                    self._check_region(sample)
+                result = made.correct(sample, age)
+            delta_u, before, after, status = self._check_model(result)
+            infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
+            outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(armed)
+            self._last = CORRECTIONS.record(
+                message.stamp, message.sequence, delta_u, before, after, delta_u != 0.0, infeasible,
+                int(status) | OUTSIDE_REGION * outside, self._epoch,
+            )  # fmt: skip
+            if not self._handed:  # else the plant says when
+                self.publish()
+            self._statistics.outside += outside
+            self._statistics.statuses[status] += 1
+            self._statistics.work.add(time.perf_counter() - begin)
+            self._statistics.age.add(self._age(message))
 
-    def _correct(self, message: Any) -> None:
-        begin = time.perf_counter()
-        if not self.tally.track_sequence(message.sequence):
-            self.filter.reset_history()
-        age = self._age(message)
-        law = self._law_near(message.sequence)
-        if law is not None and self._bypasses(law):
-            result = BYPASSED
-        elif law is not None and law.sequence != message.sequence and message.flags & Flag.ARMED:
-            self.filter.reset_history()
-            result = STALE
-        else:
-            sample = make_sample(message, law)
-            if self._region is not None and message.sequence % SAMPLES_PER_STEP == 0:
-                self._look(self._region, sample)
-            result = self.filter.correct(sample, age)
-        result = self._fitting(result)
-        self._publish(message, result)
-        self.tally.add(result.status, time.perf_counter() - begin, self._age(message))
+    def _age(self, state: Any) -> float:
+        """Return the age [s] of a state."""
+        return 0.0 if state.flags & Flag.PACED else 1e-9 * (time.time_ns() - state.stamp)
 
-    def _look(self, region: RegionMonitor, sample: Sample) -> None:
-        """See whether the loop is within what is proved; what leaves first is told, once while the plant is armed."""
-        memory = self.filter.memory[0]  # before it moves on by this sample
+    def _check_region(self, sample: Sample) -> None:
+        """Check whether the loop is within what is proved; what leaves first is told, once while the plant is armed."""
+        region, memory = self._loaded.region, self._loaded.filter.memory[0]  # before it moves on by this sample
+        if region is None:
+            return
         if not sample.armed or not memory["running"]:
             region.reset()
             self._outside = False
@@ -380,111 +430,60 @@ class FilterNode(Node):
             self._left.add(left.name)
             self.get_logger().info(f"outside of the region that is proved (OUTSIDE): {left}")
 
-    def _on_law_state(self, message: Any) -> None:
-        if self._law is None:
-            why = self._bypasses(message)
-            if message.law != Law.COMPENSATED:
-                self.get_logger().warning(f"BYPASSED, nothing is corrected: {why}")
-            else:
-                self.get_logger().info("the box runs the compensated law" + (f": BYPASSED, {why}" if why else ""))
-        self._law = message
-        if self._waiting is not None and self._waiting.sequence == message.sequence:
-            waiting, self._waiting = self._waiting, None
-            self._answer(waiting)
-
-    def _bypasses(self, law: Any) -> str:
-        """Return why nothing is decided under this law; empty: the metric is made for it."""
-        return self._unknown if law.law == Law.COMPENSATED else f"law {law.law} is unknown"
-
-    def _law_near(self, sequence: int) -> Any:
-        """Return the last law that is not the paper's; None if the paper's acts: the filter starts again with it."""
-        if (
-            self._law is None
-            or (sequence - self._law.sequence + LAW_VALID_SAMPLES) & 0xFFFFFFFF < 2 * LAW_VALID_SAMPLES
-        ):
-            return self._law
-        self._law = None
-        self.filter.reset()
-        self.get_logger().info("the box runs the paper's law again: the filter starts over")
-        return None
+    def _check_model(self, result: Result) -> Result:
+        """Return the result, or MISMATCH if the model does not fit; a change of this is reported at once."""
+        if result.status is CorrectionStatus.BYPASSED:
+            self._mismatch = ""  # nothing is known of it
+            return result
+        if self._foreign and result.status is not CorrectionStatus.NAN:
+            result = MISMATCHED
+        if (result.status is CorrectionStatus.MISMATCH) == bool(self._mismatch):
+            return result
+        seen = self._loaded.filter.mismatch
+        before, self._mismatch = self._mismatch, self._foreign or (f"{seen}; {RECOMMISSION_HINT}" if seen else "")
+        if self._mismatch and not before:
+            told = f"MISMATCH, no corrections are made and the gains are limited: {self._mismatch}"
+            self.get_logger().error(told)
+        elif before and not self._mismatch:
+            self.get_logger().warning(f"the model fits this bench again; before: {before}")
+        return result
 
     def _on_box(self, box: KnownBox) -> None:
         """Process a box's description, which may announce another bench from now on."""
-        self._box, self.foreign = box, self._choice.box_mismatch(box)
+        self._box, self._foreign = box, self._loaded.choice.box_mismatch(box)
         if self._boxes.get_publisher_count() > 1:  # one of them is foreign, or has just died
             return
         identity = box.info, box.bench_digest
         if self._identity not in (None, identity):  # findings are of the previous bench; a bench at rest gives none
             self.get_logger().warning("another box is connected: what was known about its model is dropped")
             with self._lock:
-                self.filter.reset()
+                self._loaded.filter.reset()
                 self._mismatch = ""
         self._identity = identity
 
-    def _fitting(self, result: Result) -> Result:
-        """Return the result, or MISMATCH if the model does not fit; a change of this is reported at once."""
-        if result.status is CorrectionStatus.BYPASSED:
-            self._mismatch = ""  # nothing is known of it
-            return result
-        if self.foreign and result.status is not CorrectionStatus.NAN:
-            result = MISMATCHED
-        if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
-            seen = self.filter.mismatch
-            self._tell_mismatch(self.foreign or (f"{seen}; {RECOMMISSION_HINT}" if seen else ""))
-        return result
-
-    def _tell_mismatch(self, reason: str) -> None:
-        if reason and not self._mismatch:
-            self.get_logger().error(f"MISMATCH, no corrections are made and the gains are limited: {reason}")
-        elif not reason and self._mismatch:
-            self.get_logger().warning(f"the model fits this bench again; before: {self._mismatch}")
-        self._mismatch = reason
-
-    def _publish(self, state: Any, result: Result) -> None:
-        delta_u, before, after, status = result
-        infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
-        outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(state.flags & Flag.ARMED)
-        self.tally.outside += outside
-        numbers = (
-            delta_u,
-            before,
-            after,
-            delta_u != 0.0,
-            infeasible,
-            int(status) | OUTSIDE_REGION * outside,
-            self._epoch,
-        )
-        self._last = CORRECTIONS.record(state.stamp, state.sequence, *numbers)
-        if not self._handed:  # else the plant says when
-            self.publish()
-
-    def _age(self, state: Any) -> float:
-        """Return the age [s] of a state."""
-        return 0.0 if state.flags & Flag.PACED else 1e-9 * (time.time_ns() - state.stamp)
-
     def _status(self) -> Status:
-        news = self.tally.counts_since_last()
-        told, late = summarize_statuses(news), news[CorrectionStatus.STALE]
+        counts = self._statistics.counts_since_last()
+        told, late = summarize_statuses(counts), counts[CorrectionStatus.STALE]
         level = Level.OK
-        if not news:
+        if not counts:
             level, told = Level.STALE, "no states"
-        elif any(news[status] for status in FAILURE_STATUSES) or late > STALE_SHARE_MAX * news.total():
+        elif any(counts[status] for status in FAILURE_STATUSES) or late > STALE_SHARE_MAX * counts.total():
             level = Level.WARN
             busy = f"; {STALE_HINT}{self._advice}" if late and not self.settings.bypass else ""
             self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
-        elif self._law is not None and (why := self._bypasses(self._law)):
+        elif self._law is not None and (reason := self._bypass_reason(self._law)):
             level = Level.OK if self._law.law == Law.COMPENSATED else Level.WARN
-            told = f"BYPASSED, the box does not run the paper's law: {why}; {told}"
+            told = f"BYPASSED, the box does not run the paper's law: {reason}; {told}"
         if self._mismatch:
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
-        values = {**self._told, **self.tally.values()}
+        values = {**self._loaded.description, **self._statistics.values()}
         values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
-        crowd = publisher_conflicts(self, STATE) or (
-            "" if self._publisher else "another filter answers: this one waits"
-        )
+        crowd = publisher_conflicts(self, STATE)
+        if not crowd and self._publisher is None:
+            crowd = "another filter answers: this one waits"
         return with_publisher_conflicts(Status(level=level, message=told, values=values), crowd)
 
 

@@ -77,28 +77,30 @@ class JacobianBounds:
     """N/s/A."""
 
 
-def jacobian_bounds(of: CertifiedRegion, tolerances: Mapping[str, Bounds], side: int) -> JacobianBounds:
+def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], side: int) -> JacobianBounds:
     """Return the bounds over all states with the spool on one side (1, -1) and all benches within `tolerances`."""
-    bench, law = of.bench, of.believed
-    at = {name: interval(pair) for name, pair in of.states.items()}
-    tol = {name: interval(pair) for name, pair in tolerances.items()}
-    area, alpha, supply = bench["piston_area"], bench["area_ratio"], tol["supply_pressure"] * bench["supply_pressure"]
-    x, p_a, p_b, v = (at[name] for name in ("position", "pressure_a", "pressure_b", "velocity"))
-    volume_a = tol["dead_volume_a"] * bench["dead_volume_a"] + area * x
+    bench, law = region.bench, region.believed
+    state = {name: interval(pair) for name, pair in region.states.items()}
+    ratio = {name: interval(pair) for name, pair in tolerances.items()}
+    area, alpha = bench["piston_area"], bench["area_ratio"]
+    area_b = alpha * area
+    supply, tank = ratio["supply_pressure"] * bench["supply_pressure"], bench["tank_pressure"]
+    x, p_a, p_b, v = (state[name] for name in ("position", "pressure_a", "pressure_b", "velocity"))
+
+    # volumes of the bench and of the law; the oil's stiffness over the law's, with x on one side of the division only
+    dead_a, dead_b = (ratio[name] * bench[name] for name in ("dead_volume_a", "dead_volume_b"))
     room = bench["stroke"] - x
-    volume_b = tol["dead_volume_b"] * bench["dead_volume_b"] + alpha * area * room
-    law_a, law_b = law["dead_volume_a"] + area * x, law["dead_volume_b"] + alpha * area * room
-    modulus = tol["bulk_modulus"] * (bench["bulk_modulus"] / law["bulk_modulus"])
-    # V^/V, without x on both sides of the division
-    bulge_a = 1.0 + (law["dead_volume_a"] - tol["dead_volume_a"] * bench["dead_volume_a"]) / volume_a
-    bulge_b = 1.0 + (law["dead_volume_b"] - tol["dead_volume_b"] * bench["dead_volume_b"]) / volume_b
+    volume_a, volume_b = dead_a + area * x, dead_b + area_b * room
+    law_a, law_b = law["dead_volume_a"] + area * x, law["dead_volume_b"] + area_b * room
+    bulge_a = 1.0 + (law["dead_volume_a"] - dead_a) / volume_a
+    bulge_b = 1.0 + (law["dead_volume_b"] - dead_b) / volume_b
+    modulus = ratio["bulk_modulus"] * (bench["bulk_modulus"] / law["bulk_modulus"])
     rho_a, rho_b, mu = modulus * bulge_a, modulus * bulge_b, bulge_b / bulge_a
-    c_law_a, c_law_b = law["bulk_modulus"] * area**2 / law_a, law["bulk_modulus"] * (alpha * area) ** 2 / law_b
-    c_law = c_law_a + c_law_b
+    c_law_a, c_law_b = law["bulk_modulus"] * area**2 / law_a, law["bulk_modulus"] * area_b**2 / law_b
     sigma_law = 1.0 / (1.0 + alpha**2 * (law_a / law_b))
-    zeta = rho_a * (1.0 + (1.0 - sigma_law) * (mu - 1.0))
+    stiffer = 1.0 + (1.0 - sigma_law) * (mu - 1.0)
+
     # pressure drops of the open edges: the bench's, and what the law takes them for
-    tank = bench["tank_pressure"]
     if side > 0:
         drop_a, drop_b = supply - p_a, p_b - tank
         known_a, known_b = law["supply_pressure"] - p_a, drop_b
@@ -109,53 +111,54 @@ def jacobian_bounds(of: CertifiedRegion, tolerances: Mapping[str, Bounds], side:
         wrong_a, wrong_b = interval(0.0), supply - law["supply_pressure"]
     root_a, root_b = ((1.0 + w / k).sqrt() for w, k in ((wrong_a, known_a), (wrong_b, known_b)))
     phi = 1.0 / (1.0 + alpha * (known_b / known_a).sqrt() * (law_a / law_b))
-    kappa = tol["valve_gain"] * (bench["valve_gain"] / law["valve_gain"])
+    kappa = ratio["valve_gain"] * (bench["valve_gain"] / law["valve_gain"])
     weighted = _weighted(phi, root_a, root_b, sigma_law, mu)
-    # g over the law's, but for valve gain and bulk modulus
-    core = weighted * bulge_a * (1.0 + (1.0 - sigma_law) * (mu - 1.0))
+    core = weighted * bulge_a * stiffer  # g over the law's, but for valve gain and bulk modulus
     # within a sample c moves by the velocity
-    swept = PERIOD * v.size * max((area / volume_a).high, (alpha * area / volume_b).high)
-    chi, gain_ratio = kappa * weighted * interval((1.0 - swept, 1.0 + swept)), kappa * modulus * core
-    opening, error = at["opening"], at["opening_error"].size
+    swept = PERIOD * v.size * max((area / volume_a).high, (area_b / volume_b).high)
+    gain_ratio = kappa * modulus * core
+
+    # nu, what the pressures take of the flows, and the law's, times a: of valve gain and modulus nothing is left in it
+    opening, error = state["opening"], state["opening_error"].size
     largest = max(opening.high, 0.0) if side > 0 else max(-opening.low, 0.0)
-    stiff_a, stiff_b = (tol["bulk_modulus"] * bench["bulk_modulus"] / volume for volume in (volume_a, volume_b))
-    valve = tol["valve_gain"] * bench["valve_gain"]
+    stiff_a, stiff_b = (ratio["bulk_modulus"] * bench["bulk_modulus"] / volume for volume in (volume_a, volume_b))
+    valve = ratio["valve_gain"] * bench["valve_gain"]
     slope_a, slope_b = stiff_a * valve / (2.0 * drop_a.sqrt()), stiff_b * valve / (2.0 * drop_b.sqrt())
-    c_a, c_b = stiff_a * area**2, stiff_b * (alpha * area) ** 2
-    sigma = 1.0 / (1.0 + alpha**2 * (volume_a / volume_b))
+    volumes = alpha**2 * (volume_a / volume_b)
+    sigma = 1.0 / (1.0 + volumes)
     per_opening = slope_a * sigma + slope_b * (1.0 - sigma)
-    # nu of the law over the bench's, times a: of valve gain and bulk modulus nothing is left in it
-    part_a = 1.0 / (1.0 + slope_b / slope_a * (alpha**2 * (volume_a / volume_b)))
+    part_a = 1.0 / (1.0 + slope_b / slope_a * volumes)
     flow_ratio = core * (root_b / bulge_b + part_a * (root_a / bulge_a - root_b / bulge_b))
     leak_a, leak_b = stiff_a * bench["leakage"], stiff_b * bench["leakage"]
     leak = leak_a * sigma + leak_b * (1.0 - sigma) + leak_a / alpha * (1.0 - sigma) + alpha * leak_b * sigma
-    rate_a, rate_b = area * at["pressure_a_rate"], alpha * area * at["pressure_b_rate"]
-    bend_a, bend_b = area / volume_a, alpha * area / volume_b
-    eta = bend_a * rate_a + bend_b * rate_b
-    compensation = interval(of.velocity_compensation)
-    # what the law takes for P_a', P_b': the flow that the bench has, wrong by its ratio, u_nom's share and x'_box
-    late, across = at["velocity_error"], bench["leakage"] * (p_a - p_b)
-    g_a, g_b = (stiff_a * area * valve * drop_a.sqrt(), stiff_b * alpha * area * valve * drop_b.sqrt())
+
+    # eta, what the position does, and what the law takes P_a', P_b' for: the bench's flow, wrong by its ratio, by
+    # u_nom's share and by x'_box
+    rate_a, rate_b = area * state["pressure_a_rate"], area_b * state["pressure_b_rate"]
+    eta = area / volume_a * rate_a + area_b / volume_b * rate_b
+    compensation, late = interval(region.velocity_compensation), state["velocity_error"]
+    across = bench["leakage"] * (p_a - p_b)
+    c_a, c_b, push_a, push_b = stiff_a * area**2, stiff_b * area_b**2, stiff_a * area, stiff_b * alpha * area
+    g_a, g_b = push_a * valve * drop_a.sqrt(), push_b * valve * drop_b.sqrt()
     right_a, right_b = 1.0 / (kappa * rho_a * root_a), 1.0 / (kappa * rho_b * root_b)
     left_a, left_b = c_a * v * (right_a - compensation / rho_a), c_b * v * (right_b - compensation / rho_b)
-    told_a = right_a * (rate_a + stiff_a * area * across + g_a * symmetric(error)) + left_a
-    told_b = right_b * (rate_b - stiff_b * alpha * area * across + g_b * symmetric(error)) - left_b
-    told_a, told_b = told_a - compensation * c_law_a * late, told_b + compensation * c_law_b * late
-    eta_law = gain_ratio * (area / law_a * told_a + alpha * area / law_b * told_b)
-    slope = at["gain_drift"]
+    told_a = right_a * (rate_a + push_a * across + g_a * symmetric(error)) + left_a - compensation * c_law_a * late
+    told_b = right_b * (rate_b - push_b * across + g_b * symmetric(error)) - left_b + compensation * c_law_b * late
+
+    slope = state["gain_drift"]
     drift = Interval(math.expm1(PERIOD * slope.low) * (1.0 + 1e-9), math.expm1(PERIOD * slope.high) * (1.0 + 1e-9))
     drift = drift.hull(interval(0.0))
-    flow_apart = per_opening.high * (0.5 * PERIOD * at["opening_rate"].size + drift.size * largest)
+    flow_apart = per_opening.high * (0.5 * PERIOD * state["opening_rate"].size + drift.size * largest)
     return JacobianBounds(
-        c_law=c_law, zeta=zeta, chi=chi, flow=per_opening * Interval(0.0, largest), flow_apart=flow_apart,
-        flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_apart)), flow_ratio=flow_ratio,
-        leak=leak, eta=eta, eta_law=eta_law,
+        c_law=c_law_a + c_law_b, zeta=rho_a * stiffer,
+        chi=kappa * weighted * interval((1.0 - swept, 1.0 + swept)), gain_ratio=gain_ratio,
+        flow=per_opening * Interval(0.0, largest), flow_apart=flow_apart, flow_ratio=flow_ratio,
+        flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_apart)), leak=leak,
+        eta=eta, eta_law=gain_ratio * (area / law_a * told_a + area_b / law_b * told_b),
         mean=0.5005 * drift,  # the mean of an exponential is within a thousandth of half its end
-        drift=drift,
-        spring=tol["spring_stiffness"] * bench["spring_stiffness"],
-        spool=tol["spool_bandwidth"] * (2.0 * math.pi * bench["spool_bandwidth"]),
-        dead_time=tol["dead_time"], share=compensation,
-        c_apart=(c_a + c_b).high * swept, gain_ratio=gain_ratio, g=g_a + g_b,
+        drift=drift, spring=ratio["spring_stiffness"] * bench["spring_stiffness"],
+        spool=ratio["spool_bandwidth"] * (2.0 * math.pi * bench["spool_bandwidth"]), dead_time=ratio["dead_time"],
+        share=compensation, c_apart=(c_a + c_b).high * swept, g=g_a + g_b,
     )  # fmt: skip
 
 
@@ -200,35 +203,29 @@ DISTURBANCE_NAMES = ("friction", "current", "velocity", "overlap")
 """Columns of the disturbances."""
 
 
-def coordinate_count(of: CertifiedRegion) -> int:
-    """Return the number of coordinates: eight, and one for each started millisecond of dead time."""
-    return 8 + math.ceil(of.tolerances["dead_time"][1] / PERIOD - 1e-9)
-
-
-def enclose_closed_loop(of: CertifiedRegion, tolerances: Mapping[str, Bounds], side: int, gain: Interval) -> AffineSet:
+def enclose_closed_loop(
+    region: CertifiedRegion, tolerances: Mapping[str, Bounds], side: int, gain: Interval
+) -> AffineSet:
     """Return an enclosure of [F + G K, D], shape (n, n + 4), in scaled coordinates; D: effect of the disturbances."""
-    n, bench, count = jacobian_bounds(of, tolerances, side), of.bench, coordinate_count(of)
-    ways, scale = count - 8, np.array(of.scale)
-    unit = scale[:7]
-    one, c = affine_radius(1.0), affine_symbol("c_law", n.c_law) @ affine_symbol("zeta", n.zeta)
-    chi, zeta, k, omega = (
-        affine_symbol("chi", n.chi),
-        affine_symbol("zeta", n.zeta),
-        affine_symbol("spring", n.spring),
-        affine_symbol("spool", n.spool),
+    n, bench, count = jacobian_bounds(region, tolerances, side), region.bench, region.coordinates
+    wrong, scale, width = region.disturbances, np.array(region.scale), count + len(DISTURBANCE_NAMES)
+    ways, unit = count - 8, scale[:7]
+    every, within = range(width), range(7)
+    one = affine_radius(1.0)
+    chi, zeta, k, omega, flow = (
+        affine_symbol(name, getattr(n, name)) for name in ("chi", "zeta", "spring", "spool", "flow")
     )
-    flow, grown, later = (
-        affine_symbol("flow", n.flow),
-        one + affine_symbol("mean", n.mean),
-        one + affine_symbol("drift", n.drift),
-    )
+    c = affine_symbol("c_law", n.c_law) @ zeta
+    grown, later = one + affine_symbol("mean", n.mean), one + affine_symbol("drift", n.drift)
     omega_c, mass = 2.0 * math.pi * bench["cell_bandwidth"], bench["moving_mass"]
     entries = {
-        (F, F): (flow + affine_radius(n.leak)) * -1.0, (F, Z): grown, (F, X): affine_symbol("eta", n.eta) * -1.0, (F,
-        V): c * -1.0, (Z, ZR): one, (ZR, Z): (omega @ omega) * -1.0, (ZR, ZR): omega * (-2.0 * bench["spool_damping"]),
+        (F, F): (flow + affine_radius(n.leak)) * -1.0, (F, Z): grown,
+        (F, X): affine_symbol("eta", n.eta) * -1.0, (F, V): c * -1.0,
+        (Z, ZR): one, (ZR, Z): (omega @ omega) * -1.0, (ZR, ZR): omega * (-2.0 * bench["spool_damping"]),
         (L, LR): one, (LR, X): k * omega_c**2, (LR, L): one * -(omega_c**2),
-        (LR, LR): one * (-2.0 * bench["cell_damping"] * omega_c), (X, V): one, (V, F): one * (1.0 / mass),
-        (V, X): k * (-1.0 / mass), (V, V): one * (-bench["viscous_friction"] / mass),
+        (LR, LR): one * (-2.0 * bench["cell_damping"] * omega_c),
+        (X, V): one, (V, F): one * (1.0 / mass), (V, X): k * (-1.0 / mass),
+        (V, V): one * (-bench["viscous_friction"] / mass),
     }  # fmt: skip
     # how far entries of the mean transition may be from their mean within a sample
     apart = {(F, F): n.flow_apart, (F, Z): 0.51 * n.drift.size, (F, X): 4.0 * n.eta.size, (F, V): n.c_apart}
@@ -242,58 +239,53 @@ def enclose_closed_loop(of: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     set_block(inputs, V, 1, one * (PERIOD / mass / unit[V]))
     set_block(inputs, F, 2, grown * (PERIOD * scale[Z] / unit[F]))
     moved, pushed = enclose_transition(rates, varies, inputs, one, whole=True)
-    # the law's current, as the opening that it will be, by the coordinates; then the sample's rows
-    law, out = zeros(1, count + len(DISTURBANCE_NAMES)), zeros(count, count + len(DISTURBANCE_NAMES))
-    ratio, apart_of_ratio = n.flow_ratio.midpoint, n.flow_error + symmetric(n.flow_ratio.radius * n.flow.high)
-    set_block(law, 0, F, (flow * ratio + affine_symbol("flow_error", apart_of_ratio)) * (scale[F] / scale[Z]))
+
+    # the law's current, as the opening that it will be, by the coordinates
+    law = zeros(1, width)
+    mid, apart_of_ratio = n.flow_ratio.midpoint, n.flow_error + symmetric(n.flow_ratio.radius * n.flow.high)
+    set_block(law, 0, F, (flow * mid + affine_symbol("flow_error", apart_of_ratio)) * (scale[F] / scale[Z]))
     set_block(law, 0, L, chi @ zeta @ affine_symbol("gain", gain) * (-scale[L] / scale[Z]))
     set_block(law, 0, X, affine_symbol("eta_law", n.eta_law) * (scale[X] / scale[Z]))
     set_block(law, 0, BOX_VELOCITY, affine_symbol("share", n.share) @ chi @ c * (scale[BOX_VELOCITY] / scale[Z]))
-    wrong = of.disturbances
     noise = n.gain_ratio * (gain.size * wrong["force_noise"]) + (n.flow + n.flow_error.size) * (
         2.0 * wrong["pressure_noise"] * bench["piston_area"]
     )
     set_block(law, 0, count + 1, affine_radius(noise.high / scale[Z]))
-    set_block(out, 0, 0, moved)
-    fresh = pushed
+
+    # rows of the states: their own, the current's, and what disturbs them
+    by_current = pushed.submatrix(within, [0])
     if ways:
         late = affine_symbol("dead_time", ((ways - 1.0) * PERIOD + PERIOD - n.dead_time) / PERIOD)
-        fresh = enclose_transition(rates, varies, inputs, late, whole=False)[1]
-    newest = fresh.submatrix(range(7), [0]) @ (law if ways < 2 else _picked(count + ways - 2, law))
-    if ways:
-        oldest = (pushed.submatrix(range(7), [0]) + fresh.submatrix(range(7), [0]) * -1.0) @ _picked(8 + ways - 1, law)
-        newest = newest + oldest
-    out = out + _rows(newest, count)
-    set_block(out, 0, count, pushed.submatrix(range(7), [1]) * wrong["friction"])
-    set_block(out, 0, count + 3, pushed.submatrix(range(7), [2]) * (n.g.high * wrong["overlap"] / scale[Z]))
-    memory = bench["velocity_memory"]
-    step = out.submatrix([X], range(count + len(DISTURBANCE_NAMES)))
-    still = zeros(1, count + len(DISTURBANCE_NAMES))
+        fresh = enclose_transition(rates, varies, inputs, late, whole=False)[1].submatrix(within, [0])
+        newest = law if ways < 2 else _unit_row(8 + ways - 2, width)
+        driven = fresh @ newest + (by_current + fresh * -1.0) @ _unit_row(8 + ways - 1, width)
+    else:
+        driven = by_current @ law
+    out, rows = zeros(count, width), zeros(count, width)
+    set_block(out, 0, 0, moved)
+    set_block(rows, 0, 0, driven)
+    out = out + rows
+    set_block(out, 0, count, pushed.submatrix(within, [1]) * wrong["friction"])
+    set_block(out, 0, count + 3, pushed.submatrix(within, [2]) * (n.g.high * wrong["overlap"] / scale[Z]))
+
+    # the box's velocity, of what x moves by; then what counts by g, at its value a sample later
+    memory, still, own = bench["velocity_memory"], zeros(1, width), zeros(1, width)
     set_block(still, 0, X, one * -1.0)
-    shown = (step + still) * ((1.0 - memory) / PERIOD * scale[X] / scale[BOX_VELOCITY])
-    own = zeros(1, count + len(DISTURBANCE_NAMES))
+    shown = (out.submatrix([X], every) + still) * ((1.0 - memory) / PERIOD * scale[X] / scale[BOX_VELOCITY])
     set_block(own, 0, BOX_VELOCITY, one * memory)
     set_block(own, 0, count + 2, one * (wrong["velocity_noise"] / scale[BOX_VELOCITY]))
     set_block(out, BOX_VELOCITY, 0, shown + own)
     for row in (Z, ZR):
-        set_block(out, row, 0, later @ out.submatrix([row], range(count + len(DISTURBANCE_NAMES))))
+        set_block(out, row, 0, later @ out.submatrix([row], every))
     for way in range(ways):
-        set_block(out, 8 + way, 0, later @ (law if way == 0 else _picked(8 + way - 1, law)))
+        set_block(out, 8 + way, 0, later @ (law if way == 0 else _unit_row(8 + way - 1, width)))
     return out
 
 
-def _picked(column: int, like: AffineSet) -> AffineSet:
-    """The row that is 1 in one column."""
-    row = zeros(*like.center.shape)
+def _unit_row(column: int, width: int) -> AffineSet:
+    row = zeros(1, width)
     row.center[0, column] = 1.0
     return row
-
-
-def _rows(block: AffineSet, count: int) -> AffineSet:
-    """A block of the first rows, with rows of zeros below."""
-    out = zeros(count, block.center.shape[1])
-    set_block(out, 0, 0, block)
-    return out
 
 
 def enclose_transition(
@@ -310,7 +302,10 @@ def enclose_transition(
     set_of = zeros(count, count)
     set_block(set_of, 0, 0, rates)
     set_block(set_of, 0, states, inputs)
-    set_of = _scaled(set_of, reach)
+    by_reach = zeros(count, count)
+    for place in range(count):
+        set_block(by_reach, place, place, reach)
+    set_of = set_of @ by_reach
     size, varies = set_of.size, np.zeros((count, count))
     varies[:states, :states] = apart * reach.size[0, 0]
     total, term = zeros(count, count), zeros(count, count)
@@ -329,11 +324,3 @@ def enclose_transition(
         norm ** (SERIES_TERMS + 1) / math.factorial(SERIES_TERMS + 1) / (1.0 - norm / (SERIES_TERMS + 2)) * (1.0 + 1e-9)
     )
     return total.submatrix(range(states), range(states)), total.submatrix(range(states), range(states, count))
-
-
-def _scaled(matrix: AffineSet, number: AffineSet) -> AffineSet:
-    """Each entry times one number."""
-    diagonal = zeros(matrix.center.shape[1], matrix.center.shape[1])
-    for place in range(matrix.center.shape[1]):
-        set_block(diagonal, place, place, number)
-    return matrix @ diagonal

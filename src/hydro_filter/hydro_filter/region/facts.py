@@ -8,8 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydro_core.signals import FloatArray
-from hydro_filter.model.loop import valve_overlap
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
+from hydro_filter.model.terms import LOAD_CELL_LAG, VALVE_LAG, dry_friction, parameters_of, valve_overlap
 from hydro_filter.region.statement import Bounds
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, numbers
@@ -31,29 +31,25 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
     """
     if model.closures:
         raise ValueError("the proof has no place for closures")
-    record = model.constants()[0]
-    facts = {name: float(record[name]) for name in record.dtype.names}
     found: dict[str, dict[str, float]] = {}
     for effect in model.effects:
-        label = catalogue.label(effect)
-        kind, values = catalogue.parse_entry(effect)
-        values_by_name = {one.name: value for one, value in zip(kind.parameters, values, strict=True)}
-        if label in found:
+        if (label := catalogue.label(effect)) in found:
             raise ValueError(f"the proof has no place for a second {label}")
-        found[label] = values_by_name
-    plain = model.without_effects()
+        found[label] = parameters_of(effect)
     for label in found:
         if label not in SUPPORTED_EFFECTS:
             raise ValueError(f"the proof has no place for {label}")
-    if "valve_lag" not in found:
+    if VALVE_LAG not in found:
         raise ValueError("the proof needs a valve_lag of second order in the bench file")
-    cell = found.get("sensor_lag sensor=load_force")
-    if cell is None and not plain.load_cell_bandwidth:
+    own_cell = model.without_effects().load_cell_bandwidth
+    cell = found.get(LOAD_CELL_LAG) or {"bandwidth": own_cell or 0.0, "damping": LOAD_CELL_DAMPING}
+    if not cell["bandwidth"]:
         raise ValueError("the proof needs the load cell's bandwidth in the bench file")
-    overlap = valve_overlap(model)
-    dry = [n for label, n in found.items() if label.startswith(("friction_coulomb", "friction_stribeck"))]
+    record = model.constants()[0]
+    facts = {name: float(record[name]) for name in record.dtype.names}
     for name in ("bulk_modulus", "valve_gain"):  # these two are terms of the model, not numbers of the bench
         facts[name] *= found.get(name, {}).get("ratio", 1.0)
+    overlap = valve_overlap(model)
     ours = {
         name: facts[name]
         for name in (
@@ -63,11 +59,9 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
         )
     }  # fmt: skip
     ours |= {
-        "spool_bandwidth": found["valve_lag"]["bandwidth"], "spool_damping": found["valve_lag"]["damping"],
-        "cell_bandwidth": cell["bandwidth"] if cell else plain.load_cell_bandwidth or 0.0,
-        "cell_damping": cell["damping"] if cell else LOAD_CELL_DAMPING,
-        "leakage": found.get("leakage_internal", {}).get("coefficient", 0.0),
-        "dry_friction": sum(max(v for k, v in one.items() if "force" in k) for one in dry),
+        "spool_bandwidth": found[VALVE_LAG]["bandwidth"], "spool_damping": found[VALVE_LAG]["damping"],
+        "cell_bandwidth": cell["bandwidth"], "cell_damping": cell["damping"],
+        "leakage": found.get("leakage_internal", {}).get("coefficient", 0.0), "dry_friction": dry_friction(model),
         "overlap": max(overlap["back"], overlap["out"]), "dead_time": catalogue.total_delay(model.effects),
         "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
     }  # fmt: skip
@@ -89,12 +83,12 @@ STATES = (
 """Columns of `region_states`: m, m/s, Pa, Pa, A, A/s, A, Pa/s, Pa/s, 1/s."""
 
 
-def region_states(of: Mapping[str, float], x: FloatArray, valve: FloatArray) -> FloatArray:
+def region_states(bench: Mapping[str, float], x: FloatArray, valve: FloatArray) -> FloatArray:
     """Return the region's states, shape (n, 10), columns `STATES`.
 
     Parameters
     ----------
-    of
+    bench
         Numbers of the bench file (`bench_numbers`).
     x
         Measured states, shape (n, 8).
@@ -103,15 +97,18 @@ def region_states(of: Mapping[str, float], x: FloatArray, valve: FloatArray) -> 
     """
     position, velocity, p_a, p_b = x[:, POSITION], x[:, VELOCITY], x[:, PRESSURE_A], x[:, PRESSURE_B]
     opening, rate, nominal = valve.T
-    area, area_b = of["piston_area"], of["piston_area"] * of["area_ratio"]
-    volume_a, volume_b = of["dead_volume_a"] + area * position, of["dead_volume_b"] + area_b * (of["stroke"] - position)
+    area, area_b = bench["piston_area"], bench["piston_area"] * bench["area_ratio"]
+    volume_a, volume_b = (
+        bench["dead_volume_a"] + area * position,
+        bench["dead_volume_b"] + area_b * (bench["stroke"] - position),
+    )
     out, side = opening >= 0.0, np.where(opening >= 0.0, 1.0, -1.0)
-    drop_a = np.where(out, of["supply_pressure"] - p_a, p_a - of["tank_pressure"])
-    drop_b = np.where(out, p_b - of["tank_pressure"], of["supply_pressure"] - p_b)
+    drop_a = np.where(out, bench["supply_pressure"] - p_a, p_a - bench["tank_pressure"])
+    drop_b = np.where(out, p_b - bench["tank_pressure"], bench["supply_pressure"] - p_b)
     root_a, root_b = np.sqrt(np.maximum(drop_a, 1.0)), np.sqrt(np.maximum(drop_b, 1.0))
-    leak = of["leakage"] * (p_a - p_b)
-    rate_a = of["bulk_modulus"] / volume_a * (of["valve_gain"] * root_a * opening - area * velocity - leak)
-    rate_b = of["bulk_modulus"] / volume_b * (area_b * velocity + leak - of["valve_gain"] * root_b * opening)
+    leak = bench["leakage"] * (p_a - p_b)
+    rate_a = bench["bulk_modulus"] / volume_a * (bench["valve_gain"] * root_a * opening - area * velocity - leak)
+    rate_b = bench["bulk_modulus"] / volume_b * (area_b * velocity + leak - bench["valve_gain"] * root_b * opening)
     g_a, g_b = area * root_a / volume_a, area_b * root_b / volume_b
     drift_a = -0.5 * side * rate_a / drop_a - area * velocity / volume_a
     drift_b = 0.5 * side * rate_b / drop_b + area_b * velocity / volume_b

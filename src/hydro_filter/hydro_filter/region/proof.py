@@ -16,9 +16,7 @@ is from LAPACK's eigenvalues, with `ROUNDING_ALLOWANCE` and a bound of the produ
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import pairwise, product
-from typing import NamedTuple
 
 import numpy as np
 
@@ -35,16 +33,6 @@ PROMOTED_ENTRIES = 2
 """Entries of the radius that become symbols: the largest, by which f_h follows the spool."""
 
 
-class GainInterval(NamedTuple):
-    """Interval of K_p, on one side of the spool's zero, with its metrics and closed loop."""
-
-    side: int
-    gain: Interval
-    pairs: list[tuple[FloatArray, FloatArray]]
-    """(M(K_p), M(K_p+)): the ends of what they can be."""
-    sample: AffineSet
-
-
 def interpolate_metric(cell: ToleranceCell, gain: float) -> FloatArray:
     """Return M(K_p), interpolated linearly within the table, constant beyond its ends."""
     place = float(np.clip(np.interp(gain, cell.gains, np.arange(len(cell.gains))), 0, len(cell.gains) - 1))
@@ -53,33 +41,20 @@ def interpolate_metric(cell: ToleranceCell, gain: float) -> FloatArray:
     return (1.0 - share) * cell.matrices[low] + (share * cell.matrices[low + 1] if share else 0.0)
 
 
-def metric_vertices(of: CertifiedRegion, cell: ToleranceCell, gain: Interval) -> list[tuple[FloatArray, FloatArray]]:
+def metric_vertices(
+    region: CertifiedRegion, cell: ToleranceCell, gain: Interval
+) -> list[tuple[FloatArray, FloatArray]]:
     """Return the vertices of (M(K_p), M(K_p+)) for K_p in an interval within one segment of the table."""
-    reach = of.gain_rate * SAMPLE_PERIOD
+    reach = region.gain_rate * SAMPLE_PERIOD
     first, last = interpolate_metric(cell, gain.low), interpolate_metric(cell, gain.high)
     if reach == 0.0:
         return [(first, first), (last, last)]
     step = (last - first) * (reach / (gain.high - gain.low))
-    found = [(m, m + sign * step) for m in (first, last) for sign in (1.0, -1.0)]
-    # where the next segment begins, its own slope
-    found += [
-        (m, interpolate_metric(cell, k + sign * reach))
-        for m, k in ((first, gain.low), (last, gain.high))
-        for sign in (1, -1)
+    ends = product(((first, gain.low), (last, gain.high)), (1.0, -1.0))
+    # by this segment's slope, and where the next one begins by its own
+    return [
+        (m, after) for (m, k), sign in ends for after in (m + sign * step, interpolate_metric(cell, k + sign * reach))
     ]
-    return found
-
-
-def split_cell(of: CertifiedRegion, cell: ToleranceCell, parts: int) -> Iterator[GainInterval]:
-    """Yield all gain intervals of a cell, each segment of the table split into `parts`."""
-    for low, high in pairwise(cell.gains):
-        ends = np.linspace(low, high, parts + 1)
-        for first, last in pairwise(ends):
-            gain = Interval(float(first), float(last))
-            for side in (1, -1):
-                yield GainInterval(
-                    side, gain, metric_vertices(of, cell, gain), enclose_closed_loop(of, cell.tolerances, side, gain)
-                )
 
 
 def reduce_symbols(sample: AffineSet) -> tuple[AffineSet, FloatArray]:
@@ -100,15 +75,14 @@ def reduce_symbols(sample: AffineSet) -> tuple[AffineSet, FloatArray]:
 
 
 def decay_margin(
-    of: CertifiedRegion, pair: tuple[FloatArray, FloatArray], sample: AffineSet, signs: FloatArray
+    region: CertifiedRegion, pair: tuple[FloatArray, FloatArray], sample: AffineSet, signs: FloatArray
 ) -> FloatArray:
     """Return the margin 1 - ||M+^1/2 (H + E) D^-1/2|| at every vertex, shape (vertices,); positive: it contracts."""
     before, after = pair
-    n, decay = len(before), math.exp(-2.0 * of.tube_rate * SAMPLE_PERIOD)
-    used = [i for i, weight in enumerate(of.weights) if weight > 0.0]
+    n, decay, used = len(before), region.decay, region.directions
     bound = np.zeros((n + len(used), n + len(used)))
     bound[:n, :n] = decay * (1.0 - 4.0 * EPS) * before
-    bound[n:, n:] = np.diag([(1.0 - decay) * of.weights[i] for i in used]) * (1.0 - 1e-9)
+    bound[n:, n:] = np.diag([(1.0 - decay) * region.weights[i] for i in used]) * (1.0 - 1e-9)
     columns = [*range(n), *(n + i for i in used)]
     left, right = np.linalg.cholesky(after).T, np.linalg.inv(np.linalg.cholesky(bound).T)
     center, slopes = sample.center[:, columns] @ right, sample.slopes[:, :, columns] @ right
@@ -122,10 +96,14 @@ def decay_margin(
     return 1.0 - lost - rounding - ROUNDING_ALLOWANCE - np.sqrt(largest + rounding)
 
 
-def prove_cell(of: CertifiedRegion, cell: ToleranceCell, parts: int = 1) -> float:
+def prove_cell(region: CertifiedRegion, cell: ToleranceCell, parts: int = 1) -> float:
     """Return the smallest `decay_margin` over a cell, each segment split into `parts`; positive: the cell is proved."""
     least = math.inf
-    for piece in split_cell(of, cell, parts):
-        sample, signs = reduce_symbols(piece.sample)
-        least = min(least, *(float(decay_margin(of, pair, sample, signs).min()) for pair in piece.pairs))
+    for segment in pairwise(cell.gains):
+        for low, high in pairwise(np.linspace(*segment, parts + 1)):
+            gain = Interval(float(low), float(high))
+            pairs = metric_vertices(region, cell, gain)
+            for side in (1, -1):
+                sample, signs = reduce_symbols(enclose_closed_loop(region, cell.tolerances, side, gain))
+                least = min(least, *(float(decay_margin(region, pair, sample, signs).min()) for pair in pairs))
     return least

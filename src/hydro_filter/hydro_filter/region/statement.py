@@ -7,6 +7,7 @@ The file stands beside the metric, METRIC.region.json; `benchmarks.verify_region
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -43,6 +44,11 @@ ASSUMPTIONS = (
 def region_path(metric: Path, *, compensated: bool) -> Path:
     """Return the region's file for a metric's: METRIC.region.json or METRIC.compensated.region.json."""
     return metric.with_suffix(".compensated.region.json" if compensated else ".region.json")
+
+
+def started_samples(dead_time: float) -> int:
+    """Return the number of samples that a dead time [s] begins."""
+    return math.ceil(dead_time / SAMPLE_PERIOD - 1e-9)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +94,21 @@ class CertifiedRegion:
     cells: tuple[ToleranceCell, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
     """Digests, command, seconds of the proof."""
+
+    @property
+    def coordinates(self) -> int:
+        """Number of coordinates: eight, and one for each started millisecond of dead time."""
+        return 8 + started_samples(self.tolerances["dead_time"][1])
+
+    @property
+    def directions(self) -> list[int]:
+        """Directions of the disturbance that have a weight."""
+        return [i for i, weight in enumerate(self.weights) if weight > 0.0]
+
+    @property
+    def decay(self) -> float:
+        """exp(-2 lambda T) at the rate of the proof."""
+        return math.exp(-2.0 * self.tube_rate * SAMPLE_PERIOD)
 
     def save(self, path: Path) -> None:
         """Write the region to a JSON file."""

@@ -53,17 +53,17 @@ class RegionMonitor:
         Call once a policy step. `opening`, `opening_rate`: of the valve at the sample, as the filter has them [A, A/s].
         """
         before, self._gain = self._gain, sample.proportional_gain
-        of = self._statements.get(sample.compensated)
-        if of is None:
+        region = self._statements.get(sample.compensated)
+        if region is None:
             return None
         valve = np.array([[opening, opening_rate, sample.nominal_current - self._closing]])
-        states = region_states(of.bench, sample.state[np.newaxis], valve)[0]
-        numbers = [(name, float(value), *of.states[name]) for name, value in zip(STATES, states, strict=True)]
-        numbers.append(("velocity_compensation", sample.law_inputs[2], *of.velocity_compensation))
-        numbers.append(("proportional_gain", sample.proportional_gain, *of.proportional_gain))
+        states = region_states(region.bench, sample.state[np.newaxis], valve)[0]
+        numbers = [(name, float(value), *region.states[name]) for name, value in zip(STATES, states, strict=True)]
+        numbers.append(("velocity_compensation", sample.law_inputs[2], *region.velocity_compensation))
+        numbers.append(("proportional_gain", sample.proportional_gain, *region.proportional_gain))
         if before is not None:
             rate = (sample.proportional_gain - before) / (SAMPLES_PER_STEP * SAMPLE_PERIOD)
-            numbers.append(("gain_rate", rate, -of.gain_rate, of.gain_rate))
+            numbers.append(("gain_rate", rate, -region.gain_rate, region.gain_rate))
         for name, value, low, high in numbers:
             slack = ROUNDING * max(abs(low), abs(high))
             if not low - slack <= value <= high + slack:

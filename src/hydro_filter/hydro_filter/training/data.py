@@ -22,7 +22,8 @@ A run's gains are constant, so that both forms of the integral agree.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Annotated
 
@@ -134,7 +135,14 @@ class Windows:
 
     def subset(self, which: npt.NDArray[np.bool_]) -> Windows:
         """Return the windows selected by a mask, shape (n,)."""
-        return Windows(**{entry.name: getattr(self, entry.name)[which] for entry in fields(self)})
+        return Windows(**{name: array[which] for name, array in vars(self).items()})
+
+    @classmethod
+    def concatenate(cls, windows: Sequence[Windows]) -> Windows:
+        """Return all windows as one."""
+        return cls(
+            **{name: np.concatenate([getattr(one, name) for one in windows]) for name in cls.__dataclass_fields__}
+        )
 
 
 def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, free: Plant | None = None) -> Rollout:
@@ -144,30 +152,29 @@ def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, fre
     edges = [(low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high)][0 if low < 0.0 else 1 :]
     integral_gains = settings.integral_gain_min, settings.integral_gain_max
     gains = float(rng.uniform(*edges[index % len(edges)])), float(rng.uniform(*integral_gains))
-    reference, seed = _reference(rng, bench.size.force), int(rng.integers(2**31))
+    force = bench.size.force
+    limits = replace(
+        excitation.ExcitationRange.of_force(force), seconds=(4.0, 5.0), force_max=1.1 * force, offset_max=force / 3.0,
+        frequency=(0.3, 3.0),
+    )  # fmt: skip
+    reference = excitation.draw_schedule(5.0, int(rng.integers(2**31)), limits)[0].signal
+    seed = int(rng.integers(2**31))
     plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds, law=settings.law)
+    pulse = np.zeros(plan.samples)
+    pulse[PULSE_SAMPLE : PULSE_SAMPLE + 10] = PULSE_CURRENT * bench.valve_current_max
     box = settings.make_box_config(bench)
-    first, second = _twins(plant, bench, plan, box, seed)
+
+    def twins(of: Plant) -> list[StateArray]:
+        plans = [replace(plan, correction=correction) for correction in (np.zeros(plan.samples), pulse)]
+        return [simulate(of, bench, each, config=box, seed=seed) for each in plans]
+
+    first, second = twins(plant)
     label = stability_label(first, second)
     if free is not None:
-        label = combine_labels(label, stability_label(*_twins(free, bench, plan, box, seed)))
+        label = combine_labels(label, stability_label(*twins(free)))
     trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
     kept = first[: trips[0]] if len(trips) else first
     return Rollout(states=kept, gains=gains, label=label)
-
-
-def _twins(plant: Plant, bench: Bench, plan: Schedule, box: BoxConfig, seed: int) -> tuple[StateArray, StateArray]:
-    """Run twice with the same noise, the second time with the pulse."""
-    pulse = np.zeros(plan.samples)
-    first = simulate(plant, bench, replace(plan, correction=pulse.copy()), config=box, seed=seed)
-    pulse[PULSE_SAMPLE : PULSE_SAMPLE + 10] = PULSE_CURRENT * bench.valve_current_max
-    return first, simulate(plant, bench, replace(plan, correction=pulse), config=box, seed=seed)
-
-
-def _reference(rng: np.random.Generator, force: float) -> ReferenceSignal:
-    usual = excitation.ExcitationRange.of_force(force)
-    limits = replace(usual, seconds=(4.0, 5.0), force_max=1.1 * force, offset_max=force / 3.0, frequency=(0.3, 3.0))
-    return excitation.draw_schedule(5.0, int(rng.integers(2**31)), limits)[0].signal
 
 
 def stability_label(first: StateArray, second: StateArray) -> int:
@@ -190,34 +197,22 @@ def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int
     if count < 100 + 2 * span:
         return None
     starts = np.sort(np.random.default_rng(seed).integers(100, count - span, settings.windows))
-    starts = starts[_between_stops(rollout.states["piston_position"], starts, span, loop["stroke"])]
-    if not len(starts):
-        return None
     inside = starts[:, None] + np.arange(span)
+    # a piston that rests on an end stop is not part of the loop
+    position, stop = rollout.states["piston_position"], STOP_DISTANCE * loop["stroke"]
+    free = (position > stop) & (position < loop["stroke"] - stop)
+    inside = inside[free[inside].all(axis=1)]
+    if not len(inside):
+        return None
     linearized = np.zeros(count, np.bool_)
     linearized[inside] = True
-    made = linearize(
-        loop.record, recorded_samples(rollout.states, settings.velocity_compensation), linearized=linearized
-    )
+    samples = recorded_samples(rollout.states, settings.velocity_compensation)
+    made = linearize(loop.record, samples, linearized=linearized)
     rows = (np.cumsum(linearized) - 1)[inside]
     return Windows(
         transition=made.transition[rows], push=made.push[rows], feedback=made.feedback[rows],
-        gain=np.full(len(starts), rollout.gains[0]), label=np.full(len(starts), rollout.label),
+        gain=np.full(len(inside), rollout.gains[0]), label=np.full(len(inside), rollout.label),
     )  # fmt: skip
-
-
-def _between_stops(
-    positions: FloatArray, starts: npt.NDArray[np.int64], span: int, stroke: float
-) -> npt.NDArray[np.bool_]:
-    """Return which windows stay off the end stops: a piston that rests on one is not part of the loop."""
-    off = STOP_DISTANCE * stroke
-    inside = (positions > off) & (positions < stroke - off)
-    return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
-
-
-def concatenate(windows: list[Windows]) -> Windows:
-    """Concatenate windows."""
-    return Windows(**{e.name: np.concatenate([getattr(w, e.name) for w in windows]) for e in fields(Windows)})
 
 
 def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0) -> tuple[float, float]:
@@ -268,12 +263,6 @@ def noise_levels(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant
     return max(sizes[:-1]), sizes[-1]
 
 
-def integral_terms(loop: Loop, states: StateArray, velocity_compensation: float = 1.0) -> FloatArray:
-    """Return the force law's integral I [N/s] at the samples of a run, shape (n,), for neutral coefficients."""
-    samples, none = recorded_samples(states, velocity_compensation), np.zeros(len(states), np.bool_)
-    return linearize(loop.record, samples, linearized=none).integral
-
-
 INTEGRAL_TEST_GAINS = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
 """K_p [1/s], K_i [1/s^2] of the runs that measure the integral."""
 INTEGRAL_TEST_REFERENCES = (
@@ -299,7 +288,7 @@ def measure_integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: Dat
             waveform=waveform, amplitude=amplitude * force, offset=offset * force, frequency=frequency
         )
         plan = Schedule(reference=reference, gains=gains, seconds=INTEGRAL_TEST_TIME, law=data.law)
-        states = simulate(plant, bench, plan, config=box)
-        terms = integral_terms(loop, states[1000:], data.velocity_compensation)
-        largest = max(largest, float(np.abs(terms).max()))
+        settled = recorded_samples(simulate(plant, bench, plan, config=box)[1000:], data.velocity_compensation)
+        integral = linearize(loop.record, settled, linearized=np.zeros(len(settled), np.bool_)).integral
+        largest = max(largest, float(np.abs(integral).max()))
     return 1.25 * largest

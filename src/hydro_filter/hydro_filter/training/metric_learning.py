@@ -21,8 +21,7 @@ import math
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -52,7 +51,6 @@ from hydro_filter.training.data import (
     Rollout,
     Windows,
     certified_range,
-    concatenate,
     draw_windows,
     measure_integral_allowance,
     noise_levels,
@@ -97,6 +95,16 @@ class RiccatiCorrection(NamedTuple):
     push: float
     """G's entry of it about the still bench."""
 
+    @classmethod
+    def from_design(cls, loop: Loop, design: MetricDesign) -> RiccatiCorrection:
+        """Solve the correction for the loop at rest."""
+        driven, push = input_coordinate(loop), linearize_at_rest(loop, design.gain_low)[1]
+        return cls(solve_riccati(loop, design)[1], driven, float(push[driven]))
+
+    def feedback_at(self, push: FloatArray) -> FloatArray:
+        """Return K [A] at samples with these G, shape (..., 8), scaled by g as the force law is."""
+        return (self.push / push[..., self.driven])[..., np.newaxis] * self.feedback
+
 
 class Samples(NamedTuple):
     """b samples of closed loops, with the gain at which the metric is evaluated; shapes for eight coordinates."""
@@ -107,40 +115,39 @@ class Samples(NamedTuple):
     """F + G K, shape (b, 8, 8)."""
 
 
-def feedback_gains(windows: Windows, correction: RiccatiCorrection) -> FloatArray:
-    """Return the correction's feedback K [A] at every sample, shape (n, H, 8), scaled by g as the force law is."""
-    return (correction.push / windows.push[..., correction.driven])[..., np.newaxis] * correction.feedback
+def close_loop(transition: FloatArray, push: FloatArray, feedback: FloatArray) -> FloatArray:
+    """Return F + G K, shape (..., 8, 8)."""
+    return transition + push[..., np.newaxis] * feedback[..., np.newaxis, :]
 
 
 def certified_samples(windows: Windows, metric: ScheduledMetric) -> Samples:
     """Return the samples of stable windows with certified gains, closed by the force law."""
     inside = (windows.gain >= metric.gains[0]) & (windows.gain <= metric.gains[-1])
     wanted = windows.subset(inside & (windows.label == STABLE))
-    return _samples(wanted, wanted.feedback, wanted.gain)
+    return _flatten(close_loop(wanted.transition, wanted.push, wanted.feedback), wanted.gain)
 
 
 def uncertified_samples(windows: Windows, correction: RiccatiCorrection) -> Samples:
     """Return all samples, closed by the optimal correction."""
-    return _samples(windows, feedback_gains(windows, correction), np.full(len(windows), np.inf))
+    closed = close_loop(windows.transition, windows.push, correction.feedback_at(windows.push))
+    return _flatten(closed, np.full(len(windows), np.inf))
 
 
-def _samples(windows: Windows, feedback: FloatArray, gain: FloatArray) -> Samples:
-    closed = windows.transition + windows.push[..., np.newaxis] * feedback[..., np.newaxis, :]
+def _flatten(closed: FloatArray, gain: FloatArray) -> Samples:
     return Samples(np.repeat(gain, closed.shape[1]), closed.reshape(-1, *closed.shape[2:]))
 
 
-def certificate_table(
-    metrics: dict[str, ScheduledMetric], ask: Callable[[ScheduledMetric], tuple[Samples, Samples]]
-) -> Table:
+def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, correction: RiccatiCorrection) -> Table:
     """Return the table of held-out violations, a row for each metric and kind of gains.
-
-    `ask`: returns a metric's certified and uncertified samples.
 
     Raises ValueError: no held-out run has gains of one of the two.
     """
     table = Table(COLUMNS, title=f"Contraction at lambda = {RATE:g} and {FOREIGN_RATE:g} 1/s, held out")
     for name, metric in metrics.items():
-        for kind, samples, rate in zip(("certified", "foreign"), ask(metric), (RATE, FOREIGN_RATE), strict=True):
+        for kind, samples, rate in (
+            ("certified", certified_samples(held_out, metric), RATE),
+            ("foreign", uncertified_samples(held_out, correction), FOREIGN_RATE),
+        ):
             if not len(samples.gain):
                 low, high = metric.gains[0], metric.gains[-1]
                 raise ValueError(
@@ -186,23 +193,22 @@ DISCARDED_SHARE = 0.02
 by one side's g while the valve has the other's."""
 
 
-def refine_table(
-    metric: ScheduledMetric, windows: Windows, foreign: FloatArray, rates: tuple[float, float], seed: int = 0
-) -> Iterator[FloatArray]:
-    """Yield refined rows of the table, shape (36,), for decay at `rates` (certified, other gains) [1/s].
-
-    `foreign`: F + G K of the windows' samples under the best correction, shape (n, H, 8, 8).
-    """
-    rng = np.random.default_rng(seed)
-    stable = windows.subset(windows.label == STABLE)
+def refine(metric: ScheduledMetric, windows: Windows, correction: RiccatiCorrection, seed: int) -> ScheduledMetric:
+    """Return the metric with a table that decays on drawn samples, at the law's gains and under the correction."""
+    rng, stable = np.random.default_rng(seed), windows.subset(windows.label == STABLE)
     chosen = rng.choice(len(stable), min(SAMPLES, len(stable)), replace=False)
+    transition, push = stable.transition[chosen, 0], stable.push[chosen, 0]
+    problems = []
     for row, gain in zip(metric.table[:-1], metric.gains, strict=True):
         feedback = stable.feedback[chosen, 0].copy()
         feedback[:, Q_LOAD] *= gain / stable.gain[chosen]
-        closed = stable.transition[chosen, 0] + stable.push[chosen, 0][:, :, None] * feedback[:, None, :]
-        yield refine_factor(row, closed, rates[0])
+        problems.append((row, close_loop(transition, push, feedback), RATE + MARGIN))
     chosen = rng.choice(len(windows), min(SAMPLES, len(windows)), replace=False)
-    yield refine_factor(metric.table[-1], foreign[chosen, 0], rates[1])
+    transition, push = windows.transition[chosen, 0], windows.push[chosen, 0]
+    foreign = close_loop(transition, push, correction.feedback_at(push))
+    problems.append((metric.table[-1], foreign, FOREIGN_RATE + MARGIN))
+    told = progress(problems, total=len(problems), label="solving", unit="metric", every=10.0)
+    return replace(metric, table=np.array([refine_factor(*one) for one in told]))
 
 
 def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
@@ -239,7 +245,7 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
         pace = (STEP * (1.0 - step / STEPS) + 1e-4) / (1.0 - 0.9 ** (step + 1))
         change = change - pace * mean / (np.sqrt(square / (1.0 - 0.999 ** (step + 1))) + 1e-8)
     weight = found @ found.T
-    return cholesky_entries(weight / weight[3, 3])
+    return cholesky_entries(weight / weight[Q_LOAD, Q_LOAD])
 
 
 HELD_OUT_EVERY = 5
@@ -254,8 +260,7 @@ OVERLAP_WARNING = (
 """Told of a bench with an overlap."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrainingData:
+class TrainingData(NamedTuple):
     """Training data from the rollouts."""
 
     training: Windows
@@ -277,7 +282,7 @@ def learn_metric(options: argparse.Namespace) -> None:
         recordings.require_box(options.recording, box)
     made = MadeFor(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
     loop = make_loop(model, bench)
-    if plant_without_overlap(model) is not None:
+    if without_overlap(model) is not None:
         _say(OVERLAP_WARNING)
     laws = [data] if options.law != "compensated" else []
     if options.law != "paper":
@@ -286,7 +291,7 @@ def learn_metric(options: argparse.Namespace) -> None:
     missing: list[str] = []
     for law in laws:
         try:
-            found.append(_certificate(model, bench, loop, law, options))
+            found.append(_certify(model, bench, loop, law, options))
         except ValueError as error:
             if len(laws) == 1:
                 raise
@@ -294,8 +299,8 @@ def learn_metric(options: argparse.Namespace) -> None:
     if not found:
         raise ValueError(f"no force law has a certificate on this bench: {'; '.join(missing)}")
     table = found[0][1]
-    for row in (row for _, more in found[1:] for row in more.rows):
-        table.add(**row)
+    for _, more in found[1:]:
+        table.rows += more.rows
     sound = [metric for metric, _ in found if not metric.validity_error(out.name)] or [found[0][0]]
     final = replace(sound[0], another=sound[1] if len(sound) > 1 else None)
     final = replace(final, made=made, training={**final.training, "seconds": round(time.monotonic() - began, 1)})
@@ -303,8 +308,8 @@ def learn_metric(options: argparse.Namespace) -> None:
     table.show(options.json)
     for one in final.certificates:
         sizes = one.thresholds.noise_size, one.thresholds.foreign_noise_size
-        told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
-        print(f"{out}: C_1 = {one.velocity_compensation:g}, {told}")
+        noise = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
+        print(f"{out}: C_1 = {one.velocity_compensation:g}, {noise}")
     for metric, _ in found:
         if reason := metric.validity_error(out.name):
             kept = "left out of the file" if metric is not sound[0] else "the filter refuses it"
@@ -318,7 +323,7 @@ def learn_metric(options: argparse.Namespace) -> None:
 
 
 def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) -> list[DataSettings]:
-    """Rollouts under the compensated law of the recorded box, or of a box of this bench; none where it has none."""
+    """Return rollouts under the compensated law of the recorded box, or of a box of this bench; none if it has none."""
     law = recordings.box_law(options.recording) if options.recording else BoxConfig().of_bench(bench).compensated
     if law is not None:
         return [DataSettings.for_law(law, rollouts=data.rollouts // 2, seed=data.seed)]
@@ -328,55 +333,56 @@ def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) 
     return []
 
 
-def _certificate(
+def _certify(
     model: Bench, bench: Bench, loop: Loop, data: DataSettings, options: argparse.Namespace
 ) -> tuple[ScheduledMetric, Table]:
-    """The metric for the law of `data`, and its certificate's table (raises ValueError where there is none)."""
-    c_1 = data.velocity_compensation
+    """Return the metric for the law of `data`, and its certificate's table; raises ValueError if there is none."""
+    c_1, law = data.velocity_compensation, data.compensated
+    at_c_1 = "" if c_1 == 1.0 else f"C_1 = {c_1:g}"
     require_stable_gain(loop, c_1)
     plant, clean = (learned_bench.make_plant(options.model, noise=noise) for noise in (1.0, 0.0))
-    material = collect_rollouts(plant, bench, loop, data, plant_without_overlap(model))
-    design = _design(loop, data, material.rollouts)
-    require_held_out(material.held_out, design)
-    told = f"certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s"
-    _say(f"{_told(material.rollouts)}; {told}" + ("" if c_1 == 1.0 else f" at C_1 = {c_1:g}"))
-    if data.compensated is not None and data.compensated.base_kp > design.gain_high:
+    training, held_out, rollouts = collect_rollouts(plant, bench, loop, data, plant_without_overlap(model))
+    design = _design(loop, data, rollouts)
+    require_held_out(held_out, design)
+    counts = Counter(rollout.label for rollout in rollouts)
+    _say(
+        f"{counts[STABLE]} rollouts are stable, {counts[UNSTABLE]} unstable, {counts[NEITHER]} neither; certified "
+        f"range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s" + (f" at {at_c_1}" if at_c_1 else "")
+    )
+    if law is not None and law.base_kp > design.gain_high:
         _say(
-            f"the box's base K_p of {data.compensated.base_kp:.0f} 1/s is above that range: the filter corrects it as "
-            "any gain without a certificate; a lower one, with fewer corrections, is the box's to set"
+            f"the box's base K_p of {law.base_kp:.0f} 1/s is above that range: the filter corrects it as any gain "
+            "without a certificate; a lower one, with fewer corrections, is the box's to set"
         )
-    best = design_correction(loop, design)
-    metric = _refined(ScheduledMetric.from_design(loop, design), material.training, best, options.seed)
-
-    def held_out(one: ScheduledMetric) -> tuple[Samples, Samples]:
-        return certified_samples(material.held_out, one), uncertified_samples(material.held_out, best)
-
-    sizes = noise_levels(metric, loop, plant, clean)
-    allowance = measure_integral_allowance(loop, plant, bench, data)
-    still, of = ScheduledMetric.from_design(loop, design), "" if c_1 == 1.0 else f", C_1 = {c_1:g}"
-    table = certificate_table({f"still{of}": still, f"solved{of}": metric}, held_out)
+    correction, still = RiccatiCorrection.from_design(loop, design), ScheduledMetric.from_design(loop, design)
+    metric = refine(still, training, correction, options.seed)
+    noise, foreign_noise = noise_levels(metric, loop, plant, clean)
+    thresholds = Thresholds(
+        noise_size=noise,
+        foreign_noise_size=foreign_noise,
+        integral_allowance=measure_integral_allowance(loop, plant, bench, data),
+    )
+    of = f", {at_c_1}" if at_c_1 else ""
+    table = certificate_table({f"still{of}": still, f"solved{of}": metric}, held_out, correction)
     violated, foreign = (row["violated"] for row in table.rows[-2:])
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data),
         "rates": {"rate": RATE, "foreign_rate": FOREIGN_RATE, "margin": MARGIN},
         "design": asdict(design), "model": model.digest, "violated": violated, "foreign_violated": foreign,
-        "where": describe_violations(metric, held_out(metric)[0], RATE),
+        "where": describe_violations(metric, certified_samples(held_out, metric), RATE),
     }  # fmt: skip
-    levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
-    return replace(metric, thresholds=levels, training=facts), table
+    return replace(metric, thresholds=thresholds, training=facts), table
 
 
 def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDesign:
-    """The gains for which metrics are solved: those of stable rollouts, and of the compensated law those it admits."""
-    law = data.compensated
-    if law is None:
-        low, high = certified_range(rollouts)
-        return limit_to_stable_range(loop, replace(MetricDesign(), gain_low=round(low), gain_high=round(high)))
-    low, high = certified_range(rollouts, low_reserve=SLOW_RESERVE * law.base_kp)
-    low = max(round(low), math.floor(law.base_kp + law.delta_kp_min), 1)
-    high = min(round(high), math.ceil(law.base_kp + law.delta_kp_max))
-    usual = MetricDesign(velocity_compensation=data.velocity_compensation)
-    return limit_to_stable_range(loop, replace(usual, gain_low=low, gain_high=high))
+    """Return the gains for which metrics are solved: of stable rollouts, and those that a compensated law admits."""
+    law, design = data.compensated, MetricDesign(velocity_compensation=data.velocity_compensation)
+    low, high = certified_range(rollouts) if law is None else certified_range(rollouts, SLOW_RESERVE * law.base_kp)
+    low, high = round(low), round(high)
+    if law is not None:
+        low = max(low, math.floor(law.base_kp + law.delta_kp_min), 1)
+        high = min(high, math.ceil(law.base_kp + law.delta_kp_max))
+    return limit_to_stable_range(loop, replace(design, gain_low=low, gain_high=high))
 
 
 def plant_without_overlap(model: Bench) -> AnalyticPlant | None:
@@ -407,28 +413,7 @@ def collect_rollouts(
         windows = draw_windows(rollout, loop, data, index)
         if windows is not None and rollout.label != NEITHER:
             (held_out if index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1 else kept).append(windows)
-    return TrainingData(training=concatenate(kept), held_out=concatenate(held_out), rollouts=rollouts)
-
-
-def design_correction(loop: Loop, design: MetricDesign) -> RiccatiCorrection:
-    """Optimal linear correction about the bench at rest."""
-    driven, push = input_coordinate(loop), linearize_at_rest(loop, design.gain_low)[1]
-    return RiccatiCorrection(solve_riccati(loop, design)[1], driven, float(push[driven]))
-
-
-def _refined(metric: ScheduledMetric, windows: Windows, best: RiccatiCorrection, seed: int) -> ScheduledMetric:
-    """The table made to hold on samples of the rollouts."""
-    foreign = uncertified_samples(windows, best).closed.reshape(windows.transition.shape)
-    rows = refine_table(metric, windows, foreign, (RATE + MARGIN, FOREIGN_RATE + MARGIN), seed)
-    return replace(
-        metric,
-        table=np.array(list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))),
-    )
-
-
-def _told(rollouts: list[Rollout]) -> str:
-    counts = Counter(rollout.label for rollout in rollouts)
-    return f"{counts[STABLE]} rollouts are stable, {counts[UNSTABLE]} unstable, {counts[NEITHER]} neither"
+    return TrainingData(Windows.concatenate(kept), Windows.concatenate(held_out), rollouts)
 
 
 def _say(sentence: str) -> None:

@@ -20,12 +20,19 @@ import numpy as np
 
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, to_matrix
-from hydro_filter.model.coordinates import Q_LOAD
+from hydro_filter.model.coordinates import LOOP_SIZE, Q_LOAD
 from hydro_filter.model.loop import closing_current, make_loop, recorded_samples
 from hydro_filter.model.records import linearize
 from hydro_filter.region.facts import STATES, bench_numbers, containment_share, region_states
 from hydro_filter.region.proof import prove_cell
-from hydro_filter.region.statement import TOLERANCES, Bounds, CertifiedRegion, ToleranceCell, region_path
+from hydro_filter.region.statement import (
+    TOLERANCES,
+    Bounds,
+    CertifiedRegion,
+    ToleranceCell,
+    region_path,
+    started_samples,
+)
 from hydro_filter.training.region_metric import solve_cell
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -105,7 +112,8 @@ def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
 def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool = True) -> CertifiedRegion | None:
     """Return the certified region of the largest provable amplitude; None: none is proved."""
     ours, law = bench_numbers(model, bench)
-    loop, sensors, began = make_loop(model, bench), Sensors.of_size(model.size), time.process_time()
+    sensors, began = Sensors.of_size(model.size), time.process_time()
+    unit = make_loop(model, bench).scale[:LOOP_SIZE].tolist()
     band = (1.0 - wanted.tolerance, 1.0 + wanted.tolerance)
     tolerances = {name: band if name in wanted.names else (1.0, 1.0) for name in TOLERANCES}
     tolerances["dead_time"] = (ours["dead_time"], ours["dead_time"] + wanted.dead_time)
@@ -122,27 +130,27 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool =
     for share in wanted.forces:
         force = share * model.size.force
         samples = simulate_states(model, bench, wanted, force, wanted.gains[-1])
-        of = CertifiedRegion(
+        region = CertifiedRegion(
             believed=law, bench=ours, tolerances=tolerances,
             states=_box(samples, ours["dry_friction"], ours["moving_mass"]),
             velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
             gain_rate=wanted.gain_rate, disturbances=noise, weights=weights, contraction_rate=wanted.rate,
             tube_rate=wanted.rate, tube=math.inf,
-            scale=tuple(map(float, _scale(loop.scale, tolerances))),
+            scale=(*unit, *[unit[1]] * started_samples(tolerances["dead_time"][1])),
         )  # fmt: skip
         cells: list[ToleranceCell] = []
         for part in _parts(tolerances, wanted.split):
-            if (cell := _proved(of, part, wanted.gains, say)) is None:
+            if (cell := _proved(region, part, wanted.gains, say)) is None:
                 break
             cells.append(cell)
         else:
             inverse = [np.linalg.inv(one)[Q_LOAD, Q_LOAD] for cell in cells for one in cell.matrices]
-            tubes = [of.scale[Q_LOAD] * math.sqrt(one) for one in inverse]
+            tubes = [region.scale[Q_LOAD] * math.sqrt(one) for one in inverse]
             facts = {
                 "force": force, "seconds": round(time.process_time() - began, 1), "tubes": tubes,
-                "inside": containment_share(of.states, samples)[0], "model": model.digest, "box": bench.digest,
+                "inside": containment_share(region.states, samples)[0], "model": model.digest, "box": bench.digest,
             }  # fmt: skip
-            return replace(of, cells=tuple(cells), tube=max(tubes) * (1.0 + 1e-9), facts=facts)
+            return replace(region, cells=tuple(cells), tube=max(tubes) * (1.0 + 1e-9), facts=facts)
     return None
 
 
@@ -156,14 +164,14 @@ def _parts(tolerances: dict[str, Bounds], split: int) -> Iterator[dict[str, Boun
 
 
 def _proved(
-    of: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...], say: bool
+    region: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...], say: bool
 ) -> ToleranceCell | None:
     """Return a metric that is proved for a part of the tolerances; None: none was found."""
-    for reserve in RESERVES if of.velocity_compensation[1] == 1.0 else FAST_RESERVES:
+    for reserve in RESERVES if region.velocity_compensation[1] == 1.0 else FAST_RESERVES:
         cell, left = None, -math.inf
         try:
-            cell = solve_cell(of, tolerances, np.array(gains), reserve)
-            left = prove_cell(of, cell, SEGMENT_PARTS) if cell is not None else left
+            cell = solve_cell(region, tolerances, np.array(gains), reserve)
+            left = prove_cell(region, cell, SEGMENT_PARTS) if cell is not None else left
         except (ValueError, np.linalg.LinAlgError) as error:
             print(f"{error}", file=sys.stderr)
         if say:
@@ -205,9 +213,3 @@ def write_regions(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw |
             f"{path}: {name}, K_p {low:g} to {high:g} 1/s, the states of a sine of {statement.facts['force']:.0f} N: "
             f"decay at {statement.contraction_rate:g} 1/s, tube {statement.tube:.0f} N"
         )
-
-
-def _scale(scale: FloatArray, tolerances: dict[str, Bounds]) -> FloatArray:
-    """Units of the coordinates, of those of a dead time too."""
-    ways = math.ceil(tolerances["dead_time"][1] / SAMPLE_PERIOD - 1e-9)
-    return np.concatenate((scale[:8], [scale[1]] * ways))

@@ -18,7 +18,7 @@ from scipy import sparse
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.region.enclosure import coordinate_count, enclose_closed_loop
+from hydro_filter.region.enclosure import enclose_closed_loop
 from hydro_filter.region.interval import AffineSet, Interval
 from hydro_filter.region.proof import decay_margin, reduce_symbols
 from hydro_filter.region.statement import Bounds, CertifiedRegion, ToleranceCell
@@ -37,9 +37,9 @@ class Inequality(NamedTuple):
     signs: FloatArray
 
 
-def make_inequalities(of: CertifiedRegion, tolerances: dict[str, Bounds], gains: FloatArray) -> list[Inequality]:
+def make_inequalities(region: CertifiedRegion, tolerances: dict[str, Bounds], gains: FloatArray) -> list[Inequality]:
     """Return the inequalities at the table's gains and their midpoints, for either side of the spool's zero."""
-    found, reach = [], of.gain_rate * SAMPLE_PERIOD
+    found, reach = [], region.gain_rate * SAMPLE_PERIOD
 
     def shares(gain: float) -> FloatArray:
         return np.array([np.interp(gain, gains, hat) for hat in np.eye(len(gains))])
@@ -47,7 +47,7 @@ def make_inequalities(of: CertifiedRegion, tolerances: dict[str, Bounds], gains:
     for gain in (*gains, *(0.5 * (gains[1:] + gains[:-1]))):
         for side in (1, -1):
             sample, signs = reduce_symbols(
-                enclose_closed_loop(of, tolerances, side, Interval(float(gain), float(gain)))
+                enclose_closed_loop(region, tolerances, side, Interval(float(gain), float(gain)))
             )
             sample = replace(sample, radius=0.0 * sample.radius)  # it is the reserve's
             for change in (reach, -reach) if reach else (0.0,):
@@ -56,25 +56,25 @@ def make_inequalities(of: CertifiedRegion, tolerances: dict[str, Bounds], gains:
 
 
 def solve_cell(
-    of: CertifiedRegion, tolerances: dict[str, Bounds], gains: FloatArray, reserve: float
+    region: CertifiedRegion, tolerances: dict[str, Bounds], gains: FloatArray, reserve: float
 ) -> ToleranceCell | None:
     """Solve the metric of a part of the tolerances; None: infeasible.
 
     `reserve`: margin [1/s] on the rate, for the radius that the vertices leave out. The proof is
     `region.proof.prove_cell`'s.
     """
-    todo, rng = make_inequalities(of, tolerances, gains), np.random.default_rng(0)
+    todo, rng = make_inequalities(region, tolerances, gains), np.random.default_rng(0)
     active = [(i, int(v)) for i, one in enumerate(todo) for v in rng.choice(len(one.signs), FIRST, replace=False)]
     cell = None
     for _ in range(ROUNDS_MAX):
-        matrices = _solve(of, todo, active, len(gains), reserve)
+        matrices = _solve(region, todo, active, len(gains), reserve)
         if matrices is None:
             return None
         cell = ToleranceCell(tolerances=tolerances, gains=tuple(float(gain) for gain in gains), matrices=matrices)
         added = []
         for i, one in enumerate(todo):
             before, after = (np.asarray(np.tensordot(s, matrices, 1), np.float64) for s in (one.before, one.after))
-            left = decay_margin(of, (before, after), one.sample, one.signs)
+            left = decay_margin(region, (before, after), one.sample, one.signs)
             worst = [(i, int(v)) for v in np.argsort(left)[:ADDED] if left[v] < 0.0]
             added += [place for place in worst if place not in active]
         if not added:
@@ -90,14 +90,13 @@ def _triangle(width: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], F
 
 
 def _solve(
-    of: CertifiedRegion, todo: list[Inequality], active: list[tuple[int, int]], nodes: int, reserve: float
+    region: CertifiedRegion, todo: list[Inequality], active: list[tuple[int, int]], nodes: int, reserve: float
 ) -> FloatArray | None:
     """Matrices of the program with the active vertices, shape (nodes, n, n); None: it has no solution."""
     import clarabel
 
-    n, used = coordinate_count(of), [i for i, weight in enumerate(of.weights) if weight > 0.0]
+    n, used, rate = region.coordinates, region.directions, region.decay
     width, columns = n + len(used), [*range(n), *(n + i for i in used)]
-    rate = math.exp(-2.0 * of.tube_rate * SAMPLE_PERIOD)
     row, column, root = _triangle(n)
     r, c, factors = _triangle(width)
     units = np.zeros((len(row), n, n))
@@ -106,7 +105,7 @@ def _solve(
     held[:, :n, :n] = rate * math.exp(-2.0 * reserve * SAMPLE_PERIOD) * units
     own = held[:, r, c].T * factors[:, None]
     level = np.zeros((width, width))
-    level[n:, n:] = np.diag([(1.0 - rate) * of.weights[i] for i in used])
+    level[n:, n:] = np.diag([(1.0 - rate) * region.weights[i] for i in used])
     blocks, sides, cones = [], [], []
     for i, vertex in active:
         one = todo[i]

@@ -16,7 +16,6 @@ part of the run. Gains change at 100 Hz. A run ends where the box trips (700 N, 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from math import nan
@@ -38,14 +37,14 @@ from hydro_core.signals import (
     Waveform,
 )
 from hydro_core.size import Size
-from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result, loop_filter
-from hydro_filter.metric import ScheduledMetric
+from hydro_filter.controller.factory import FilterChoice
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.osqp_solver import Osqp
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
-from hydro_sim.files.learned_bench import load_model, make_plant
+from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import Plant
 
@@ -55,90 +54,58 @@ PLANTS = ("emulator", "sim")
 @cache  # kept in this process, as filters are
 def plant_named(name: str, model: str | None = None) -> Plant:
     """Return one of `PLANTS`; `model`: bench file of the simulation, the shipped one by default."""
-    if name == "sim":
-        return make_plant(model)
-    return TruthPlant(profile("default"))
+    return make_plant(model) if name == "sim" else TruthPlant(profile("default"))
 
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force * 2.0 / 3.0, frequency=1.0)
 FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force, frequency=2.0)
-Ranges = tuple[tuple[float, float], tuple[float, float]]
-"""Ranges of K_p [1/s] and K_i [1/s^2]."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Case:
     """Validation case: gains over time, and the reference."""
 
-    name: str
     about: str
-    gains: Callable[[np.random.Generator, int], FloatArray]
-    """Generator and policy steps to K_p, K_i, shape (steps, 2)."""
+    proportional: tuple[float, float]
+    """Range of K_p [1/s]."""
+    integral: tuple[float, float]
+    """Range of K_i [1/s^2]."""
+    every: int = 0
+    """Policy steps of 10 ms for which drawn gains are held; 0: the whole run."""
+    switched: bool = False
+    """K_p is at either end of its range in turn, from a random phase on, instead of drawn."""
     reference: ReferenceSignal = SINE
 
     def draw_gains(self, seed: int, seconds: float) -> FloatArray:
         """Return random gains of a run, shape (policy steps, 2)."""
-        return self.gains(np.random.default_rng(seed), round(seconds / (SAMPLES_PER_STEP * SAMPLE_PERIOD)))
-
-
-def constant_gains(kp: float, ki: float) -> Callable[[np.random.Generator, int], FloatArray]:
-    """Return a generator of constant gains [1/s], [1/s^2]."""
-    return lambda rng, steps: np.tile((kp, ki), (steps, 1))
-
-
-def random_gains(ranges: Ranges, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
-    """Return a generator of random gains, redrawn every `every` policy steps of 10 ms; 0: once."""
-
-    def gains(rng: np.random.Generator, steps: int) -> FloatArray:
-        span = every or steps
+        rng, steps = np.random.default_rng(seed), round(seconds / (SAMPLES_PER_STEP * SAMPLE_PERIOD))
+        if self.switched:
+            turns = (np.arange(steps) + int(rng.integers(2 * self.every))) // self.every % 2
+            return np.column_stack([np.where(turns == 0, *self.proportional), np.full(steps, self.integral[0])])
+        span = self.every or steps
         draws = -(-steps // span)
-        pairs = np.column_stack([rng.uniform(*ranges[0], draws), rng.uniform(*ranges[1], draws)])
+        pairs = np.column_stack([rng.uniform(*self.proportional, draws), rng.uniform(*self.integral, draws)])
         return np.repeat(pairs, span, axis=0)[:steps]
 
-    return gains
-
-
-def switching_gains(low: float, high: float, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
-    """Return a generator of K_p that switches between two values every `every` policy steps, with random phase."""
-
-    def gains(rng: np.random.Generator, steps: int) -> FloatArray:
-        phase = (np.arange(steps) + int(rng.integers(2 * every))) // every % 2
-        return np.column_stack([np.where(phase == 0, low, high), np.full(steps, 15.0)])
-
-    return gains
-
-
-UNSTABLE: Ranges = ((-40.0, 40.0), (-5.0, 5.0))
-NEGATIVE: Ranges = ((-40.0, 0.0), (-5.0, 0.0))
-POSITIVE: Ranges = ((0.0, 40.0), (0.0, 5.0))
-HIGH: Ranges = ((100.0, 300.0), (5.0, 15.0))
-WIDE: Ranges = ((-40.0, 300.0), (-5.0, 15.0))
 
 CASES: dict[str, Case] = {
-    case.name: case
-    for case in (
-        Case(name="stable", about="K_p 90, K_i 15 (paper)", gains=constant_gains(90.0, 15.0)),
-        Case(name="stable-fast", about="the same, 300 N at 2 Hz", gains=constant_gains(90.0, 15.0), reference=FAST),
-        Case(name="base", about="K_p 15, K_i 5", gains=constant_gains(15.0, 5.0)),
-        Case(
-            name="unstable",
-            about="K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)",
-            gains=random_gains(UNSTABLE, 1),
-        ),
-        Case(name="unstable-slow", about="the same, drawn every 0.5 s", gains=random_gains(UNSTABLE, 50)),
-        Case(name="negative", about="K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", gains=random_gains(NEGATIVE, 1)),
-        Case(name="negative-held", about="the same, drawn once", gains=random_gains(NEGATIVE, 0)),
-        Case(name="positive", about="K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", gains=random_gains(POSITIVE, 1)),
-        Case(name="high", about="K_p 100 to 300, K_i 5 to 15, drawn once", gains=random_gains(HIGH, 0)),
-        Case(name="high-fast", about="the same, 300 N at 2 Hz", gains=random_gains(HIGH, 0), reference=FAST),
-        Case(name="highest", about="K_p 300, K_i 15", gains=constant_gains(300.0, 15.0)),
-        Case(name="wide", about="K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", gains=random_gains(WIDE, 1)),
-        Case(name="wide-slow", about="the same, drawn every 0.5 s", gains=random_gains(WIDE, 50)),
-        Case(name="switched", about="K_p 15 and 300 in turn, each for 10 ms", gains=switching_gains(15.0, 300.0, 1)),
-        Case(
-            name="switched-slow", about="K_p 15 and 300 in turn, each for 0.5 s", gains=switching_gains(15.0, 300.0, 50)
-        ),
-    )
+    "stable": Case("K_p 90, K_i 15 (paper)", (90.0, 90.0), (15.0, 15.0)),
+    "stable-fast": Case("the same, 300 N at 2 Hz", (90.0, 90.0), (15.0, 15.0), reference=FAST),
+    "base": Case("K_p 15, K_i 5", (15.0, 15.0), (5.0, 5.0)),
+    "unstable": Case("K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)", (-40.0, 40.0), (-5.0, 5.0), every=1),
+    "unstable-slow": Case("the same, drawn every 0.5 s", (-40.0, 40.0), (-5.0, 5.0), every=50),
+    "negative": Case("K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", (-40.0, 0.0), (-5.0, 0.0), every=1),
+    "negative-held": Case("the same, drawn once", (-40.0, 0.0), (-5.0, 0.0)),
+    "positive": Case("K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", (0.0, 40.0), (0.0, 5.0), every=1),
+    "high": Case("K_p 100 to 300, K_i 5 to 15, drawn once", (100.0, 300.0), (5.0, 15.0)),
+    "high-fast": Case("the same, 300 N at 2 Hz", (100.0, 300.0), (5.0, 15.0), reference=FAST),
+    "highest": Case("K_p 300, K_i 15", (300.0, 300.0), (15.0, 15.0)),
+    "wide": Case("K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", (-40.0, 300.0), (-5.0, 15.0), every=1),
+    "wide-slow": Case("the same, drawn every 0.5 s", (-40.0, 300.0), (-5.0, 15.0), every=50),
+    "switched": Case("K_p 15 and 300 in turn, each for 10 ms", (15.0, 300.0), (15.0, 15.0), every=1, switched=True),
+    "switched-slow": Case(
+        "K_p 15 and 300 in turn, each for 0.5 s", (15.0, 300.0), (15.0, 15.0), every=50, switched=True
+    ),
 }
 
 
@@ -245,6 +212,8 @@ def gammas(results: list[Result], current_max: float) -> Gammas:
 
 FILTERS = ("none", "learned")
 """none: bypassed, its certificate evaluated; learned: the default."""
+FAILED = (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE, CorrectionStatus.NAN)
+"""Statuses of a sample whose certificate could not be restored."""
 SETTLING_SAMPLES = 2000
 """Samples left out of RMSE and chattering: the fade from rest."""
 
@@ -262,6 +231,11 @@ class Task:
     model: str | None = None
     bench: str | None = None
 
+    @property
+    def believed(self) -> Bench:
+        """What box and filter believe."""
+        return Bench.load(self.bench) if self.bench else Bench.nominal()
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
@@ -277,7 +251,7 @@ class Outcome:
     numbers: Gammas
     samples: int
     failed: int
-    """Samples with status RELAXED, INFEASIBLE or NAN."""
+    """Samples with a status of `FAILED`."""
     agreed: int
     """Problems that OSQP solves as the filter does."""
     differed: int
@@ -308,45 +282,42 @@ def make_filter(
     chosen: str, metric: str | None = None, model: str | None = None, bench: str | None = None
 ) -> CheckedFilter:
     """Return one of `FILTERS`; other arguments as in `Task`."""
-    settings = LoopFilterSettings(bypass=chosen == "none")
-    return CheckedFilter(loop_filter(ScheduledMetric.load(metric), load_model(model), _bench(bench), settings))
+    choice = FilterChoice.from_files(metric=metric, model=model, bench=bench)
+    return CheckedFilter(choice.make(LoopFilterSettings(bypass=chosen == "none")))
 
 
-def _bench(path: str | None) -> Bench:
-    """What box and filter believe."""
-    return Bench.load(path) if path else Bench.nominal()
-
-
-def simulate(task: Task) -> tuple[Run, Case]:
-    """Run a task; return the run and its case."""
-    case = CASES[task.case]
-    bench = _bench(task.bench)
+def simulate(task: Task) -> Run:
+    """Run a task."""
+    case, bench = CASES[task.case], task.believed
     amplitude = case.reference.amplitude * bench.size.force / NOMINAL.force
     trial = Trial(
-        bench=bench, reference=replace(case.reference, amplitude=amplitude), gains=case.draw_gains(task.seed,
-        task.seconds), box=BoxConfig().of_bench(bench), seed=task.seed,
-    )  # fmt: skip
+        bench=bench,
+        reference=replace(case.reference, amplitude=amplitude),
+        gains=case.draw_gains(task.seed, task.seconds),
+        box=BoxConfig().of_bench(bench),
+        seed=task.seed,
+    )
     chosen = make_filter(task.filter, task.metric, task.model, task.bench)
-    return run(trial, plant_named(task.plant, task.model), chosen), case
+    return run(trial, plant_named(task.plant, task.model), chosen)
 
 
 def evaluate_task(task: Task) -> Outcome:
     """Run a task and compute its statistics."""
-    done, _ = simulate(task)
-    states, osqp = done.states, make_filter(task.filter, task.metric, task.model, task.bench).osqp
+    done, osqp = simulate(task), make_filter(task.filter, task.metric, task.model, task.bench).osqp
+    states, limit = done.states, task.believed.valve_current_max
     settled = states[min(SETTLING_SAMPLES, len(states) // 2) :]
-    numbers = gammas(done.results, _bench(task.bench).valve_current_max)
     return Outcome(
         bounded=done.bounded, peak=float(np.abs(states["load_force"]).max()),
-        rmse=float(np.sqrt(np.mean(tracking_error(settled) ** 2))), chattering=chattering(settled), numbers=numbers,
-        samples=len(states), failed=sum(int(result.status) in (2, 3, 4) for result in done.results),
+        rmse=tracking_rmse(settled), chattering=chattering(settled),
+        numbers=gammas(done.results, limit), samples=len(states),
+        failed=sum(result.status in FAILED for result in done.results),
         agreed=osqp.agreed, differed=osqp.differed,
     )  # fmt: skip
 
 
-def tracking_error(states: StateArray) -> FloatArray:
-    """Return the tracking error f_r - f_l [N], shape (n,)."""
-    return np.asarray(states["reference_force"] - states["load_force"])
+def tracking_rmse(states: StateArray) -> float:
+    """Return the RMSE of f_r - f_l [N]."""
+    return float(np.sqrt(np.mean((states["reference_force"] - states["load_force"]) ** 2)))
 
 
 def chattering(states: StateArray) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, add_json_argument, bounded_number, command, writable_folder
-from hydro_filter.controller.factory import LEARNED, FilterChoice
+from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.validation.runs import (
     CASES,
     COLUMNS,
@@ -32,7 +32,6 @@ from hydro_filter.validation.runs import (
 )
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
-from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure, plot_field
 
 
@@ -40,7 +39,8 @@ from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figur
 def main() -> None:
     """Entry point."""
     options = parse_args(sys.argv[1:])
-    raise_if_mismatched(_choice(options).pairing_error())  # before the work
+    choice = FilterChoice.from_files(metric=options.metric, model=options.model, bench=options.bench)
+    raise_if_mismatched(choice.pairing_error())  # before the work
     lines = list(product(options.plants, options.cases, FILTERS))
     runs = {line: [f"{', '.join(line)}, seed {seed}" for seed in range(options.seeds)] for line in lines}
     tasks = {name: (make_task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
@@ -57,8 +57,9 @@ def main() -> None:
                 table.write_json(options.json)  # what is done stays, whatever comes
     table.show(options.json)
     print("\n" + "\n".join(f"{name}: {CASES[name].about}" for name in options.cases))
-    if options.plots:
-        _draw(options)
+    for plant, case in product(options.plants, options.cases) if options.plots else ():
+        without, filtered = (simulate(make_task(options, plant, case, name, 0)) for name in FILTERS)
+        plot_tracking(without, filtered, f"{plant}: {CASES[case].about}", Path(options.plots) / f"{plant}_{case}.png")
 
 
 def make_task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
@@ -67,21 +68,6 @@ def make_task(options: argparse.Namespace, plant: str, case: str, chosen: str, s
         plant=plant, case=case, filter=chosen, seed=seed, seconds=options.seconds, metric=options.metric,
         model=options.model, bench=options.bench,
     )  # fmt: skip
-
-
-def _choice(options: argparse.Namespace) -> FilterChoice:
-    """The filter that the words ask for."""
-    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    file, model = (Path(name) if name else None for name in (options.bench, options.model))
-    return FilterChoice(bench=bench, bench_file=file, metric=options.metric or LEARNED, model=model)
-
-
-def _draw(options: argparse.Namespace) -> None:
-    """The tracking figure of the first seed of every case."""
-    for plant, case in product(options.plants, options.cases):
-        without, filtered = (simulate(make_task(options, plant, case, name, 0))[0] for name in FILTERS)
-        path = Path(options.plots) / f"{plant}_{case}.png"
-        plot_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
 
 
 def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
@@ -110,7 +96,7 @@ def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
 
 def parse_args(given: list[str]) -> argparse.Namespace:
     """Parse the command line."""
-    listed = "\n".join(f"  {case.name:14} {case.about}" for case in CASES.values())
+    listed = "\n".join(f"  {name:14} {case.about}" for name, case in CASES.items())
     parser = argparse.ArgumentParser(
         prog="validate", description=__doc__, epilog=f"cases:\n{listed}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
