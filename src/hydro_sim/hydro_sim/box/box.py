@@ -24,10 +24,10 @@ import numpy as np
 
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
 from hydro_core.settings import SettingsError, check, quantity
-from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, ReferenceSignal, StateArray
+from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_core.size import rescale
 from hydro_sim.box import firmware
-from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records
+from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records, signal_record
 from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.sensors import Sensors
@@ -126,7 +126,7 @@ class BoxConfig:
         # What HELLO, DETAILS and LAW tell as float32 is so inside, too: a host that keeps to it never exceeds it.
         compensated = np.array(_law(self.compensated), firmware.SINGLE.law)
         force = float(np.float32(self.force_range))
-        still = hydraulics.rest_state(believed)
+        pressure_a, pressure_b, middle, *_ = hydraulics.rest_state(believed)
         forces = ((-force, force), (-RATE_RANGE * bench.size.force, RATE_RANGE * bench.size.force))
         pressure = (self.pressure_min, self.pressure_max)
         position = (-self.position_margin, bench.stroke + self.position_margin)
@@ -134,7 +134,7 @@ class BoxConfig:
         low, high = np.transpose((*forces, *forces, pressure, pressure, position, (-velocity, velocity)))
         numbers: dict[str, Any] = {
             "delta_u_max": self.delta_u_max, "load_force_limit": self.load_force_limit,
-            "gain_floor": self.gain_floor_share * hydraulics.input_gain(believed, still[2], still[0], still[1], 1.0),
+            "gain_floor": self.gain_floor_share * hydraulics.input_gain(believed, middle, pressure_a, pressure_b, 1.0),
             "force_range": force, "recovery_margin": self.recovery_margin, "low": low, "high": high,
             "force_rate_age": ages.force_rate_age, "velocity_age": ages.velocity_age,
             "hold_timeout": self.hold_timeout, "trip_timeout": self.trip_timeout,
@@ -274,11 +274,6 @@ def law_state(state: np.void) -> LawState:
     a_0, a_1, a_2, a_3, c_1, c_2 = acting["shaping"].tolist()
     followed = float(acting["reference"]), float(acting["reference_rate"])
     return LawState(Law(int(acting["law"])), *followed, (a_0, a_1, a_2, a_3), c_1, c_2)
-
-
-def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
-    """Return a reference as the fields of a record of hydro_signal."""
-    return signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0
 
 
 def fill_command(record: Records, command: Command) -> None:

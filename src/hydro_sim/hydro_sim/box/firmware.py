@@ -3,7 +3,7 @@
 
 ::
 
-    code = calls()                                  addresses in this process, for compiled loops
+    code = function_addresses()                     in this process, for compiled loops
     receive(code.receive, box, config, command, t)  take a command in at box time t [s]
     tick(code.tick, box, config, x, t, sample)      run one sample on the measurement x, shape (8,)
 
@@ -14,6 +14,7 @@ library in double and in single precision as the package hydro_firmware.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 from functools import cache
@@ -115,8 +116,7 @@ STRUCTURES: dict[Precision, Structures] = {"double": DOUBLE, "single": SINGLE}
 def library_path(precision: Precision) -> Path:
     """Return the path of the library that set-up built. Raises SettingsError: it is not there."""
     name = f"libhydro_box_{precision}.so"
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    for prefix in filter(None, prefixes):
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         if (path := Path(prefix, "lib", name)).is_file():
             return path
     raise SettingsError(f"{name} is not built: run `make setup`, and `source install/setup.bash`")
@@ -137,16 +137,12 @@ def library(precision: Precision = "double") -> ctypes.CDLL:
         "hydro_c_nominal_current": (number, [Pointer, Pointer, *[number] * 6]),
         "hydro_c_play": (None, [Pointer, Pointer, count, Pointer, Pointer]),
     }
-    sizes = (count * 4)()
-    try:
+    kinds, sizes = STRUCTURES[precision], (count * 4)()
+    with contextlib.suppress(AttributeError):  # the sizes stay 0
         for name, (result, arguments) in declared.items():
             function = getattr(code, name)
             function.restype, function.argtypes = result, arguments
-    except AttributeError:
-        sizes[:] = [0] * 4
-    else:
         code.hydro_c_sizes(sizes)
-    kinds = STRUCTURES[precision]
     if list(sizes) != [kind.itemsize for kind in (kinds.box, kinds.config, kinds.command, kinds.signal)]:
         raise SettingsError("the built firmware is of another version: run `make setup`")
     return code
@@ -167,8 +163,7 @@ class FunctionAddresses(NamedTuple):
 @cache
 def function_addresses(precision: Precision = "double") -> FunctionAddresses:
     """Return the addresses of the library's functions. Raises SettingsError, as `library`."""
-    code = library(precision)
-    functions = (code.hydro_c_receive, code.hydro_c_tick)
+    functions = library(precision).hydro_c_receive, library(precision).hydro_c_tick
     return FunctionAddresses(*(ctypes.cast(function, Pointer).value or 0 for function in functions))
 
 
@@ -208,15 +203,18 @@ def nominal_current(
         C_1, C_2.
     """
     numbers = (error, action, reference_rate, kp, velocity_compensation, valve_gain_scale)
-    return float(
-        library().hydro_c_nominal_current(address_of(config), address_of(np.ascontiguousarray(measurement)), *numbers)
-    )
+    x = np.ascontiguousarray(measurement)
+    return float(library().hydro_c_nominal_current(address_of(config), address_of(x), *numbers))
+
+
+def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
+    """Return a reference as the fields of a record of hydro_signal."""
+    return signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0
 
 
 def reference_force(signal: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return value [N] and rate [N/s] of a signal that starts at time 0, at `times` [s], shape (n,) each."""
-    record, times = np.zeros(1, DOUBLE.signal), np.ascontiguousarray(times, np.float64)
-    record[0] = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
-    values, rates = np.empty(len(times)), np.empty(len(times))
+    record, times = np.array([signal_record(signal)], DOUBLE.signal), np.ascontiguousarray(times, np.float64)
+    values, rates = np.empty((2, len(times)))
     library().hydro_c_play(address_of(record), address_of(times), len(times), address_of(values), address_of(rates))
     return values, rates

@@ -89,14 +89,10 @@ class BoxLink:
 
     def poll(self, now: float) -> None:
         """Pass the bytes that have arrived by `now` [s] to the box."""
-        if data := self._arrived(now):
-            self.box.feed(data)
-
-    def _arrived(self, now: float) -> bytes:
-        """Return bytes that have arrived by `now` [s]; plug in again when it is time."""
         self.receive(now)
-        data, self._inbox = self._inbox, b""
-        return data
+        if self._inbox:
+            self.box.feed(self._inbox)
+            self._inbox = b""
 
     def send(self, now: float) -> None:
         """Send the box's frames of its last sample, without blocking."""
@@ -131,9 +127,8 @@ class BoxLink:
         """Return one line of text on the traffic and the injected faults."""
         taken, stale, greetings = (int(self.box.state[name][0]) for name in ("taken", "stale", "greetings"))
         made = {name: self.up.counts[name] + self.down.counts[name] for name in FAULT_NAMES}
-        text = (
+        faults = ", ".join(f"{name} {count}" for name, count in made.items() if count)
+        return (
             f"{self.report.sent} frames sent, {self.report.unheard} unheard, {self.report.blocked} blocked, "
             f"{taken} commands taken, {stale} refused as old or repeated, {greetings} connections"
-        )
-        faults = ", ".join(f"{name} {count}" for name, count in made.items() if count)
-        return text + (f"; faults made: {faults}" if faults else "")
+        ) + (f"; faults made: {faults}" if faults else "")
