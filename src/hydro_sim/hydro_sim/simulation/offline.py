@@ -85,9 +85,11 @@ def simulate(
     box.receive(Command(), 0.0)
     measurement = plant.reset(seed)
     law = box.config.compensated if schedule.law is Law.COMPENSATED else PAPER_LAW
-    reference, played = schedule.reference, np.zeros(0, firmware.DOUBLE.signal)
-    if not isinstance(reference, ReferenceSignal):
-        reference, played = ReferenceSignal(), _played(reference, samples)
+    reference, played = ReferenceSignal(), _played(np.zeros((0, 2)), 0)
+    if isinstance(schedule.reference, ReferenceSignal):
+        reference = schedule.reference
+    else:
+        played = _played(schedule.reference, samples)
     begin = Command(
         arm=True, reference=reference, filter_fresh=schedule.correction is not None, law=schedule.law,
         velocity_compensation=law.velocity_compensation, valve_gain_scale=law.valve_gain_scale,
