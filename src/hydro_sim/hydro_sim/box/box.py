@@ -185,15 +185,9 @@ class Box:
     """
 
     def __init__(
-        self,
-        bench: Bench,
-        config: BoxConfig | None = None,
-        sensors: Sensors | None = None,
-        *,
-        name: str = NAME,
-        epoch: int = 1,
-        precision: Precision = "double",
-    ) -> None:
+        self, bench: Bench, config: BoxConfig | None = None, sensors: Sensors | None = None, *, name: str = NAME,
+        epoch: int = 1, precision: Precision = "double",
+    ) -> None:  # fmt: skip
         self.config, self.precision, self.epoch = config or BoxConfig(), precision, epoch
         kinds = firmware.STRUCTURES[precision]
         self.settings = self.config.constants(bench, sensors, name, precision)
@@ -206,16 +200,16 @@ class Box:
     def reset(self, epoch: int | None = None) -> None:
         """Restart the box, as the next epoch unless one is given: disarmed, without command, sequence 0."""
         self.epoch = self.epoch % 0xFFFFFFFF + 1 if epoch is None else epoch
-        self._code.hydro_c_power_on(*self._memory, self.epoch)
+        self._call("power_on", self.state, self.settings, self.epoch)
 
     def receive(self, command: Command, time: float) -> None:
         """Receive a command at box time [s] without the serial line; its numbers stay float64."""
         fill_command(self._command, command)
-        self._code.hydro_c_receive(*self._memory, firmware.address_of(self._command), time)
+        self._call("receive", self.state, self.settings, self._command, time)
 
     def feed(self, data: bytes) -> None:
         """Feed bytes received over the line; the next `tick` uses the newest command."""
-        self._code.hydro_c_bytes(firmware.address_of(self.state), data, len(data))
+        self._call("bytes", self.state, data, len(data))
 
     def tick(self, measurement: FloatArray, time: float) -> np.void:
         """Run one sample at box time [s] on a measurement x, shape (8,); return a record of `STATE_DTYPE`.
@@ -223,16 +217,14 @@ class Box:
         Its `valve_current` is what to hold until the next sample; always finite and within the valve's limit.
         """
         output: StateArray = np.zeros(1, STATE_DTYPE)
-        read = np.ascontiguousarray(measurement, np.float64)
-        self._code.hydro_c_tick(*self._memory, firmware.address_of(read), time, firmware.address_of(output))
+        self._call("tick", self.state, self.settings, np.ascontiguousarray(measurement, np.float64), time, output)
         sample: np.void = output[0]
         return sample
 
     def frames(self) -> bytes:
         """Return the frames to send after a `tick`, as bytes."""
         out = np.empty(firmware.BURST_MAX, np.uint8)
-        count = self._code.hydro_c_frames(*self._memory, firmware.address_of(out))
-        return out[:count].tobytes()
+        return out[: self._call("frames", self.state, self.settings, out)].tobytes()
 
     @property
     def refused(self) -> tuple[int, int]:
@@ -240,13 +232,10 @@ class Box:
         values, references = self.state["guard"]["refused"][0].tolist()
         return values, references
 
-    @property
-    def _code(self) -> Any:
-        return firmware.library(self.precision)
-
-    @property
-    def _memory(self) -> tuple[int, int]:
-        return firmware.address_of(self.state), firmware.address_of(self.settings)
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of the firmware; arrays are given by their address."""
+        given = (firmware.address_of(one) if isinstance(one, np.ndarray) else one for one in arguments)
+        return getattr(firmware.library(self.precision), f"hydro_c_{name}")(*given)
 
 
 def with_base_gains(kp: float, ki: float) -> BoxConfig:

@@ -65,14 +65,10 @@ class Sensors:
 
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
         """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""
-        memories = _memory(self.force_rate_age), _memory(self.velocity_age)
+        ages = self.force_rate_age / SAMPLE_PERIOD, self.velocity_age / SAMPLE_PERIOD
+        memories = ((age - 0.5) / (age + 0.5) for age in ages)
         noises = scale * self.force_noise, scale * self.pressure_noise, scale * self.position_step
         return np.array([(*noises, *memories)], SENSORS_DTYPE)
-
-
-def _memory(age: float) -> float:
-    """Coefficient a of a differentiator of that age [s]."""
-    return (age / SAMPLE_PERIOD - 0.5) / (age / SAMPLE_PERIOD + 0.5)
 
 
 class Noise:
@@ -82,23 +78,19 @@ class Noise:
 
     def __init__(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)
-        self._block: FloatArray = np.empty((0, len(RAW_FIELDS)))
-        self._used = 0
+        self._coming: FloatArray = np.empty((0, len(RAW_FIELDS)))
 
     def row(self) -> FloatArray:
         """Return the next sample's standard normal numbers, shape (5,)."""
-        if self._used == len(self._block):
-            self._block = self._generator.standard_normal((self.BLOCK, len(RAW_FIELDS)))
-            self._used = 0
-        self._used += 1
-        return self._block[self._used - 1]
+        return self.rows(1)[0]
 
     def rows(self, count: int) -> FloatArray:
         """Return the standard normal numbers of the next `count` samples, shape (count, 5)."""
-        kept = self._block[self._used :]
-        fresh = self._generator.standard_normal((max(count - len(kept), 0), len(RAW_FIELDS)))
-        self._block, self._used = (self._block, self._used + count) if len(kept) >= count else (fresh[:0], 0)
-        return np.concatenate((kept[:count], fresh))
+        if (missing := count - len(self._coming)) > 0:
+            drawn = self._generator.standard_normal((max(missing, self.BLOCK), len(RAW_FIELDS)))
+            self._coming = np.concatenate((self._coming, drawn))
+        rows, self._coming = self._coming[:count], self._coming[count:]
+        return rows
 
 
 @njit
