@@ -12,7 +12,7 @@ import yaml
 from hydro_core.cli.console import Table, UserError, add_json_argument, bounded_number, command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_sim.files import recordings
-from hydro_sim.files.learned_bench import BENCH_FILES, is_bench_file
+from hydro_sim.files.learned_bench import BENCH_FILES
 from hydro_sim.files.recordings import DataError
 from hydro_sim.identification import bench_learning
 from hydro_sim.model.bench import Bench
@@ -32,7 +32,7 @@ COLUMNS = {
 def main() -> None:
     """Entry point."""
     options = parser().parse_args()
-    if not is_bench_file(options.out):
+    if Path(options.out).suffix not in BENCH_FILES:
         raise UserError(f"--out {options.out}: a bench file's name ends in {' or '.join(BENCH_FILES)}")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     data = recordings.split(recordings.load_states(options.bags))
