@@ -137,7 +137,12 @@ class Simulation:
                 fields = (*fields[:-1], fields[-1] | Flag.PACED)
             with self.lock:
                 self.guard.note_sample(fields[1], fields[_NOMINAL])
-            self._note_flags(fields[-1])
+            changed, self.flags = fields[-1] ^ self.flags, fields[-1]
+            if changed & self.flags & Flag.TRIPPED:
+                self._log(f"tripped: {flag_names(self.flags)}")
+            if changed:
+                with self._confirmed:
+                    self._confirmed.notify_all()
             publish = partial(self._on_state, stamp, fields)
             if self.paced:
                 self._answered.clear()
@@ -202,11 +207,3 @@ class Simulation:
         if step:
             self._log(clock_step_message(step))
         return self.host_clock.ros_time(self.pacer.deadline_ns)  # without the jitter of waking up
-
-    def _note_flags(self, flags: int) -> None:
-        changed, self.flags = flags ^ self.flags, flags
-        if changed & Flag.TRIPPED and flags & Flag.TRIPPED:
-            self._log(f"tripped: {flag_names(flags)}")
-        if changed:
-            with self._confirmed:
-                self._confirmed.notify_all()
