@@ -33,8 +33,8 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.effects.base import Effect
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
-from hydro_sim.model.sensors import RAW_FIELDS, Sensors
+from hydro_sim.model.equations import LOAD_CELL_DAMPING, READINGS
+from hydro_sim.model.sensors import Sensors
 
 StateName = tuple[str, int, str]
 """Of a hidden state: its effect's label, which one of several with that label, the state."""
@@ -96,11 +96,9 @@ def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
 def sensor_calibration(truth: Bench) -> tuple[FloatArray, FloatArray]:
     """Return gain and bias of the five readings, shape (5,) each."""
     made = [_made(None, effect) for effect in truth.effects]
-    ends = np.array([[0.0] * len(RAW_FIELDS), [1.0] * len(RAW_FIELDS)])
+    ends = np.array([[0.0] * len(READINGS), [1.0] * len(READINGS)])
     for effect in made:
-        ends = np.array(
-            [[effect.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends]
-        )
+        ends = np.array([[effect.read_sensor(name, z) for name, z in zip(READINGS, row, strict=True)] for row in ends])
     return ends[1] - ends[0], ends[0]
 
 

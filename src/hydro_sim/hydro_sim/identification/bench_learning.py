@@ -25,9 +25,10 @@ from hydro_sim.identification.bench_states import (
     estimate_noise,
 )
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
+from hydro_sim.model.bench_model import DEAD_TIME, BenchModel
 from hydro_sim.model.effects import catalogue, valve
 from hydro_sim.model.effects.base import Parameter
+from hydro_sim.model.equations import READINGS
 from hydro_sim.model.quality import HORIZON, Quality
 
 PRIOR_WIDTH = 10.0
@@ -284,7 +285,7 @@ def best_prediction_rmse(
     found: list[tuple[FloatArray, StateEstimator]] = []
     for trust in FINAL_TRUSTS:
         follower = StateEstimator(exact, theta, noise, trust)
-        squares, windows = np.zeros(READINGS), 0
+        squares, windows = np.zeros(len(READINGS)), 0
         for run in runs:
             states, readings = follower.states(run), run.readings
             for begin in _window_begins(run, HORIZON // 2):

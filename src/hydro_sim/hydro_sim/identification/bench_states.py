@@ -29,7 +29,8 @@ import numpy.typing as npt
 
 from hydro_core.signals import FloatArray
 from hydro_sim.files.recordings import Run
-from hydro_sim.model.bench_model import READINGS, TEXTBOOK, BenchModel, library, to_c
+from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, library, to_c
+from hydro_sim.model.equations import READINGS
 
 SETTLING_SAMPLES = 600
 """Samples at the beginning of a run without predictions: the filter is still settling."""
@@ -61,7 +62,7 @@ class Sensitivities:
 
     def rest_state(self, theta: FloatArray, textbook: FloatArray) -> FloatArray:
         """Return the states, shape (states,), of a bench at rest with the textbook states, shape (6,)."""
-        y, k, z = np.zeros(len(self.model.states)), np.empty(self.model.coefficients), np.empty(READINGS)
+        y, k, z = np.zeros(len(self.model.states)), np.empty(self.model.coefficients), np.empty(len(READINGS))
         y[:TEXTBOOK] = textbook
         self._code.bench_begin(to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(y), to_c(z))
         return y
@@ -79,7 +80,7 @@ class Sensitivities:
         directions = np.zeros((self.held + len(k), first + dk.shape[1]))
         directions[: self.held, :first], directions[self.held :, first:] = dy, dk
         n, p = len(currents), directions.shape[1]
-        z, dz, workspace = np.empty((n, READINGS)), np.empty((n, READINGS, p)), np.empty((self.held, p))
+        z, dz, workspace = np.empty((n, len(READINGS))), np.empty((n, len(READINGS), p)), np.empty((self.held, p))
         self._code.bench_sensitivities(
             to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)), ctypes.c_long(n),
             to_c(currents, (n,)), ctypes.c_long(p), to_c(directions), to_c(z), to_c(dz), to_c(workspace),
@@ -101,8 +102,8 @@ class Sensitivities:
         states, workspace = np.empty((n, len(self.model.states))), np.empty((2 * held + len(k), held))
         self._code.bench_follow(
             to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)),
-            to_c(covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, READINGS)),
-            to_c(q, (held,)), to_c(r, (READINGS,)), to_c(states), to_c(workspace),
+            to_c(covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, len(READINGS))),
+            to_c(q, (held,)), to_c(r, (len(READINGS),)), to_c(states), to_c(workspace),
         )  # fmt: skip
         return states
 

@@ -34,12 +34,11 @@ from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model import equations as eq
 from hydro_sim.model import rates
 from hydro_sim.model.effects.base import Effect, EffectContext
-from hydro_sim.model.equations import Symbol
+from hydro_sim.model.equations import READINGS, Symbol
 
 casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
 
 TEXTBOOK = ("pressure_a", "pressure_b", "piston_position", "piston_velocity", "load_force", "load_force_rate")
-READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 FORCES = ("holding", "level_out", "level_back", "thrust", "level", "cell")
 """N: that would hold the mass at rest; level of dry friction at rest, for either direction; force of the piston on its
 load but for dry friction, and the level of that; force on an ideal load cell."""

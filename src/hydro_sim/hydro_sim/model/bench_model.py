@@ -30,6 +30,7 @@ from hydro_sim.model import hydraulics, machine_code
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, grown, valve
 from hydro_sim.model.effects.base import Hidden, Parameter
+from hydro_sim.model.equations import READINGS
 
 if TYPE_CHECKING:
     from hydro_sim.model.assembly import Functions
@@ -45,8 +46,6 @@ DEAD_TIME = f"{valve.TransportDelay.id}.time"
 
 TEXTBOOK = 6
 """States of the textbook's equations: p_a, p_b, x_p, x_p', and f_l behind its amplifier with its rate."""
-
-READINGS = 5
 
 
 class BenchModel:
@@ -91,27 +90,27 @@ class BenchModel:
         delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME]
         if sum(delays) > max(self.structure.past - 2, 0) * SAMPLE_PERIOD:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
-        k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(READINGS)
+        k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(len(READINGS))
         y[:TEXTBOOK] = hydraulics.rest_state(self.bench.constants()[0])
         self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))
         return k, y, z
 
     def sample(self, k: FloatArray, y: FloatArray, current: float) -> FloatArray:
         """Return readings z, shape (5,), after a sample at a held current [A]; advance y, shape (states,), in place."""
-        z = np.empty(READINGS)
+        z = np.empty(len(READINGS))
         self._code.bench_sample(*self._at(k, y), ctypes.c_double(current), to_c(z))
         return z
 
     def rollout(self, k: FloatArray, y: FloatArray, currents: FloatArray) -> FloatArray:
         """Return readings after each of n samples, shape (n, 5); y changes in place."""
-        n, z = len(currents), np.empty((len(currents), READINGS))
+        n, z = len(currents), np.empty((len(currents), len(READINGS)))
         self._code.bench_rollout(*self._at(k, y), ctypes.c_long(n), to_c(currents, (n,)), to_c(z))
         return z
 
     def jacobian(self, k: FloatArray, y: FloatArray, current: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Run `sample`; return also d y/d(y, u), shape (states, states + 1), and d z/d(y, u), shape (5, states + 1)."""
         width = len(self.states) + 1
-        z, dy, dz = np.empty(READINGS), np.empty((width - 1, width)), np.empty((READINGS, width))
+        z, dy, dz = np.empty(len(READINGS)), np.empty((width - 1, width)), np.empty((len(READINGS), width))
         self._derivatives.bench_jacobian(*self._at(k, y), ctypes.c_double(current), to_c(z), to_c(dy), to_c(dz))
         return z, dy, dz
 

@@ -3,7 +3,7 @@
 
 ::
 
-    truth    f_h  f_l  p_a  p_b  x_p                              RAW_FIELDS, 5
+    truth    f_h  f_l  p_a  p_b  x_p                              READINGS, 5
       | noise, quantisation             (sense: the sensors)
       | differentiated, lightly filtered (condition: the box)
     x        f_h  f_h'  f_l  f_l'  p_a  p_b  x_p  x_p'            PLANT_FIELDS, 8 (eq. state_def)
@@ -25,9 +25,7 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_core.size import Size, rescale
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
-
-RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-"""Sensor readings, in the order of every raw array here."""
+from hydro_sim.model.equations import READINGS
 
 SENSORS_DTYPE = np.dtype(
     [("force_noise", np.float64), ("pressure_noise", np.float64), ("position_step", np.float64)]
@@ -78,7 +76,7 @@ class Noise:
 
     def __init__(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)
-        self._coming: FloatArray = np.empty((0, len(RAW_FIELDS)))
+        self._coming: FloatArray = np.empty((0, len(READINGS)))
 
     def row(self) -> FloatArray:
         """Return the next sample's standard normal numbers, shape (5,)."""
@@ -87,7 +85,7 @@ class Noise:
     def rows(self, count: int) -> FloatArray:
         """Return the standard normal numbers of the next `count` samples, shape (count, 5)."""
         if (missing := count - len(self._coming)) > 0:
-            drawn = self._generator.standard_normal((max(missing, self.BLOCK), len(RAW_FIELDS)))
+            drawn = self._generator.standard_normal((max(missing, self.BLOCK), len(READINGS)))
             self._coming = np.concatenate((self._coming, drawn))
         rows, self._coming = self._coming[:count], self._coming[count:]
         return rows

@@ -14,7 +14,8 @@ import casadi
 from casadi import SX
 
 from hydro_core.signals import SAMPLE_PERIOD
-from hydro_sim.model.assembly import READINGS, Functions
+from hydro_sim.model.assembly import Functions
+from hydro_sim.model.equations import READINGS
 
 Inputs = Sequence[tuple[str, SX]]
 Outputs = Sequence[tuple[str, SX]]
