@@ -61,52 +61,50 @@ class Structures(NamedTuple):
 
 def structures(real: Any) -> Structures:
     """Return the structures with `real` as hydro_real."""
+    kinds: dict[str, Any] = {
+        "real": real, "time": np.float64, "uint32": np.uint32, "bool": np.bool_, "address": np.uintp,
+        "shaping": (real, (6,)), "measured": (real, (8,)), "values": (real, (14,)), "refused": (np.uint32, (2,)),
+        "piece": (np.uint8, (160,)), "name": (np.uint8, (32,)), "digest": (np.uint8, (12,)),
+    }  # fmt: skip
 
-    def fields(kind: Any, names: str) -> list[tuple[str, Any]]:
-        return [(name, kind) for name in names.split()]
+    def structure(name: str, text: str) -> None:
+        members = ((member, kinds[kind]) for kind, *names in map(str.split, text.split(";")) for member in names)
+        kinds[name] = np.dtype(list(members), align=True)
 
-    def structure(*groups: list[tuple[str, Any]]) -> np.dtype[np.void]:
-        return np.dtype([entry for group in groups for entry in group], align=True)
-
-    shaping, measured, whole, time, flag = (real, (6,)), (real, (8,)), np.uint32, np.float64, np.bool_
-    bench = structure([(name, real) for name in BENCH_FIELDS])
-    law = structure([(name, real) for name in (*GAIN_FIELDS, "reference_max")], fields(shaping, "safe low high rate"))
-    config = structure(
-        [("bench", bench), ("laws", (law, (2,)))],
-        fields(real, "delta_u_max load_force_limit gain_floor force_range recovery_margin"),
-        fields(measured, "low high"), fields(real, "force_rate_age velocity_age"),
-        fields(time, "hold_timeout trip_timeout"), fields(whole, "feedback integral_form"),
-        [("name", (np.uint8, (32,))), ("digest", (np.uint8, (12,)))],
-    )  # fmt: skip
-    stream = structure([("piece", (np.uint8, (160,)))], fields(whole, "count frames bad unknown foreign"))
-    guard = structure(
-        fields(whole, "law"), fields(real, "delta_kp delta_ki delta_u"), fields(shaping, "shaping"),
-        [("refused", (whole, (2,))), ("heard", flag), ("newest", whole)],
-    )  # fmt: skip
-    arming = structure(
-        fields(flag, "arm_wanted disarm_seen armed tripped filter_fresh"), fields(whole, "faults"),
-        fields(time, "received_at armed_at"), fields(real, "excess"),
-    )  # fmt: skip
-    signal = structure(
-        fields(whole, "waveform"), fields(real, "amplitude offset"), fields(time, "frequency phase start")
+    structure("bench", f"real {' '.join(BENCH_FIELDS)}")
+    structure("law", f"real {' '.join(GAIN_FIELDS)} reference_max; shaping safe low high rate")
+    kinds["laws"] = (kinds["law"], (2,))
+    structure(
+        "config",
+        "bench bench; laws laws; real delta_u_max load_force_limit gain_floor force_range recovery_margin; "
+        "measured low high; real force_rate_age velocity_age; time hold_timeout trip_timeout; "
+        "uint32 feedback integral_form; name name; digest digest",
     )
-    reference = structure(fields(signal, "leaving coming wanted"), fields(time, "fade_start"))
-    sample = structure([("time", time), ("sequence", whole), ("values", (real, (14,))), ("flags", whole)])
-    acting = structure(
-        fields(whole, "law"), fields(real, "reference reference_rate"), fields(shaping, "shaping"),
-        fields(real, "second"),
-    )  # fmt: skip
-    command = structure(
-        fields(whole, "sequence corrects"), fields(flag, "arm filter_fresh"), fields(whole, "broken"),
-        fields(real, "delta_kp delta_ki delta_u"), [("reference", signal), ("law", whole), ("shaping", shaping)],
-    )  # fmt: skip
-    box = structure(
-        [("config", np.uintp), ("stream", stream), ("guard", guard), ("arming", arming), ("reference", reference)],
-        [("sample", sample), ("acting", acting), ("integral", real)], fields(command, "now next"),
-        fields(flag, "has_now has_next greeted greeting"),
-        fields(whole, "sequence epoch hellos last_command confirmed taken stale greetings"),
-    )  # fmt: skip
-    return Structures(law, config, signal, command, box)
+    structure("stream", "piece piece; uint32 count frames bad unknown foreign")
+    structure(
+        "guard",
+        "uint32 law; real delta_kp delta_ki delta_u; shaping shaping; refused refused; bool heard; uint32 newest",
+    )
+    structure(
+        "arming",
+        "bool arm_wanted disarm_seen armed tripped filter_fresh; uint32 faults; time received_at armed_at; real excess",
+    )
+    structure("signal", "uint32 waveform; real amplitude offset; time frequency phase start")
+    structure("reference", "signal leaving coming wanted; time fade_start")
+    structure("sample", "time time; uint32 sequence; values values; uint32 flags")
+    structure("acting", "uint32 law; real reference reference_rate; shaping shaping; real second")
+    structure(
+        "command",
+        "uint32 sequence corrects; bool arm filter_fresh; uint32 broken; real delta_kp delta_ki delta_u; "
+        "signal reference; uint32 law; shaping shaping",
+    )
+    structure(
+        "box",
+        "address config; stream stream; guard guard; arming arming; reference reference; sample sample; acting acting; "
+        "real integral; command now next; bool has_now has_next greeted greeting; "
+        "uint32 sequence epoch hellos last_command confirmed taken stale greetings",
+    )
+    return Structures(*(kinds[name] for name in Structures._fields))
 
 
 DOUBLE, SINGLE = structures(np.float64), structures(np.float32)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hydro_bridge.serial.protocol import encode_clock
@@ -12,15 +10,6 @@ from hydro_sim.box.box import Box
 from hydro_sim.emulator.line.faults import FAULT_NAMES, FaultyLine, LinkFaults
 from hydro_sim.emulator.line.host import HostState
 from hydro_sim.emulator.line.terminal import Terminal
-
-
-@dataclass
-class LinkReport:
-    """Statistics of the box's link."""
-
-    sent: int = 0  # frames that went out whole
-    unheard: int = 0  # frames made while nobody had the port open
-    blocked: int = 0  # frames dropped because the reader was too slow
 
 
 class BoxLink:
@@ -38,7 +27,8 @@ class BoxLink:
 
     def __init__(self, terminal: Terminal, box: Box, faults: LinkFaults, seed: int = 0) -> None:
         self.terminal, self.box = terminal, box
-        self.report = LinkReport()
+        self.sent = self.unheard = self.blocked = 0
+        """Frames that went out whole, that nobody had the port open for, and that the reader was too slow for."""
         up, down = np.random.default_rng(seed).spawn(2)
         self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
         self._unwritten = b""
@@ -97,7 +87,7 @@ class BoxLink:
     def send(self, now: float) -> None:
         """Send the box's frames of its last sample, without blocking."""
         if not self.terminal.opened:
-            self.report.unheard += 1
+            self.unheard += 1
             self._unwritten = b""
             self.host.reset()
             return
@@ -118,10 +108,10 @@ class BoxLink:
         if not data:
             return
         if self._unwritten:
-            self.report.blocked += 1
+            self.blocked += 1
             return
         self._unwritten = data[self.terminal.write(data) :]
-        self.report.sent += 1
+        self.sent += 1
 
     def summary(self) -> str:
         """Return one line of text on the traffic and the injected faults."""
@@ -129,6 +119,6 @@ class BoxLink:
         made = {name: self.up.counts[name] + self.down.counts[name] for name in FAULT_NAMES}
         faults = ", ".join(f"{name} {count}" for name, count in made.items() if count)
         return (
-            f"{self.report.sent} frames sent, {self.report.unheard} unheard, {self.report.blocked} blocked, "
+            f"{self.sent} frames sent, {self.unheard} unheard, {self.blocked} blocked, "
             f"{taken} commands taken, {stale} refused as old or repeated, {greetings} connections"
         ) + (f"; faults made: {faults}" if faults else "")
