@@ -107,9 +107,11 @@ class Assembly:
         self._expressions: list[SX] = []
         self.theta: dict[str, SX] = {name: SX.sym(name) for name in numbers}
         self.numbers = SimpleNamespace(**self.theta)
-        at = EffectContext(self.numbers, self.step, self.hoist, lambda velocity: rates.dry_level(effects, velocity))
+        self.at = EffectContext(
+            self.numbers, self.step, self.hoist, lambda velocity: rates.dry_level(effects, velocity)
+        )
         for index, effect in enumerate(effects):
-            effect.at = at
+            effect.at = self.at
             for one in effect.parameters:
                 name = f"{effect.id}.{one.name}.{index}"
                 self.theta[name] = SX.sym(name)
@@ -216,9 +218,10 @@ class Assembly:
     def _read(self, y: SX) -> SX:
         self._bind(casadi.vertsplit(y[len(TEXTBOOK) : y.numel() - self.past]) if self.hidden else [])
         signals, acceleration = self._truth(y), self._acceleration(y)
+        at = self.at
+        at.pressures, at.position, at.velocity, at.load_force = (y[0], y[1]), y[2], y[3], y[4]
+        at.acceleration = acceleration
         for effect in self.effects:
-            effect.at.position, effect.at.velocity, effect.at.pressures = y[2], y[3], (y[0], y[1])
-            effect.at.load_force, effect.at.acceleration = y[4], acceleration
             if effect.acts_in("filter_signal"):
                 signals[effect.sensor] = effect.signal
         for effect in self.effects:
@@ -230,12 +233,11 @@ class Assembly:
         if not any(effect.shaken for effect in self.effects):
             return 0.0
         dry = self._sliding if self.holds else _nothing
-        return rates.textbook_rates(self.numbers, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
+        return rates.textbook_rates(self.at, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
 
     def _cell_force(self, y: Sequence[Symbol]) -> Symbol:
         """f_l [N] on an ideal load cell: the load's force in this state, and no state of its own."""
-        for effect in self.effects:
-            effect.at.velocity = y[3]
+        self.at.velocity = y[3]
         force = rates.load_force(self.numbers, self.effects, y[2])
         if any(effect.acts_in("inertia") for effect in self.effects):
             force = force + rates.dragged_mass(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
@@ -254,8 +256,7 @@ class Assembly:
         spool = self._delayed()
         for effect in self.commanding:
             spool = flow(effect, spool) if effect.acts_in("flow") else effect.command(spool)
-        for effect in self.effects:
-            effect.at.spool = spool
+        self.at.spool = spool
         edges, slide = self._edges(spool), SX.sym("slide")
         free = self._rates(start, edges, _nothing)
         mass = self.numbers.moving_mass + rates.dragged_mass(self.effects, start[2])
@@ -287,23 +288,23 @@ class Assembly:
         for place, i in enumerate(self.integrated):
             hidden[i] = y[len(TEXTBOOK) + place]
         self._bind(hidden)
-        slopes, drawn = rates.textbook_rates(self.numbers, self.effects, y, edges, dry)
+        slopes, drawn = rates.textbook_rates(self.at, self.effects, y, edges, dry)
         return slopes + [self.hidden[i][0].rates(drawn)[self.hidden[i][1].name] for i in self.integrated]
 
     def _start(self) -> tuple[list[Symbol], Symbol, rates.Edges]:
         """Start of a step: integrated states, the spool's mean position [A] over it, and the edges."""
         self.hidden_now = [self.y[len(TEXTBOOK) + i] for i in range(len(self.hidden))]
         self._bind(self.hidden_now)
+        self.at.began = self.y[2]
         for effect in self.effects:
-            effect.next, effect.at.began = {}, self.y[2]
+            effect.next = {}
         states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
         if self.numbers.load_cell_omega is None:
             states[4] = self._cell_force(states)
         spool = self._delayed()
         for effect in self.commanding:
             spool = effect.command(spool)
-        for effect in self.effects:
-            effect.at.spool, effect.at.current = spool, self.current
+        self.at.spool, self.at.current = spool, self.current
         return states, spool, self._edges(spool)
 
     def _sliding(self, velocity: Symbol) -> Symbol:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model import equations as eq
-from hydro_sim.model.effects.base import Effect
+from hydro_sim.model.effects.base import Effect, EffectContext
 from hydro_sim.model.equations import Symbol, choose
 
 Edges = tuple[Symbol, Symbol]
@@ -44,13 +44,14 @@ def dragged_mass(effects: Sequence[Effect], position: Symbol) -> Symbol:
 
 
 def textbook_rates(
-    n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges, dry: Callable[[Symbol], Symbol]
+    at: EffectContext, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges, dry: Callable[[Symbol], Symbol]
 ) -> tuple[list[Symbol], Symbol]:
-    """Return y', of length 6, and the flow out of the supply [m3/s]; `dry`: dry friction [N] by velocity [m/s]."""
-    p_a, p_b, position, velocity, shown, shown_rate = y[:6]
-    for effect in effects:
-        effect.at.position, effect.at.velocity, effect.at.pressures = position, velocity, (p_a, p_b)
-        effect.at.load_force = shown
+    """Return y', of length 6, and the flow out of the supply [m3/s]; `dry`: dry friction [N] by velocity [m/s].
+
+    `at`: context of the effects, to which this writes the state.
+    """
+    n, (p_a, p_b, position, velocity, shown, shown_rate) = at.numbers, y[:6]
+    at.position, at.velocity, at.pressures, at.load_force = position, velocity, (p_a, p_b), shown
     # the valve
     (out, back), supply = edges, n.supply_pressure
     for effect in effects:
