@@ -59,10 +59,8 @@ class Functions:
     enter: SX
     step: SX
     read: SX
-    spool: SX
-    """Mean position of the spool [A] over a step."""
     rates: SX
-    """y' of the textbook's states and the integrated hidden ones, where the edges are open as `openings`."""
+    """y' of the textbook's states and the integrated hidden ones."""
     past: int
     """Past currents at the end of y."""
     rest: SX
@@ -94,14 +92,9 @@ class Assembly:
     """
 
     def __init__(
-        self,
-        numbers: Mapping[str, tuple[float, float]],
-        effects: Sequence[Effect],
-        *,
-        ideal_cell: bool,
-        past: int,
+        self, numbers: Mapping[str, tuple[float, float]], effects: Sequence[Effect], *, ideal_cell: bool, past: int,
         substeps: int,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.effects, self.past, self.step = effects, past, SAMPLE_PERIOD / substeps
         self._symbols: list[SX] = []
         self._expressions: list[SX] = []
@@ -133,14 +126,14 @@ class Assembly:
             first = self.y.numel() - self.past
             enter = vertcat(self.y[:first], self.current, self.y[first:-1])
         read, (slide, motion) = self._read(self.y), self._motion()
-        start, spool, edges = self._start()
+        start, edges = self._start()
         slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self.holds else _nothing))
         step, rest = self._step(start, edges), SX(vertcat(*eq.rest_state(self.numbers)))
         symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
         theta = vertcat(*self.theta.values())
         return Functions(
             theta=theta, k=vertcat(theta, symbols), y=self.y, current=self.current, share=self.share,
-            once=vertcat(theta, expressions), begin=begin, enter=enter, step=step, read=read, spool=spool,
+            once=vertcat(theta, expressions), begin=begin, enter=enter, step=step, read=read,
             rates=slopes, past=self.past, rest=rest, slide=slide, dry_friction=self.holds,
             ideal_cell=self.numbers.load_cell_omega is None, motion=motion,
         )  # fmt: skip
@@ -245,7 +238,7 @@ class Assembly:
 
     def _motion(self) -> tuple[SX, SX]:
         """Direction of motion, and the forces and rates for it."""
-        start, *_ = self._start()
+        start, _ = self._start()
         flowing: dict[tuple[int, str], Symbol] = {}
 
         def flow(effect: Effect, signal: Symbol) -> Symbol:
@@ -291,8 +284,8 @@ class Assembly:
         slopes, drawn = rates.textbook_rates(self.at, self.effects, y, edges, dry)
         return slopes + [self.hidden[i][0].rates(drawn)[self.hidden[i][1].name] for i in self.integrated]
 
-    def _start(self) -> tuple[list[Symbol], Symbol, rates.Edges]:
-        """Start of a step: integrated states, the spool's mean position [A] over it, and the edges."""
+    def _start(self) -> tuple[list[Symbol], rates.Edges]:
+        """Start of a step: integrated states, and the edges at the spool's mean position over it."""
         self.hidden_now = [self.y[len(TEXTBOOK) + i] for i in range(len(self.hidden))]
         self._bind(self.hidden_now)
         self.at.began = self.y[2]
@@ -305,7 +298,7 @@ class Assembly:
         for effect in self.commanding:
             spool = effect.command(spool)
         self.at.spool, self.at.current = spool, self.current
-        return states, spool, self._edges(spool)
+        return states, self._edges(spool)
 
     def _sliding(self, velocity: Symbol) -> Symbol:
         return np.sign(velocity) * rates.dry_level(self.effects, velocity)
