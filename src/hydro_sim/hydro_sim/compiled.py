@@ -36,7 +36,7 @@ Stats = dict[str, list[int]]
 """By source file: time of its last change [ns] and size [bytes]."""
 
 
-def remove_stale_caches(*packages: Path) -> bool:
+def remove_stale_caches(*packages: Path) -> None:
     """Delete numba's caches of the first package where a source that they depend on has changed.
 
     Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
@@ -46,10 +46,6 @@ def remove_stale_caches(*packages: Path) -> bool:
     ----------
     *packages
         Folder of the package, and those of the packages that it imports.
-
-    Returns
-    -------
-    Whether any source had changed.
     """
     packages = tuple(package.resolve() for package in packages)  # a built package is a link to its sources
     stamp = packages[0] / "__pycache__" / STAMP
@@ -64,7 +60,7 @@ def remove_stale_caches(*packages: Path) -> bool:
             with contextlib.suppress(TypeError, ValueError):  # of another form, or empty: as if nothing was compiled
                 before |= json.loads(file.read())
             if before["all"] == present:
-                return False
+                return
             for kept in (_imports, _source):  # from before the change
                 kept.cache_clear()
             compiled = [path for path in sorted(packages[0].rglob("*.py")) if b"njit" in path.read_bytes()]
@@ -75,8 +71,6 @@ def remove_stale_caches(*packages: Path) -> bool:
                     for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
                         index.unlink(missing_ok=True)
             json.dump({"all": present, "modules": modules}, file)
-            return True
-    return False
 
 
 def file_stats(paths: Iterable[Path]) -> Stats:
