@@ -24,9 +24,9 @@ from fmpy.validation import validate_fmu
 from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_sim.export import command
 from hydro_sim.export.model import ExportedModel
-from hydro_sim.model.assembly import READINGS
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue
+from hydro_sim.model.equations import READINGS
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 from tests.checks import compiled, each, status_of

@@ -36,7 +36,7 @@ Stats = dict[str, list[int]]
 """By source file: time of its last change [ns] and size [bytes]."""
 
 
-def remove_stale_caches(*packages: Path) -> bool:
+def remove_stale_caches(*packages: Path) -> None:
     """Delete numba's caches of the first package where a source that they depend on has changed.
 
     Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
@@ -46,10 +46,6 @@ def remove_stale_caches(*packages: Path) -> bool:
     ----------
     *packages
         Folder of the package, and those of the packages that it imports.
-
-    Returns
-    -------
-    Whether any source had changed.
     """
     packages = tuple(package.resolve() for package in packages)  # a built package is a link to its sources
     stamp = packages[0] / "__pycache__" / STAMP
@@ -60,22 +56,21 @@ def remove_stale_caches(*packages: Path) -> bool:
             # A graph starts its nodes at once: the second must not delete what the first has just compiled.
             fcntl.flock(file, fcntl.LOCK_EX)
             file.seek(0)
-            before = _read(file.read())
+            before: dict[str, dict[str, Any]] = {"all": {}, "modules": {}}
+            with contextlib.suppress(TypeError, ValueError):  # of another form, or empty: as if nothing was compiled
+                before |= json.loads(file.read())
             if before["all"] == present:
-                return False
+                return
             for kept in (_imports, _source):  # from before the change
                 kept.cache_clear()
-            modules = {
-                str(module): file_stats(imported_sources([module], packages))
-                for module in _compiled_modules(packages[0])
-            }
+            compiled = [path for path in sorted(packages[0].rglob("*.py")) if b"njit" in path.read_bytes()]
+            modules = {str(module): file_stats(imported_sources([module], packages)) for module in compiled}
             file.truncate(0)  # first: cut short anywhere after this, everything counts as stale
-            for module, sources in modules.items():
-                if before["modules"].get(module) != sources:
-                    _forget(Path(module))
+            for module in compiled:
+                if before["modules"].get(str(module)) != modules[str(module)]:
+                    for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
+                        index.unlink(missing_ok=True)
             json.dump({"all": present, "modules": modules}, file)
-            return True
-    return False
 
 
 def file_stats(paths: Iterable[Path]) -> Stats:
@@ -124,60 +119,37 @@ def _source(names: tuple[str, ...], packages: tuple[Path, ...]) -> Path | None:
     return None
 
 
-def _compiled_modules(package: Path) -> list[Path]:
-    return [path for path in sorted(package.rglob("*.py")) if b"njit" in path.read_bytes()]
-
-
-def _forget(module: Path) -> None:
-    for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
-        index.unlink(missing_ok=True)
-
-
-def _read(text: str) -> dict[str, dict[str, object]]:
-    """A stamp's content; of another form, or none: as if nothing had ever been compiled."""
-    with contextlib.suppress(ValueError):
-        found = json.loads(text)
-        if isinstance(found, dict) and {"all", "modules"} <= set(found):
-            return found
-    return {"all": {}, "modules": {}}
-
-
 LOG_VARIABLE = "HYDRO_COMPILATIONS"
 
 
 def record_compilations() -> None:
     """Start recording if the environment asks for it. Call it once, before anything is compiled."""
-    name = os.environ.get(LOG_VARIABLE)
-    if not name:
+    if not (name := os.environ.get(LOG_VARIABLE)):
         return
     file = Path(name)
     from numba.core import event  # takes half a second: only where it is needed
 
-    class _Recorder(event.Listener):
+    class Recorder(event.Listener):
         def __init__(self) -> None:
-            self._begun: list[float] = []
+            self.begun: list[float] = []
 
         def on_start(self, event: Any) -> None:
-            self._begun.append(monotonic())
+            self.begun.append(monotonic())
 
         def on_end(self, event: Any) -> None:
-            _append(file, event.data["dispatcher"], monotonic() - self._begun.pop())
+            function, seconds = event.data["dispatcher"].py_func, monotonic() - self.begun.pop()
+            line = {
+                "program": Path(sys.argv[0]).name,
+                "process": os.getpid(),
+                "function": f"{function.__module__}.{function.__qualname__}",
+                "seconds": round(seconds, 3),
+            }
+            with file.open("a") as out:  # one short write: lines of several processes do not mix
+                out.write(json.dumps(line) + "\n")
 
-    event.register("numba:compile", _Recorder())
+    event.register("numba:compile", Recorder())
 
 
 def read_compilations(file: Path) -> list[dict[str, Any]]:
     """Return the recorded compilations; empty without such a file."""
     return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
-
-
-def _append(file: Path, dispatcher: Any, seconds: float) -> None:
-    function = dispatcher.py_func
-    line = {
-        "program": Path(sys.argv[0]).name,
-        "process": os.getpid(),
-        "function": f"{function.__module__}.{function.__qualname__}",
-        "seconds": round(seconds, 3),
-    }
-    with file.open("a") as out:  # one short write: lines of several processes do not mix
-        out.write(json.dumps(line) + "\n")

@@ -124,24 +124,19 @@ def draw_schedule(seconds: float, seed: int, limits: ExcitationRange | None = No
     segments: list[Segment] = []
     left = round(seconds, 3)
     while left > 0.0:
-        length = round(float(generator.uniform(*limits.seconds)), 3)
-        segments.append(_segment(min(length, left), limits, generator))
-        left = round(left - segments[-1].seconds, 3)
+        length = min(round(float(generator.uniform(*limits.seconds)), 3), left)
+        place = generator.choice(len(WAVEFORM_SHARES), p=list(WAVEFORM_SHARES.values()))
+        waveform = list(WAVEFORM_SHARES)[int(place)]
+        offset = generator.uniform(-limits.offset_max, limits.offset_max)
+        frequency = np.exp(generator.uniform(log(limits.frequency[0]), log(limits.frequency[1])))
+        steep = WAVEFORM_STEEPNESS[waveform] * 2.0 * pi * frequency
+        largest = min(limits.force_max - abs(offset), limits.force_rate_max / max(steep, 1e-9))
+        amplitude = generator.uniform(0.05, 1.0) * largest if waveform != Waveform.HOLD else 0.0
+        drawn = {
+            "amplitude": amplitude, "offset": offset, "frequency": frequency, "phase": generator.uniform(0.0, 2.0 * pi),
+            "kp": generator.uniform(*limits.kp), "ki": generator.uniform(*limits.ki),
+        }  # fmt: skip
+        numbers = {name: round(float(number), 4) for name, number in drawn.items()}
+        segments.append(Segment(seconds=length, waveform=cast("WaveformName", waveform.name.lower()), **numbers))
+        left = round(left - length, 3)
     return segments
-
-
-def _segment(seconds: float, limits: ExcitationRange, generator: np.random.Generator) -> Segment:
-    waveform = list(WAVEFORM_SHARES)[int(generator.choice(len(WAVEFORM_SHARES), p=list(WAVEFORM_SHARES.values())))]
-    offset = generator.uniform(-limits.offset_max, limits.offset_max)
-    frequency = np.exp(generator.uniform(log(limits.frequency[0]), log(limits.frequency[1])))
-    steep = WAVEFORM_STEEPNESS[waveform] * 2.0 * pi * frequency
-    largest = min(limits.force_max - abs(offset), limits.force_rate_max / max(steep, 1e-9))
-    amplitude = generator.uniform(0.05, 1.0) * largest if waveform != Waveform.HOLD else 0.0
-    phase, kp, ki = generator.uniform(0.0, 2.0 * pi), generator.uniform(*limits.kp), generator.uniform(*limits.ki)
-    numbers = (round(float(number), 4) for number in (amplitude, offset, frequency, phase, kp, ki))
-    amplitude, offset, frequency, phase, kp, ki = numbers
-    name = cast("WaveformName", waveform.name.lower())
-    return Segment(
-        seconds=seconds, waveform=name, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase, kp=kp,
-        ki=ki,
-    )  # fmt: skip

@@ -24,11 +24,3 @@ def copy_vector(into, values):
     """
     for i in range(len(values)):
         into[i] = values[i]
-
-
-@njit
-def copy_matrix(into, values):
-    """into[i, j] = values[i, j] for all values, as `copy_vector`."""
-    for i in range(values.shape[0]):
-        for j in range(values.shape[1]):
-            into[i, j] = values[i, j]

@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-
-import numpy as np
 
 from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_sim import excitation
@@ -26,17 +23,11 @@ _SECONDS = 8.0
 
 
 def _simulation() -> None:
-    _simulated(AnalyticPlant(Bench.nominal()))
-    _simulated(learned_bench.make_plant())
-
-
-def _simulated(plant: AnalyticPlant) -> None:
-    """Simulate a run with all features of a schedule, as `collect`, diagnosis and the filter's training use them."""
-    run = Schedule(reference=ReferenceSignal(), gains=(60.0, 10.0), seconds=0.1)
+    """Simulate a run on both benches, as `collect`, diagnosis and the filter's training do."""
     bench = Bench.nominal()
-    simulate(plant, bench, run)
-    simulate(plant, bench, replace(run, correction=np.zeros(run.samples)))
-    plant.step(0.0)
+    for plant in (AnalyticPlant(bench), learned_bench.make_plant()):
+        simulate(plant, bench, Schedule(reference=ReferenceSignal(), gains=(60.0, 10.0), seconds=0.1))
+        plant.step(0.0)
 
 
 def _learning() -> None:

@@ -335,7 +335,7 @@ class Unconnected(Machine):
 
     def tick(self) -> np.void:
         sample = self.box.tick(self.plant.measurement(), self.time)
-        truth.advance_sample(*self.records, self.plant.work, self.plant.noise.row(), 0.0)
+        truth.advance_sample(*self.plant.records, self.plant.work, self.plant.noise.row(), 0.0)
         self.samples += 1
         return sample
 

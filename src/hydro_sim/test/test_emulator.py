@@ -158,7 +158,7 @@ def opened(link: BoxLink) -> Port:
 def test_nobody_listening_costs_nothing_and_leaves_nothing_stale(link: BoxLink, machine: Machine) -> None:
     for _ in range(200):
         sampled(link, machine)
-    assert (link.report.unheard, link.report.sent) == (200, 0)
+    assert (link.unheard, link.sent) == (200, 0)
     port = opened(link)
     sampled(link, machine)
     hello, details, law, state = Decoder().feed(port.read(1.0))
@@ -172,7 +172,7 @@ def test_a_reader_that_does_not_read_loses_whole_frames_only(link: BoxLink, mach
     port = opened(link)
     for _ in range(2000):
         sampled(link, machine)
-    assert link.report.blocked > 1000
+    assert link.blocked > 1000
     decoder = Decoder()
     for _ in range(20):
         decoder.feed(port.read(0.05))
@@ -180,7 +180,7 @@ def test_a_reader_that_does_not_read_loses_whole_frames_only(link: BoxLink, mach
     while piece := port.read(0.2):
         decoder.feed(piece)
     assert decoder.counts.crc_errors == decoder.counts.malformed == 0
-    assert decoder.counts.frames == link.report.sent + 3, "HELLO, DETAILS and LAW go with the first"
+    assert decoder.counts.frames == link.sent + 3, "HELLO, DETAILS and LAW go with the first"
     port.close()
 
 

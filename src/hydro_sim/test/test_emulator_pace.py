@@ -53,6 +53,7 @@ class Host:
         self.port.write(encode_command(self._sequence, time_us, Command()))
 
     def stands(self) -> bool:
+        time.sleep(0.05)  # a sample is counted after it is sent
         before = self.running.samples
         time.sleep(0.1)
         return self.running.samples == before

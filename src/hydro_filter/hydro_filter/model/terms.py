@@ -29,8 +29,8 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.effects.base import Effect
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
-from hydro_sim.model.sensors import RAW_FIELDS, Sensors
+from hydro_sim.model.equations import LOAD_CELL_DAMPING, READINGS
+from hydro_sim.model.sensors import Sensors
 
 StateName = tuple[str, int, str]
 """Of a hidden state: its effect's label, which one of several with that label, the state."""
@@ -113,20 +113,17 @@ def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
 
 def sensor_calibration(bench: Bench) -> tuple[FloatArray, FloatArray]:
     """Return gain and bias of the five readings, shape (5,) each."""
-    ends = np.array([np.zeros(len(RAW_FIELDS)), np.ones(len(RAW_FIELDS))])
+    ends = np.array([np.zeros(len(READINGS)), np.ones(len(READINGS))])
     for made in (_evaluable(effect, None) for effect in bench.effects):
-        ends = np.array([[made.read_sensor(name, z) for name, z in zip(RAW_FIELDS, row, strict=True)] for row in ends])
+        ends = np.array([[made.read_sensor(name, z) for name, z in zip(READINGS, row, strict=True)] for row in ends])
     return ends[1] - ends[0], ends[0]
 
 
 def _evaluable(effect: Mapping[str, Any], numbers: Any, velocity: float = 0.0) -> Effect:
     """Return an effect with its parameters' values, for terms that need no state but the velocity [m/s]."""
     kind, values = catalogue.parse_entry(effect)
-    made = kind.make()
-    made.at = SimpleNamespace(numbers=numbers, velocity=velocity)
-    for parameter, value in zip(kind.parameters, values, strict=True):
-        setattr(made, parameter.name, value)
-    return made
+    parameters = zip((one.name for one in kind.parameters), values, strict=True)
+    return kind.bound(dict(parameters), numbers=numbers, velocity=velocity)
 
 
 def dry_friction(bench: Bench) -> float:

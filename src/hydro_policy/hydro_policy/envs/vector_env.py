@@ -43,8 +43,8 @@ from hydro_policy.compensation.estimator import ADAPTS
 from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs import FilterName
 from hydro_sim.box import firmware
-from hydro_sim.box.box import BoxConfig, fill_command, signal_record
-from hydro_sim.box.firmware import COEFFICIENTS, VALVE_GAIN_SCALE, VELOCITY_COMPENSATION
+from hydro_sim.box.box import BoxConfig, fill_command
+from hydro_sim.box.firmware import COEFFICIENTS, VALVE_GAIN_SCALE, VELOCITY_COMPENSATION, signal_record
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import plant as plants_of
 from hydro_sim.model.bench import Bench

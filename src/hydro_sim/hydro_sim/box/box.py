@@ -24,10 +24,10 @@ import numpy as np
 
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
 from hydro_core.settings import SettingsError, check, quantity
-from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, ReferenceSignal, StateArray
+from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_core.size import rescale
 from hydro_sim.box import firmware
-from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records
+from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records, signal_record
 from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.sensors import Sensors
@@ -126,7 +126,7 @@ class BoxConfig:
         # What HELLO, DETAILS and LAW tell as float32 is so inside, too: a host that keeps to it never exceeds it.
         compensated = np.array(_law(self.compensated), firmware.SINGLE.law)
         force = float(np.float32(self.force_range))
-        still = hydraulics.rest_state(believed)
+        pressure_a, pressure_b, middle, *_ = hydraulics.rest_state(believed)
         forces = ((-force, force), (-RATE_RANGE * bench.size.force, RATE_RANGE * bench.size.force))
         pressure = (self.pressure_min, self.pressure_max)
         position = (-self.position_margin, bench.stroke + self.position_margin)
@@ -134,7 +134,7 @@ class BoxConfig:
         low, high = np.transpose((*forces, *forces, pressure, pressure, position, (-velocity, velocity)))
         numbers: dict[str, Any] = {
             "delta_u_max": self.delta_u_max, "load_force_limit": self.load_force_limit,
-            "gain_floor": self.gain_floor_share * hydraulics.input_gain(believed, still[2], still[0], still[1], 1.0),
+            "gain_floor": self.gain_floor_share * hydraulics.input_gain(believed, middle, pressure_a, pressure_b, 1.0),
             "force_range": force, "recovery_margin": self.recovery_margin, "low": low, "high": high,
             "force_rate_age": ages.force_rate_age, "velocity_age": ages.velocity_age,
             "hold_timeout": self.hold_timeout, "trip_timeout": self.trip_timeout,
@@ -185,15 +185,9 @@ class Box:
     """
 
     def __init__(
-        self,
-        bench: Bench,
-        config: BoxConfig | None = None,
-        sensors: Sensors | None = None,
-        *,
-        name: str = NAME,
-        epoch: int = 1,
-        precision: Precision = "double",
-    ) -> None:
+        self, bench: Bench, config: BoxConfig | None = None, sensors: Sensors | None = None, *, name: str = NAME,
+        epoch: int = 1, precision: Precision = "double",
+    ) -> None:  # fmt: skip
         self.config, self.precision, self.epoch = config or BoxConfig(), precision, epoch
         kinds = firmware.STRUCTURES[precision]
         self.settings = self.config.constants(bench, sensors, name, precision)
@@ -206,16 +200,16 @@ class Box:
     def reset(self, epoch: int | None = None) -> None:
         """Restart the box, as the next epoch unless one is given: disarmed, without command, sequence 0."""
         self.epoch = self.epoch % 0xFFFFFFFF + 1 if epoch is None else epoch
-        self._code.hydro_c_power_on(*self._memory, self.epoch)
+        self._call("power_on", self.state, self.settings, self.epoch)
 
     def receive(self, command: Command, time: float) -> None:
         """Receive a command at box time [s] without the serial line; its numbers stay float64."""
         fill_command(self._command, command)
-        self._code.hydro_c_receive(*self._memory, firmware.address_of(self._command), time)
+        self._call("receive", self.state, self.settings, self._command, time)
 
     def feed(self, data: bytes) -> None:
         """Feed bytes received over the line; the next `tick` uses the newest command."""
-        self._code.hydro_c_bytes(firmware.address_of(self.state), data, len(data))
+        self._call("bytes", self.state, data, len(data))
 
     def tick(self, measurement: FloatArray, time: float) -> np.void:
         """Run one sample at box time [s] on a measurement x, shape (8,); return a record of `STATE_DTYPE`.
@@ -223,16 +217,14 @@ class Box:
         Its `valve_current` is what to hold until the next sample; always finite and within the valve's limit.
         """
         output: StateArray = np.zeros(1, STATE_DTYPE)
-        read = np.ascontiguousarray(measurement, np.float64)
-        self._code.hydro_c_tick(*self._memory, firmware.address_of(read), time, firmware.address_of(output))
+        self._call("tick", self.state, self.settings, np.ascontiguousarray(measurement, np.float64), time, output)
         sample: np.void = output[0]
         return sample
 
     def frames(self) -> bytes:
         """Return the frames to send after a `tick`, as bytes."""
         out = np.empty(firmware.BURST_MAX, np.uint8)
-        count = self._code.hydro_c_frames(*self._memory, firmware.address_of(out))
-        return out[:count].tobytes()
+        return out[: self._call("frames", self.state, self.settings, out)].tobytes()
 
     @property
     def refused(self) -> tuple[int, int]:
@@ -240,13 +232,10 @@ class Box:
         values, references = self.state["guard"]["refused"][0].tolist()
         return values, references
 
-    @property
-    def _code(self) -> Any:
-        return firmware.library(self.precision)
-
-    @property
-    def _memory(self) -> tuple[int, int]:
-        return firmware.address_of(self.state), firmware.address_of(self.settings)
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """Call a function of the firmware; arrays are given by their address."""
+        given = (firmware.address_of(one) if isinstance(one, np.ndarray) else one for one in arguments)
+        return getattr(firmware.library(self.precision), f"hydro_c_{name}")(*given)
 
 
 def with_base_gains(kp: float, ki: float) -> BoxConfig:
@@ -274,11 +263,6 @@ def law_state(state: np.void) -> LawState:
     a_0, a_1, a_2, a_3, c_1, c_2 = acting["shaping"].tolist()
     followed = float(acting["reference"]), float(acting["reference_rate"])
     return LawState(Law(int(acting["law"])), *followed, (a_0, a_1, a_2, a_3), c_1, c_2)
-
-
-def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
-    """Return a reference as the fields of a record of hydro_signal."""
-    return signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0
 
 
 def fill_command(record: Records, command: Command) -> None:

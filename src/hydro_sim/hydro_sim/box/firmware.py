@@ -3,7 +3,7 @@
 
 ::
 
-    code = calls()                                  addresses in this process, for compiled loops
+    code = function_addresses()                     in this process, for compiled loops
     receive(code.receive, box, config, command, t)  take a command in at box time t [s]
     tick(code.tick, box, config, x, t, sample)      run one sample on the measurement x, shape (8,)
 
@@ -14,6 +14,7 @@ library in double and in single precision as the package hydro_firmware.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 from functools import cache
@@ -60,52 +61,50 @@ class Structures(NamedTuple):
 
 def structures(real: Any) -> Structures:
     """Return the structures with `real` as hydro_real."""
+    kinds: dict[str, Any] = {
+        "real": real, "time": np.float64, "uint32": np.uint32, "bool": np.bool_, "address": np.uintp,
+        "shaping": (real, (6,)), "measured": (real, (8,)), "values": (real, (14,)), "refused": (np.uint32, (2,)),
+        "piece": (np.uint8, (160,)), "name": (np.uint8, (32,)), "digest": (np.uint8, (12,)),
+    }  # fmt: skip
 
-    def fields(kind: Any, names: str) -> list[tuple[str, Any]]:
-        return [(name, kind) for name in names.split()]
+    def structure(name: str, text: str) -> None:
+        members = ((member, kinds[kind]) for kind, *names in map(str.split, text.split(";")) for member in names)
+        kinds[name] = np.dtype(list(members), align=True)
 
-    def structure(*groups: list[tuple[str, Any]]) -> np.dtype[np.void]:
-        return np.dtype([entry for group in groups for entry in group], align=True)
-
-    shaping, measured, whole, time, flag = (real, (6,)), (real, (8,)), np.uint32, np.float64, np.bool_
-    bench = structure([(name, real) for name in BENCH_FIELDS])
-    law = structure([(name, real) for name in (*GAIN_FIELDS, "reference_max")], fields(shaping, "safe low high rate"))
-    config = structure(
-        [("bench", bench), ("laws", (law, (2,)))],
-        fields(real, "delta_u_max load_force_limit gain_floor force_range recovery_margin"),
-        fields(measured, "low high"), fields(real, "force_rate_age velocity_age"),
-        fields(time, "hold_timeout trip_timeout"), fields(whole, "feedback integral_form"),
-        [("name", (np.uint8, (32,))), ("digest", (np.uint8, (12,)))],
-    )  # fmt: skip
-    stream = structure([("piece", (np.uint8, (160,)))], fields(whole, "count frames bad unknown foreign"))
-    guard = structure(
-        fields(whole, "law"), fields(real, "delta_kp delta_ki delta_u"), fields(shaping, "shaping"),
-        [("refused", (whole, (2,))), ("heard", flag), ("newest", whole)],
-    )  # fmt: skip
-    arming = structure(
-        fields(flag, "arm_wanted disarm_seen armed tripped filter_fresh"), fields(whole, "faults"),
-        fields(time, "received_at armed_at"), fields(real, "excess"),
-    )  # fmt: skip
-    signal = structure(
-        fields(whole, "waveform"), fields(real, "amplitude offset"), fields(time, "frequency phase start")
+    structure("bench", f"real {' '.join(BENCH_FIELDS)}")
+    structure("law", f"real {' '.join(GAIN_FIELDS)} reference_max; shaping safe low high rate")
+    kinds["laws"] = (kinds["law"], (2,))
+    structure(
+        "config",
+        "bench bench; laws laws; real delta_u_max load_force_limit gain_floor force_range recovery_margin; "
+        "measured low high; real force_rate_age velocity_age; time hold_timeout trip_timeout; "
+        "uint32 feedback integral_form; name name; digest digest",
     )
-    reference = structure(fields(signal, "leaving coming wanted"), fields(time, "fade_start"))
-    sample = structure([("time", time), ("sequence", whole), ("values", (real, (14,))), ("flags", whole)])
-    acting = structure(
-        fields(whole, "law"), fields(real, "reference reference_rate"), fields(shaping, "shaping"),
-        fields(real, "second"),
-    )  # fmt: skip
-    command = structure(
-        fields(whole, "sequence corrects"), fields(flag, "arm filter_fresh"), fields(whole, "broken"),
-        fields(real, "delta_kp delta_ki delta_u"), [("reference", signal), ("law", whole), ("shaping", shaping)],
-    )  # fmt: skip
-    box = structure(
-        [("config", np.uintp), ("stream", stream), ("guard", guard), ("arming", arming), ("reference", reference)],
-        [("sample", sample), ("acting", acting), ("integral", real)], fields(command, "now next"),
-        fields(flag, "has_now has_next greeted greeting"),
-        fields(whole, "sequence epoch hellos last_command confirmed taken stale greetings"),
-    )  # fmt: skip
-    return Structures(law, config, signal, command, box)
+    structure("stream", "piece piece; uint32 count frames bad unknown foreign")
+    structure(
+        "guard",
+        "uint32 law; real delta_kp delta_ki delta_u; shaping shaping; refused refused; bool heard; uint32 newest",
+    )
+    structure(
+        "arming",
+        "bool arm_wanted disarm_seen armed tripped filter_fresh; uint32 faults; time received_at armed_at; real excess",
+    )
+    structure("signal", "uint32 waveform; real amplitude offset; time frequency phase start")
+    structure("reference", "signal leaving coming wanted; time fade_start")
+    structure("sample", "time time; uint32 sequence; values values; uint32 flags")
+    structure("acting", "uint32 law; real reference reference_rate; shaping shaping; real second")
+    structure(
+        "command",
+        "uint32 sequence corrects; bool arm filter_fresh; uint32 broken; real delta_kp delta_ki delta_u; "
+        "signal reference; uint32 law; shaping shaping",
+    )
+    structure(
+        "box",
+        "address config; stream stream; guard guard; arming arming; reference reference; sample sample; acting acting; "
+        "real integral; command now next; bool has_now has_next greeted greeting; "
+        "uint32 sequence epoch hellos last_command confirmed taken stale greetings",
+    )
+    return Structures(*(kinds[name] for name in Structures._fields))
 
 
 DOUBLE, SINGLE = structures(np.float64), structures(np.float32)
@@ -115,8 +114,7 @@ STRUCTURES: dict[Precision, Structures] = {"double": DOUBLE, "single": SINGLE}
 def library_path(precision: Precision) -> Path:
     """Return the path of the library that set-up built. Raises SettingsError: it is not there."""
     name = f"libhydro_box_{precision}.so"
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    for prefix in filter(None, prefixes):
+    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         if (path := Path(prefix, "lib", name)).is_file():
             return path
     raise SettingsError(f"{name} is not built: run `make setup`, and `source install/setup.bash`")
@@ -137,16 +135,12 @@ def library(precision: Precision = "double") -> ctypes.CDLL:
         "hydro_c_nominal_current": (number, [Pointer, Pointer, *[number] * 6]),
         "hydro_c_play": (None, [Pointer, Pointer, count, Pointer, Pointer]),
     }
-    sizes = (count * 4)()
-    try:
+    kinds, sizes = STRUCTURES[precision], (count * 4)()
+    with contextlib.suppress(AttributeError):  # the sizes stay 0
         for name, (result, arguments) in declared.items():
             function = getattr(code, name)
             function.restype, function.argtypes = result, arguments
-    except AttributeError:
-        sizes[:] = [0] * 4
-    else:
         code.hydro_c_sizes(sizes)
-    kinds = STRUCTURES[precision]
     if list(sizes) != [kind.itemsize for kind in (kinds.box, kinds.config, kinds.command, kinds.signal)]:
         raise SettingsError("the built firmware is of another version: run `make setup`")
     return code
@@ -167,8 +161,7 @@ class FunctionAddresses(NamedTuple):
 @cache
 def function_addresses(precision: Precision = "double") -> FunctionAddresses:
     """Return the addresses of the library's functions. Raises SettingsError, as `library`."""
-    code = library(precision)
-    functions = (code.hydro_c_receive, code.hydro_c_tick)
+    functions = library(precision).hydro_c_receive, library(precision).hydro_c_tick
     return FunctionAddresses(*(ctypes.cast(function, Pointer).value or 0 for function in functions))
 
 
@@ -208,15 +201,18 @@ def nominal_current(
         C_1, C_2.
     """
     numbers = (error, action, reference_rate, kp, velocity_compensation, valve_gain_scale)
-    return float(
-        library().hydro_c_nominal_current(address_of(config), address_of(np.ascontiguousarray(measurement)), *numbers)
-    )
+    x = np.ascontiguousarray(measurement)
+    return float(library().hydro_c_nominal_current(address_of(config), address_of(x), *numbers))
+
+
+def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
+    """Return a reference as the fields of a record of hydro_signal."""
+    return signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0
 
 
 def reference_force(signal: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return value [N] and rate [N/s] of a signal that starts at time 0, at `times` [s], shape (n,) each."""
-    record, times = np.zeros(1, DOUBLE.signal), np.ascontiguousarray(times, np.float64)
-    record[0] = (signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0)
-    values, rates = np.empty(len(times)), np.empty(len(times))
+    record, times = np.array([signal_record(signal)], DOUBLE.signal), np.ascontiguousarray(times, np.float64)
+    values, rates = np.empty((2, len(times)))
     library().hydro_c_play(address_of(record), address_of(times), len(times), address_of(values), address_of(rates))
     return values, rates

@@ -85,17 +85,13 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _believed(options: argparse.Namespace) -> Bench:
-    return Bench.load(options.bench) if options.bench else Bench.nominal()
-
-
 def _record(options: argparse.Namespace) -> None:
     """Record offline into a folder and, if asked for, a noise-free file; prints one line."""
     if not options.out:
         raise SettingsError("--offline needs --out, the folder of the recording")
     if options.precision != "double":
         raise SettingsError("--precision is for a serial line: offline the box computes in double precision")
-    began, bench = time.perf_counter(), _believed(options)
+    began, bench = time.perf_counter(), Bench.load(options.bench) if options.bench else Bench.nominal()
     truth = offline.load_truth_config(options.truth, bench)
     segments = load_schedule(options.schedule) if options.schedule else offline.default_schedule(bench)
     if options.seconds is not None:
@@ -109,9 +105,10 @@ def _record(options: argparse.Namespace) -> None:
 
 
 def _serve(options: argparse.Namespace) -> None:
+    """Run the bench on a serial line until it is stopped; prints where, and what came of it."""
     if options.out or options.schedule or options.noise_free:
         raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
-    bench, pace = _believed(options), parse_pace(options.pace)
+    bench, pace = Bench.load(options.bench) if options.bench else Bench.nominal(), parse_pace(options.pace)
     box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.load_truth_config(options.truth, bench)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
     machine = Machine(truth, bench, box, options.seed, precision=options.precision, epoch=epoch)
@@ -121,8 +118,15 @@ def _serve(options: argparse.Namespace) -> None:
     control = ControlPipe(options.control) if options.control else None
     felt = load_force.create_ring(options.load_force) if options.load_force else None
     running = RealtimeEmulator(machine, link, pace, control, felt)
-    stop = _stopper()
-    told = _told(pace)
+    stop: list[int] = []
+
+    def request_stop(number: int, _: FrameType | None) -> None:
+        endings.detach_closed_terminal()
+        stop.append(number)
+
+    endings.install_handlers(request_stop)
+    told = "each sample waits for its host" if pace is None else f"{pace:g} times real time"
+    told = f"1 kHz, {request_realtime()}" if pace == 1.0 else told
     print(f"port {terminal.path}, {told}: ros2 run hydro_bridge bridge --port {terminal.path}", flush=True)
     try:
         running.run(options.seconds, lambda: bool(stop))
@@ -138,23 +142,5 @@ def _serve(options: argparse.Namespace) -> None:
         "skipped)" if pace is not None else ""
     )  # fmt: skip
     print(f"{samples} samples{late}, {running.cpu / max(samples * 1e-3, 1e-3):.3f} s of CPU per second")
-    refused = machine.refused[0]
+    refused = machine.box.refused[0]
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)
-
-
-def _told(pace: float | None) -> str:
-    if pace is None:
-        return "each sample waits for its host"
-    return f"1 kHz, {request_realtime()}" if pace == 1.0 else f"{pace:g} times real time"
-
-
-def _stopper() -> list[int]:
-    """Return a list that is no longer empty once a stop was requested."""
-    asked: list[int] = []
-
-    def ask(number: int, _: FrameType | None) -> None:
-        endings.detach_closed_terminal()
-        asked.append(number)
-
-    endings.install_handlers(ask)
-    return asked

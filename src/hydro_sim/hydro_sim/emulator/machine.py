@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Machine`: box and truth plant together, one sample at a time; both the real-time loop and the offline path run it.
+"""`Machine`: box and truth plant together; both the real-time loop and the offline path run it.
 
 Sample k: the box reads x_k at box time k ms and decides u_k; the plant holds u_k until sample k + 1.
 """
@@ -9,43 +9,16 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.protocol import LawState
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim.box import firmware
-from hydro_sim.box.box import EMULATED_BOX, Box, BoxConfig, law_state
+from hydro_sim.box.box import EMULATED_BOX, Box, BoxConfig
 from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model.bench import Bench
 
-
-@njit
-def step_box_and_plant(code, settings, box, plant, scratch, noise, time, sample, clean, physical):
-    """Advance box and plant by one sample, in place.
-
-    Parameters
-    ----------
-    code, settings, box
-        Addresses of the firmware's calls, and its records of shape (1,): configuration and state.
-    plant
-        Tuple of the plant's records, shape (1,) each: parameters, differentiation, state, sensors.
-    scratch
-        Work space of the plant, shape (3, 8).
-    noise
-        Standard normal numbers for the reading after this sample, shape (`plant.NOISE_COLUMNS`,).
-    time
-        Box time [s] of this sample.
-    sample
-        Output: record of `STATE_DTYPE`, shape (1,).
-    clean, physical
-        Outputs: the reading without noise, shape (8,); `plant.TRUTH_FIELDS`, shape (12,). Both at `time`.
-    """
-    parameters, differentiation, state, chain = plant
-    copy_vector(clean, chain[0].clean)
-    truth.copy_physical(state, physical)
-    firmware.tick(code.tick, box, settings, chain[0].measurement, time, sample)
-    truth.advance_sample(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)
+_NO_COMMAND = np.array([-1])
 
 
 class Machine:
@@ -77,22 +50,13 @@ class Machine:
     ) -> None:
         self._seed = seed
         self.plant = truth.TruthPlant(config, seed)
-        self.records = (self.plant.parameters, self.plant.differentiation, self.plant.state, self.plant.chain)
-        self.sensors = self.plant.sensors
-        believed = bench or Bench.nominal()
-        self.box = Box(believed, box, self.sensors, name=EMULATED_BOX, epoch=epoch, precision=precision)
-        self.clean, self.physical = np.empty(len(PLANT_FIELDS)), np.empty(len(truth.TRUTH_FIELDS))
+        self.box = Box(
+            bench or Bench.nominal(), box, self.plant.sensors, name=EMULATED_BOX, epoch=epoch, precision=precision
+        )
+        self.physical: FloatArray = np.empty(len(truth.TRUTH_FIELDS))
+        """`plant.TRUTH_FIELDS` of the last sample of `tick`."""
         self.samples = 0  # since the last power-up
-
-    @property
-    def refused(self) -> tuple[int, int]:
-        """Numbers of values, and of references, that the box refused since its power-up."""
-        return self.box.refused
-
-    @property
-    def law_state(self) -> LawState:
-        """State of the force law in the last sample."""
-        return law_state(self.box.state[0])
+        self._commands = np.zeros(1, firmware.STRUCTURES[precision].command)
 
     @property
     def time(self) -> float:
@@ -116,13 +80,10 @@ class Machine:
         self.box.receive(command, self.time)
 
     def tick(self) -> np.void:
-        """Run one sample; return its record of `STATE_DTYPE`. Sets `clean` and `physical` of this sample."""
-        sample: StateArray = np.empty(1, STATE_DTYPE)
-        box, plant, code = self.box, self.plant, firmware.function_addresses(self.box.precision)
-        place = (self.time, sample, self.clean, self.physical)
-        step_box_and_plant(code, box.settings, box.state, self.records, plant.work, plant.noise.row(), *place)
-        self.samples += 1
-        record: np.void = sample[0]
+        """Run one sample; return its record of `STATE_DTYPE`."""
+        states, _, physical = self._run(self._commands, _NO_COMMAND, self.plant.noise.row()[None])
+        self.physical = physical[0]
+        record: np.void = states[0]
         return record
 
     def run(
@@ -135,28 +96,36 @@ class Machine:
         commands
             Records of hydro_command in the box's precision, shape (m,).
         which
-            Index into `commands` for each sample, shape (n,).
+            Index into `commands` for each sample, shape (n,); negative: none.
 
         Returns
         -------
         Samples of `STATE_DTYPE`, shape (n,); readings without noise, shape (n, 8); `plant.TRUTH_FIELDS`, shape (n, 12).
         """
+        return self._run(commands, which, self.plant.noise.rows(len(which)))
+
+    def _run(
+        self, commands: npt.NDArray[np.void], which: npt.NDArray[np.int64], noise: FloatArray
+    ) -> tuple[StateArray, FloatArray, FloatArray]:
         count = len(which)
-        states = np.empty(count, STATE_DTYPE)
-        clean, physical = np.empty((count, len(PLANT_FIELDS))), np.empty((count, len(truth.TRUTH_FIELDS)))
-        noise = self.plant.noise.rows(count)
-        box = (firmware.function_addresses(self.box.precision), self.box.settings, self.box.state)
-        _run(box, self.records, self.plant.work, noise, self.samples, commands, which, states, clean, physical)
+        output = np.empty(count, STATE_DTYPE), np.empty((count, len(PLANT_FIELDS)))
+        physical = np.empty((count, len(truth.TRUTH_FIELDS)))
+        box = firmware.function_addresses(self.box.precision), self.box.settings, self.box.state
+        _loop(box, self.plant.records, self.plant.work, noise, self.samples, commands, which, *output, physical)
         self.samples += count
-        return states, clean, physical
+        return *output, physical
 
 
 @njit
-def _run(box, plant, scratch, noise, first, commands, which, states, clean, physical):
+def _loop(box, plant, scratch, noise, first, commands, which, states, clean, physical):
+    """Advance box and plant in place; `physical` and `clean` are those that the box of the same row reads."""
     code, settings, memory = box
+    parameters, differentiation, state, chain = plant
     for k in range(len(which)):
         time = (first + k) * SAMPLE_PERIOD
-        firmware.receive(code.receive, memory, settings, commands[which[k] : which[k] + 1], time)
-        step_box_and_plant(
-            code, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k]
-        )
+        if which[k] >= 0:
+            firmware.receive(code.receive, memory, settings, commands[which[k] : which[k] + 1], time)
+        copy_vector(clean[k], chain[0].clean)
+        truth.copy_physical(state, physical[k])
+        firmware.tick(code.tick, memory, settings, chain[0].measurement, time, states[k : k + 1])
+        truth.advance_sample(parameters, differentiation, state, chain, scratch, noise[k], states[k].valve_current)

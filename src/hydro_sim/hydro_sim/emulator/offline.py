@@ -69,9 +69,7 @@ def record_offline(
         Of noise and random force.
     """
     settings = box or with_gain_limits_for(segments)
-    machine = Machine(config, bench, settings, seed)
-    commands, which = _schedule(segments, settings)
-    states, clean, physical = machine.run(commands, which)
+    states, clean, physical = Machine(config, bench, settings, seed).run(*_schedule(segments, settings))
     noise_free = states.copy()
     for column, name in enumerate(PLANT_FIELDS):
         noise_free[name] = clean[:, column]
@@ -84,31 +82,23 @@ def with_gain_limits_for(segments: Sequence[Segment], base: BoxConfig | None = N
     kp = [segment.kp - base.base_kp for segment in segments]
     ki = [segment.ki - base.base_ki for segment in segments]
     return replace(
-        base,
-        delta_kp_min=min(base.delta_kp_min, *kp),
-        delta_kp_max=max(base.delta_kp_max, *kp),
-        delta_ki_min=min(base.delta_ki_min, *ki),
-        delta_ki_max=max(base.delta_ki_max, *ki),
-    )
+        base, delta_kp_min=min(base.delta_kp_min, *kp), delta_kp_max=max(base.delta_kp_max, *kp),
+        delta_ki_min=min(base.delta_ki_min, *ki), delta_ki_max=max(base.delta_ki_max, *ki),
+    )  # fmt: skip
 
 
 def _schedule(segments: Sequence[Segment], settings: BoxConfig) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64]]:
     """Commands, shape (m + 1,), the first disarms; and which of them comes before each sample, shape (n,)."""
     commands = np.zeros(len(segments) + 1, firmware.DOUBLE.command)
     fill_command(commands[:1], Command())
-    for index, segment in enumerate(segments):
+    for index, segment in enumerate(segments, 1):
         command = Command(
-            arm=True,
-            delta_kp=segment.kp - settings.base_kp,
-            delta_ki=segment.ki - settings.base_ki,
-            delta_u=segment.delta_u,
-            reference=segment.signal,
-            filter_fresh=True,
-        )
-        fill_command(commands[index + 1 : index + 2], command)
-    ends = [
-        round(math.fsum(segment.seconds for segment in segments[: k + 1]) / SAMPLE_PERIOD) for k in range(len(segments))
-    ]
+            arm=True, delta_kp=segment.kp - settings.base_kp, delta_ki=segment.ki - settings.base_ki,
+            delta_u=segment.delta_u, reference=segment.signal, filter_fresh=True,
+        )  # fmt: skip
+        fill_command(commands[index : index + 1], command)
+    seconds = [segment.seconds for segment in segments]
+    ends = [round(math.fsum(seconds[: k + 1]) / SAMPLE_PERIOD) for k in range(len(seconds))]
     which = np.searchsorted(np.array(ends), np.arange(ends[-1]), side="right") + 1
     which[0] = 0
     return commands, which.astype(np.int64)

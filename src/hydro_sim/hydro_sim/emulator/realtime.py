@@ -63,7 +63,12 @@ def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> 
         raise SettingsError(
             f"order {order!r} is none of: {', '.join(COMMANDS)}; all but clear and reboot take a number"
         )
-    number = _number(rest[0]) if rest else 0.0
+    try:
+        number = float(rest[0]) if rest else 0.0
+    except ValueError:
+        number = -1.0
+    if not 0.0 <= number < 1e6:
+        raise SettingsError(f"order: {rest[0]!r} is not a number of 0 or more")
     if word == "clear":
         link.set_faults(LinkFaults())
     elif word == "reboot":
@@ -76,14 +81,6 @@ def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> 
         raise SettingsError(f"order {order!r}: a chance is within [0, 1]")
     else:
         link.set_faults(replace(link.up.faults, **{word: number}))
-
-
-def _number(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        number = float(text)
-        if 0.0 <= number < 1e6:
-            return number
-    raise SettingsError(f"order: {text!r} is not a number of 0 or more")
 
 
 _LOAD_FORCE = TRUTH_FIELDS.index("load_force")
@@ -134,7 +131,17 @@ class RealtimeEmulator:
             self._await_greeting(stopped)
             self.pacer.restart()
             while (count is None or self.samples < count) and not stopped():
-                self._sample(self.samples * SAMPLE_PERIOD)
+                now = self.samples * SAMPLE_PERIOD
+                if self.samples % _CONTROL_EVERY == 0:
+                    self._obey(now)
+                self.link.poll(now)
+                self._deserted = self._deserted and self.link.host.time_us != self._sent_us
+                sample = self.machine.tick()
+                if self.load_force is not None:
+                    force = float(self.machine.physical[_LOAD_FORCE])
+                    load_force.write_force(self.load_force, int(sample["sequence"]), force)
+                self.link.send(now)
+                self._sent_us = round(1e6 * float(sample["time"]))
                 self.samples += 1
                 if self._waits and self._answered(stopped):
                     self.pacer.restart()
@@ -154,17 +161,6 @@ class RealtimeEmulator:
                 return
             self._obey(0.0)
             self.link.receive(0.0, _PATIENCE)
-
-    def _sample(self, now: float) -> None:
-        if self.samples % _CONTROL_EVERY == 0:
-            self._obey(now)
-        self.link.poll(now)
-        self._deserted = self._deserted and self.link.host.time_us != self._sent_us
-        sample = self.machine.tick()
-        if self.load_force is not None:
-            load_force.write_force(self.load_force, int(sample["sequence"]), float(self.machine.physical[_LOAD_FORCE]))
-        self.link.send(now)
-        self._sent_us = round(1e6 * float(sample["time"]))
 
     def _answered(self, stopped: Callable[[], bool]) -> bool:
         """Wait for the host's answer to the last sample; False: there is no host that answers samples."""

@@ -23,10 +23,11 @@ import jinja2
 
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model import hydraulics, machine_code
-from hydro_sim.model.assembly import FORCES, READINGS
+from hydro_sim.model.assembly import FORCES
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import DEAD_TIME, BenchModel
 from hydro_sim.model.effects import catalogue
+from hydro_sim.model.equations import READINGS
 from hydro_sim.model.source import exported_source
 
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")

@@ -25,11 +25,6 @@ def shipped_bench() -> Path:
     return Path(str(resources.files("hydro_sim") / "data" / "learned_bench.yaml"))
 
 
-def is_bench_file(path: str | Path) -> bool:
-    """Return whether a file has the suffix of a bench file."""
-    return Path(path).suffix in BENCH_FILES
-
-
 def read(path: str | Path | None = None) -> Bench:
     """Read a bench file; None: the shipped one. Raises ValueError: it is invalid."""
     return Bench.load(path or shipped_bench())

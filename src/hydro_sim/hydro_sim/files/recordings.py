@@ -16,6 +16,7 @@ from hydro_bridge.bags.recording import RecordingError, read_bag, read_messages
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, to_matrix
 from hydro_sim.files.pairing import BoxIdentity, PairingError
+from hydro_sim.model.equations import READINGS
 
 LAW_TOPIC = "/hydro/box_law"
 
@@ -27,7 +28,7 @@ MIN_SAMPLES = 2000
 MIN_VALIDATION_SAMPLES = 1000
 """Smallest number of validation samples of a run: room for a few predictions after an observer has settled."""
 
-READING_COLUMNS = (0, 2, 4, 5, 6)
+READING_COLUMNS = tuple(map(PLANT_FIELDS.index, READINGS))
 """Columns of x that sensors give; the box computes the others from them."""
 
 

@@ -10,7 +10,7 @@ the noise is weighted by that error: the likelihood of five unknown variances.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,162 +25,18 @@ from hydro_sim.identification.bench_states import (
     estimate_noise,
 )
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
+from hydro_sim.model.bench_model import DEAD_TIME, BenchModel
 from hydro_sim.model.effects import catalogue, valve
 from hydro_sim.model.effects.base import Parameter
+from hydro_sim.model.equations import READINGS
 from hydro_sim.model.quality import HORIZON, Quality
 
 PRIOR_WIDTH = 10.0
 """Prior standard deviation of a parameter about its value in the bench file: typical sizes, or factors of e."""
-STEP_MAX = 1.0
-"""Largest step of an iteration: a typical size, a factor of e, or all of a parameter larger than its typical size."""
 START_MAX = 4.0
 """Largest step of s in one iteration."""
 COST_TOLERANCE = 1e-3
 """Share by which the cost must fall for another iteration."""
-
-
-class Parametrization:
-    """Parametrization of the free parameters by scaled or logarithmic coordinates q.
-
-    `parameters`: all of a model. `values`: values in the bench file, shape (parameters,). `free`: those that are
-    learned.
-    """
-
-    def __init__(self, parameters: Sequence[Parameter], values: FloatArray, free: Indices) -> None:
-        self.values, self.free = values, free
-        chosen = [parameters[i] for i in free]
-        self.low, self.high = (np.array([getattr(one, name) for one in chosen]) for name in ("low", "high"))
-        self.scale = np.array([one.scale for one in chosen])
-        self.logarithm = self.low > 0.0
-
-    def parameters(self, q: FloatArray) -> FloatArray:
-        """Return all parameters theta, shape (parameters,), at coordinates q, shape (free,)."""
-        theta = self.values.copy()
-        theta[self.free] = self.free_parameters(q)
-        return theta
-
-    def free_parameters(self, q: FloatArray) -> FloatArray:
-        """Return the free parameters within their bounds, shape (free,)."""
-        found = np.where(self.logarithm, np.exp(np.where(self.logarithm, q, 0.0)), self.scale * q)
-        return np.asarray(np.clip(found, self.low, self.high))
-
-    def coordinates(self, theta: FloatArray) -> FloatArray:
-        """Return the coordinates q, shape (free,), of parameters theta, shape (parameters,)."""
-        one = theta[self.free]
-        return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
-
-    def step_max(self, q: FloatArray) -> FloatArray:
-        """Return the largest step of q per iteration, shape (free,): 1, or |q| where larger and not logarithmic."""
-        return np.asarray(np.where(self.logarithm, 1.0, np.maximum(np.abs(q), 1.0)))
-
-    def derivative(self, q: FloatArray) -> FloatArray:
-        """Return d theta/d q of the free parameters, shape (free,)."""
-        return np.asarray(np.where(self.logarithm, self.free_parameters(q), self.scale))
-
-
-@dataclass(frozen=True, kw_only=True)
-class WindowBatch:
-    """Batch of n windows of H samples."""
-
-    starts: FloatArray
-    """First guesses, shape (n, states)."""
-    roots: FloatArray
-    """Shape (n, held, held)."""
-    currents: FloatArray
-    """A, shape (n, H)."""
-    targets: FloatArray
-    """Measured readings, shape (n, H, 5)."""
-    noise: FloatArray
-    """Deviations by which they are weighted, shape (5,)."""
-
-
-@dataclass
-class FitState:
-    """State of the least-squares iteration."""
-
-    q: FloatArray
-    s: FloatArray
-    """Shape (n, held)."""
-    damping: float = 1e-2
-    costs: list[float] = field(default_factory=list)
-    """Mean squared error over noise per reading; 1 is what a perfect model leaves."""
-
-
-class LeastSquaresProblem:
-    """Least-squares problem on a batch.
-
-    `exact`: the model. `coordinates`: of its parameters. `batch`: windows.
-    """
-
-    def __init__(self, exact: Sensitivities, coordinates: Parametrization, batch: WindowBatch) -> None:
-        self.exact, self.coordinates, self.batch = exact, coordinates, batch
-        self.first = coordinates.coordinates(coordinates.values)
-        self.size = batch.targets.size
-
-    def iterate(self, fit: FitState) -> bool:
-        """Run one Levenberg-Marquardt iteration in place; return whether the cost still falls."""
-        matrix, gradient, eliminated = self.normal_equations(fit)
-        cost = self.cost(fit.q, fit.s)
-        reach = STEP_MAX * self.coordinates.step_max(fit.q)
-        while fit.damping < 1e8:
-            damped = matrix + fit.damping * np.diag(np.diag(matrix))
-            change = np.clip(-np.linalg.solve(damped, gradient), -reach, reach)
-            q = self.coordinates.coordinates(self.coordinates.parameters(fit.q + change))
-            moves = -(eliminated[:, :, -1] + eliminated[:, :, :-1] @ (q - fit.q))
-            s = fit.s + np.clip(moves, -START_MAX, START_MAX)
-            better = self.cost(q, s)
-            if better < cost:
-                fit.q, fit.s, fit.damping = q, s, max(fit.damping / 10.0, 1e-7)
-                fit.costs.append(better)
-                return better < (1.0 - COST_TOLERANCE) * cost
-            fit.damping *= 10.0
-        return False
-
-    def cost(self, q: FloatArray, s: FloatArray) -> float:
-        """Return the mean squared normalized error with priors; infinite if a prediction is not finite."""
-        k, _ = self.exact.coefficients(self.coordinates.parameters(q))
-        total = float(np.sum(s * s) + np.sum(((q - self.first) / PRIOR_WIDTH) ** 2))
-        for i in range(len(s)):
-            z = self.exact.model.rollout(k, self._start(i, s[i]), self.batch.currents[i])
-            total += float(np.sum(((z - self.batch.targets[i]) / self.batch.noise) ** 2))
-        return total / self.size if np.isfinite(total) else np.inf
-
-    def residual_rms(self, fit: FitState) -> FloatArray:
-        """Return the RMS prediction error of each reading, shape (5,), in its unit."""
-        k, _ = self.exact.coefficients(self.coordinates.parameters(fit.q))
-        found = [self.exact.model.rollout(k, self._start(i, s), self.batch.currents[i]) for i, s in enumerate(fit.s)]
-        return np.asarray(np.sqrt(np.mean((np.array(found) - self.batch.targets) ** 2, axis=(0, 1))))
-
-    def normal_equations(self, fit: FitState) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return Gauss-Newton matrix and gradient in q with initial states eliminated, and the elimination's blocks.
-
-        Shapes (free, free), (free,), and of A_i^-1 (B_i, a_i) (n, held, free + 1).
-        """
-        k, dk = self.exact.coefficients(self.coordinates.parameters(fit.q))
-        by_q = dk[:, self.coordinates.free] * self.coordinates.derivative(fit.q)
-        held, count = self.exact.held, len(self.coordinates.free)
-        eliminated = np.empty((len(fit.s), held, count + 1))
-        matrix = np.eye(count) / PRIOR_WIDTH**2
-        gradient = (fit.q - self.first) / PRIOR_WIDTH**2
-        for i, s in enumerate(fit.s):
-            root, noise = self.batch.roots[i], self.batch.noise
-            z, dz, _ = self.exact.window(k, self._start(i, s), self.batch.currents[i], root, by_q)
-            error = ((z - self.batch.targets[i]) / noise).ravel()
-            rows = (dz / noise[:, None]).reshape(len(error), -1)
-            by_s, by_parameters = rows[:, :held], rows[:, held:]
-            b, a = by_s.T @ by_parameters, by_s.T @ error + s
-            eliminated[i] = np.linalg.solve(by_s.T @ by_s + np.eye(held), np.column_stack([b, a]))
-            matrix += by_parameters.T @ by_parameters - b.T @ eliminated[i, :, :-1]
-            gradient = gradient + by_parameters.T @ error - b.T @ eliminated[i, :, -1]
-        return matrix, gradient, eliminated
-
-    def _start(self, i: int, s: FloatArray) -> FloatArray:
-        y = self.batch.starts[i].copy()
-        y[: self.exact.held] += self.batch.roots[i] @ s
-        return y
-
-
 SUBSTEPS = 10
 """Integration steps per sample: 100 us, a 110th of a period of the 90 Hz mass-on-oil mode."""
 TRUST_SCHEDULE = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
@@ -194,7 +50,20 @@ DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
 QUANTILE = 1.96
 """Standard deviations from the middle of a 95 % interval to its end."""
 
-Report = Callable[[str], None]
+
+def _usual(name: str, **parameters: float) -> dict[str, Any]:
+    return {"id": name, "parameters": parameters}
+
+
+COMMON_EFFECTS: tuple[dict[str, Any], ...] = (
+    _usual("spring_stiffness", ratio=1.0), _usual("supply_pressure", ratio=1.0), _usual("valve_gain", ratio=1.0),
+    _usual("bulk_modulus", ratio=1.0), _usual("friction_viscous", coefficient=0.0),
+    _usual("valve_lag", bandwidth=100.0, damping=0.8), _usual("friction_coulomb", force=10.0),
+    _usual("friction_stribeck", breakaway_force=1.0, velocity=0.02), _usual("friction_presliding", stiffness=2e5),
+    _usual("leakage_internal", coefficient=0.0),
+    {**_usual("sensor_lag", bandwidth=30.0, damping=0.7), "sensor": "load_force"},
+)  # fmt: skip
+"""Effects that a bench is likely to have, at typical values: what is learned where a bench file names none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,165 +103,215 @@ class Result:
         return replace(self.bench, learned={"bench": self.bench.digest, **self.quality.to_mapping()})
 
 
-def _usual(name: str, **parameters: float) -> dict[str, Any]:
-    return {"id": name, "parameters": parameters}
-
-
-COMMON_EFFECTS: tuple[dict[str, Any], ...] = (
-    _usual("spring_stiffness", ratio=1.0), _usual("supply_pressure", ratio=1.0), _usual("valve_gain", ratio=1.0),
-    _usual("bulk_modulus", ratio=1.0), _usual("friction_viscous", coefficient=0.0),
-    _usual("valve_lag", bandwidth=100.0, damping=0.8), _usual("friction_coulomb", force=10.0),
-    _usual("friction_stribeck", breakaway_force=1.0, velocity=0.02), _usual("friction_presliding", stiffness=2e5),
-    _usual("leakage_internal", coefficient=0.0),
-    {**_usual("sensor_lag", bandwidth=30.0, damping=0.7), "sensor": "load_force"},
-)  # fmt: skip
-"""Effects that a bench is likely to have, at typical values: what is learned where a bench file names none."""
-
-
-def add_common_effects(bench: Bench) -> Bench:
-    """Return the bench with `COMMON_EFFECTS`, unless its file has effects of its own."""
-    return bench if bench.terms else replace(bench, load_cell_bandwidth=None, effects=COMMON_EFFECTS)
-
-
-def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Report = lambda text: None) -> Result:
+def learn(
+    bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Callable[[str], None] = lambda text: None
+) -> Result:
     """Return the bench with its effects' and closures' parameters fitted to `count` windows of the training runs.
 
     A bench file without effects gets `COMMON_EFFECTS`.
 
     Raises ValueError: the recordings have no room for windows.
     """
-    bench = add_common_effects(bench)
-    exact = Sensitivities(BenchModel(_with_longer_dead_times(bench), substeps=SUBSTEPS))
-    coordinates = _coordinates(bench, exact.model)
-    noise = estimate_noise(data.training)
-    chosen = _windows(data.training, count, np.random.default_rng(seed))
-    q, matrix = _fitted(exact, coordinates, data.training, chosen, noise, report)
-    deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
-    theta = coordinates.parameters(q)
-    rmse, _ = best_prediction_rmse(exact, theta, noise, data.validation)
-    return Result(
-        bench=_with(bench, exact.model, theta), parameters=_identified(exact.model, coordinates, q, deviation),
-        noise=noise, rmse=rmse,
-    )  # fmt: skip
-
-
-def _fitted(
-    exact: Sensitivities, coordinates: Parametrization, runs: list[Run], chosen: list[Indices], noise: FloatArray,
-    report: Report,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """Parameters, as coordinates, of the round that predicts best, and the information matrix there."""
-    weights, q = noise, coordinates.coordinates(coordinates.values)
-    best, kept = np.inf, (q, np.eye(len(q)))
+    if not bench.terms:
+        bench = replace(bench, load_cell_bandwidth=None, effects=COMMON_EFFECTS)
+    exact = Sensitivities(BenchModel(with_longer_dead_times(bench), substeps=SUBSTEPS))
+    coordinates, noise = Coordinates(bench, exact.model), estimate_noise(data.training)
+    chosen = draw_windows(data.training, count, np.random.default_rng(seed))
+    q, weights, best = coordinates.coordinates(coordinates.values), noise, np.inf
+    found, matrix = q, np.eye(len(q))  # of the round that predicts best
     for number, trust in enumerate(TRUST_SCHEDULE, 1):
         follower = StateEstimator(exact, coordinates.parameters(q), weights, trust)
-        problem = LeastSquaresProblem(exact, coordinates, _batch(follower, runs, chosen, weights))
-        fit = FitState(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
+        fit = WindowFit(follower, coordinates, q, data.training, chosen)
         for _ in range(ITERATIONS):
-            if not problem.iterate(fit):
+            if not fit.iterate():
                 break
-        residual = problem.residual_rms(fit)
+        residual = np.sqrt(np.mean((np.array(fit.predictions(fit.q, fit.s)) - fit.targets) ** 2, axis=(0, 1)))
         q, weights = fit.q, np.maximum(noise, residual)
         report(f"round {number} of {len(TRUST_SCHEDULE)}: error over noise {np.round(residual / noise, 3)}")
         if (error := float(np.mean(np.log(residual / noise)))) < best:
-            best, kept = error, (q, problem.normal_equations(fit)[0])
-    return kept
-
-
-def best_prediction_rmse(
-    exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
-) -> tuple[FloatArray, StateEstimator]:
-    """Return the lowest RMSE of 70-sample predictions, shape (5,), over the filter's trusts, and that filter."""
-    followers = [StateEstimator(exact, theta, noise, trust) for trust in FINAL_TRUSTS]
-    found = [(_prediction_rmse(follower, runs), follower) for follower in followers]
-    return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
-
-
-def _with_longer_dead_times(bench: Bench) -> Bench:
-    """The bench with dead times as long as they may become: a model keeps as many past currents as that needs."""
-    delays = sum(effect["id"] == valve.TransportDelay.id for effect in bench.effects)
-
-    def lengthened(effect: Any) -> Any:
-        if effect["id"] != valve.TransportDelay.id:
-            return effect
-        time = max(DELAY_FACTOR * float(effect["parameters"]["time"]), DELAY_LEAST)
-        return {**effect, "parameters": {"time": min(time, catalogue.DELAY_MAX / delays, 0.03)}}
-
-    return replace(bench, effects=tuple(lengthened(effect) for effect in bench.effects))
-
-
-def _coordinates(bench: Bench, model: BenchModel) -> Parametrization:
-    """All parameters of effects and closures but where tables begin and end."""
-    values = [value for effect in bench.terms for value in catalogue.parse_entry(effect)[1]]
-    first = len(model.parameters) - len(values)
-    free = [
-        i for i in range(first, len(model.parameters))
-        if not (model.parameters[i].name.startswith("closure") and model.parameters[i].name.endswith((".low", ".high")))
+            best, found, matrix = error, q, fit.normal_equations()[0]
+    theta, deviation = coordinates.parameters(found), np.sqrt(np.diag(np.linalg.inv(matrix)))
+    value, low, high = (coordinates.free_parameters(found + side * QUANTILE * deviation) for side in (0.0, -1.0, 1.0))
+    parameters = [
+        IdentifiedParameter(
+            name=exact.model.parameters[index].name, unit=exact.model.parameters[index].unit,
+            before=float(coordinates.values[index]), value=float(value[i]), low=float(low[i]), high=float(high[i]),
+            informed=bool(deviation[i] < 0.5 * PRIOR_WIDTH),
+        )
+        for i, index in enumerate(coordinates.free)
     ]  # fmt: skip
-    delays = max(sum(one.name == DEAD_TIME for one in model.parameters), 1)
-    longest = max(model.structure.past - 2, 0) * SAMPLE_PERIOD / delays
-    bounded = [replace(one, high=longest) if one.name == DEAD_TIME else one for one in model.parameters]
-    return Parametrization(bounded, np.concatenate([model.values[:first], values]), np.array(free))
+    rmse, _ = best_prediction_rmse(exact, theta, noise, data.validation)
+    return Result(bench=with_parameters(bench, theta), parameters=parameters, noise=noise, rmse=rmse)
 
 
-def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> list[Indices]:
-    """Start samples of windows in each run, in rising order, without overlap."""
-    places = [
-        (i, begin) for i, run in enumerate(runs)
-        for begin in range(min(SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, HORIZON)
-    ]  # fmt: skip
+class Coordinates:
+    """The free parameters of a bench's model as scaled or logarithmic coordinates q.
+
+    Free are those of effects and closures, but where a closure's table begins and ends.
+    """
+
+    def __init__(self, bench: Bench, model: BenchModel) -> None:
+        values = [value for effect in bench.terms for value in catalogue.parse_entry(effect)[1]]
+        first, parameters = len(model.parameters) - len(values), model.parameters
+        self.values: FloatArray = np.concatenate([model.values[:first], values])
+        """All parameters of the model in the bench file, shape (parameters,)."""
+        self.free = [i for i in range(first, len(parameters)) if not _is_end_of_table(parameters[i])]
+        chosen = [parameters[i] for i in self.free]
+        delays = max(sum(one.name == DEAD_TIME for one in parameters), 1)
+        longest = max(model.structure.past - 2, 0) * SAMPLE_PERIOD / delays
+        self.low = np.array([one.low for one in chosen])
+        self.high = np.array([longest if one.name == DEAD_TIME else one.high for one in chosen])
+        self.scale = np.array([one.scale for one in chosen])
+        self.logarithm = self.low > 0.0
+
+    def parameters(self, q: FloatArray) -> FloatArray:
+        """Return all parameters theta, shape (parameters,), at coordinates q, shape (free,)."""
+        theta = self.values.copy()
+        theta[self.free] = self.free_parameters(q)
+        return theta
+
+    def free_parameters(self, q: FloatArray) -> FloatArray:
+        """Return the free parameters within their bounds, shape (free,)."""
+        found = np.where(self.logarithm, np.exp(np.where(self.logarithm, q, 0.0)), self.scale * q)
+        return np.asarray(np.clip(found, self.low, self.high))
+
+    def coordinates(self, theta: FloatArray) -> FloatArray:
+        """Return the coordinates q, shape (free,), of parameters theta, shape (parameters,)."""
+        one = theta[self.free]
+        return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
+
+
+def _is_end_of_table(parameter: Parameter) -> bool:
+    return parameter.name.startswith("closure") and parameter.name.endswith((".low", ".high"))
+
+
+class WindowFit:
+    """Least squares of parameters and start states on windows of H samples, by Levenberg-Marquardt.
+
+    The state is q, shape (free,), and s, shape (n, held): a window starts s of its standard deviations beside the
+    filter's estimate. `follower`: that filter, whose noise weights the readings. `q`: first guess. `chosen`: samples at
+    which windows begin, of each run.
+    """
+
+    def __init__(
+        self, follower: StateEstimator, coordinates: Coordinates, q: FloatArray, runs: list[Run], chosen: list[Indices]
+    ) -> None:
+        self.follower, self.exact, self.coordinates = follower, follower.exact, coordinates
+        self.first, self.q, self.damping = coordinates.coordinates(coordinates.values), q, 1e-2
+        pairs, steps = list(zip(runs, chosen, strict=True)), np.arange(HORIZON)
+        starts = [follower.initial_states(run, samples) for run, samples in pairs]
+        self.starts, self.roots = map(np.concatenate, zip(*starts, strict=True))
+        self.currents = np.concatenate([run.u[at[:, None] + steps] for run, at in pairs])
+        self.targets = np.concatenate([run.readings[at[:, None] + steps + 1] for run, at in pairs])
+        self.s: FloatArray = np.zeros((len(self.starts), self.exact.held))
+
+    def iterate(self) -> bool:
+        """Run one iteration; return whether the cost still falls."""
+        matrix, gradient, eliminated = self.normal_equations()
+        cost = self.cost(self.q, self.s)
+        reach = np.where(self.coordinates.logarithm, 1.0, np.maximum(np.abs(self.q), 1.0))
+        while self.damping < 1e8:
+            damped = matrix + self.damping * np.diag(np.diag(matrix))
+            change = np.clip(-np.linalg.solve(damped, gradient), -reach, reach)
+            q = self.coordinates.coordinates(self.coordinates.parameters(self.q + change))
+            moves = -(eliminated[:, :, -1] + eliminated[:, :, :-1] @ (q - self.q))
+            s = self.s + np.clip(moves, -START_MAX, START_MAX)
+            better = self.cost(q, s)
+            if better < cost:
+                self.q, self.s, self.damping = q, s, max(self.damping / 10.0, 1e-7)
+                return better < (1.0 - COST_TOLERANCE) * cost
+            self.damping *= 10.0
+        return False
+
+    def predictions(self, q: FloatArray, s: FloatArray) -> list[FloatArray]:
+        """Return the readings of each window, shape (H, 5)."""
+        k, _ = self.exact.coefficients(self.coordinates.parameters(q))
+        return [self.exact.model.rollout(k, self._start(i, one), self.currents[i]) for i, one in enumerate(s)]
+
+    def cost(self, q: FloatArray, s: FloatArray) -> float:
+        """Return the mean squared normalized error with priors; infinite if a prediction is not finite."""
+        total = float(np.sum(s * s) + np.sum(((q - self.first) / PRIOR_WIDTH) ** 2))
+        for z, target in zip(self.predictions(q, s), self.targets, strict=True):
+            total += float(np.sum(((z - target) / self.follower.noise) ** 2))
+        return total / self.targets.size if np.isfinite(total) else np.inf
+
+    def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return Gauss-Newton matrix and gradient in q with initial states eliminated, and the elimination's blocks.
+
+        Shapes (free, free), (free,), and of A_i^-1 (B_i, a_i) (n, held, free + 1).
+        """
+        theta = self.coordinates.parameters(self.q)
+        k, dk = self.exact.coefficients(theta)
+        slopes = np.where(self.coordinates.logarithm, theta[self.coordinates.free], self.coordinates.scale)
+        by_q = dk[:, self.coordinates.free] * slopes
+        held, count, noise = self.exact.held, len(self.q), self.follower.noise
+        eliminated = np.empty((len(self.s), held, count + 1))
+        matrix = np.eye(count) / PRIOR_WIDTH**2
+        gradient = (self.q - self.first) / PRIOR_WIDTH**2
+        for i, s in enumerate(self.s):
+            z, dz, _ = self.exact.window(k, self._start(i, s), self.currents[i], self.roots[i], by_q)
+            error = ((z - self.targets[i]) / noise).ravel()
+            rows = (dz / noise[:, None]).reshape(len(error), -1)
+            by_s, by_parameters = rows[:, :held], rows[:, held:]
+            b, a = by_s.T @ by_parameters, by_s.T @ error + s
+            eliminated[i] = np.linalg.solve(by_s.T @ by_s + np.eye(held), np.column_stack([b, a]))
+            matrix += by_parameters.T @ by_parameters - b.T @ eliminated[i, :, :-1]
+            gradient = gradient + by_parameters.T @ error - b.T @ eliminated[i, :, -1]
+        return matrix, gradient, eliminated
+
+    def _start(self, i: int, s: FloatArray) -> FloatArray:
+        y: FloatArray = self.starts[i].copy()
+        y[: self.exact.held] += self.roots[i] @ s
+        return y
+
+
+def draw_windows(runs: list[Run], count: int, generator: np.random.Generator) -> list[Indices]:
+    """Return start samples of windows in each run, in rising order, without overlap."""
+    places = [(i, begin) for i, run in enumerate(runs) for begin in _window_begins(run, HORIZON)]
     if len(places) < 2:
         raise ValueError("the recordings have no room for predictions: record more")
     picked = generator.choice(len(places), min(count, len(places)), replace=False)
     return [np.sort([places[j][1] for j in picked if places[j][0] == i]).astype(np.int64) for i in range(len(runs))]
 
 
-def _batch(follower: StateEstimator, runs: list[Run], chosen: list[Indices], weights: FloatArray) -> WindowBatch:
-    starts = [follower.initial_states(run, samples) for run, samples in zip(runs, chosen, strict=True)]
-    states, roots = map(np.concatenate, zip(*starts, strict=True))
-    steps = np.arange(HORIZON)
-    return WindowBatch(
-        starts=states, roots=roots,
-        currents=np.concatenate([run.u[at[:, None] + steps] for run, at in zip(runs, chosen, strict=True)]),
-        targets=np.concatenate([run.readings[at[:, None] + steps + 1] for run, at in zip(runs, chosen, strict=True)]),
-        noise=weights,
-    )  # fmt: skip
+def _window_begins(run: Run, stride: int) -> Sequence[int]:
+    return range(min(SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, stride)
 
 
-def _prediction_rmse(follower: StateEstimator, runs: list[Run]) -> FloatArray:
-    """RMSE of predictions from the filter's states against the readings, shape (5,)."""
-    squares, windows = np.zeros(READINGS), 0
-    for run in runs:
-        states, readings = follower.states(run), run.readings
-        for begin in range(min(SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, HORIZON // 2):
-            z = follower.exact.model.rollout(follower.k, states[begin].copy(), run.u[begin : begin + HORIZON])
-            squares += np.mean((z - readings[begin + 1 : begin + HORIZON + 1]) ** 2, axis=0)
-            windows += 1
-    return np.asarray(np.sqrt(squares / max(windows, 1)))
+def best_prediction_rmse(
+    exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
+) -> tuple[FloatArray, StateEstimator]:
+    """Return the lowest RMSE of 70-sample predictions, shape (5,), over the filter's trusts, and that filter."""
+    found: list[tuple[FloatArray, StateEstimator]] = []
+    for trust in FINAL_TRUSTS:
+        follower = StateEstimator(exact, theta, noise, trust)
+        squares, windows = np.zeros(len(READINGS)), 0
+        for run in runs:
+            states, readings = follower.states(run), run.readings
+            for begin in _window_begins(run, HORIZON // 2):
+                z = exact.model.rollout(follower.k, states[begin].copy(), run.u[begin : begin + HORIZON])
+                squares += np.mean((z - readings[begin + 1 : begin + HORIZON + 1]) ** 2, axis=0)
+                windows += 1
+        found.append((np.sqrt(squares / max(windows, 1)), follower))
+    return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
 
 
-def _identified(
-    model: BenchModel, coordinates: Parametrization, q: FloatArray, deviation: FloatArray
-) -> list[IdentifiedParameter]:
-    value, half = coordinates.free_parameters(q), QUANTILE * deviation
-    low, high = coordinates.free_parameters(q - half), coordinates.free_parameters(q + half)
-    return [
-        IdentifiedParameter(
-            name=model.parameters[index].name, unit=model.parameters[index].unit,
-            before=float(coordinates.values[index]), value=float(value[i]), low=float(low[i]), high=float(high[i]),
-            informed=bool(deviation[i] < 0.5 * PRIOR_WIDTH),
-        )
-        for i, index in enumerate(coordinates.free)
-    ]  # fmt: skip
+def with_longer_dead_times(bench: Bench) -> Bench:
+    """Return the bench with the longest allowed dead times: a model keeps as many past currents as these need."""
+    effects = list(bench.effects)
+    delays = [i for i, effect in enumerate(effects) if effect["id"] == valve.TransportDelay.id]
+    for i in delays:
+        time = max(DELAY_FACTOR * float(effects[i]["parameters"]["time"]), DELAY_LEAST)
+        effects[i] = {**effects[i], "parameters": {"time": min(time, catalogue.DELAY_MAX / len(delays), 0.03)}}
+    return replace(bench, effects=tuple(effects))
 
 
-def _with(bench: Bench, model: BenchModel, theta: FloatArray) -> Bench:
-    """The bench with these parameters in its effects and closures."""
+def with_parameters(bench: Bench, theta: FloatArray) -> Bench:
+    """Return the bench with the last of a model's parameters, rounded, in its effects and closures."""
     kinds = [catalogue.parse_entry(effect)[0] for effect in bench.terms]
     rest = iter(theta[len(theta) - sum(len(kind.parameters) for kind in kinds) :])
     terms = [
         {**effect, "parameters": {one.name: float(f"{next(rest):.9g}") for one in kind.parameters}}
-        for effect, kind in zip(bench.terms, kinds, strict=True)
+        for effect, kind in zip([*bench.effects, *bench.closures], kinds, strict=True)
     ]
-    effects, closures = terms[: len(bench.effects)], terms[len(bench.effects) :]
-    without = [{key: value for key, value in one.items() if key != "id"} for one in closures]
-    return replace(bench, effects=tuple(effects), closures=tuple(without))
+    return replace(bench, effects=tuple(terms[: len(bench.effects)]), closures=tuple(terms[len(bench.effects) :]))

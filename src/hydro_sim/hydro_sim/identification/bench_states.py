@@ -22,7 +22,6 @@ covariance gives the directions in which the start may be wrong: the columns of 
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
 from math import comb
 
 import numpy as np
@@ -30,7 +29,8 @@ import numpy.typing as npt
 
 from hydro_core.signals import FloatArray
 from hydro_sim.files.recordings import Run
-from hydro_sim.model.bench_model import READINGS, TEXTBOOK, BenchModel, library, to_c
+from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, library, to_c
+from hydro_sim.model.equations import READINGS
 
 SETTLING_SAMPLES = 600
 """Samples at the beginning of a run without predictions: the filter is still settling."""
@@ -43,16 +43,6 @@ SERIES_ORDER = 6
 MODEL_ERROR_PRESSURE, MODEL_ERROR_VELOCITY, MODEL_ERROR_HIDDEN = 6e-6, 2.5e-4, 1e-4
 """Model error per sample at a trust of 1, standard deviations: of the supply pressure, of the stroke per
 second, and of a hidden state's typical size."""
-
-
-@dataclass
-class FilterState:
-    """State of a filter, updated in place."""
-
-    y: FloatArray
-    """States, shape (states,)."""
-    covariance: FloatArray
-    """Covariance of their error, shape (held, held)."""
 
 
 class Sensitivities:
@@ -70,12 +60,11 @@ class Sensitivities:
         self._code.bench_once_partials(to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(dk))
         return k, dk
 
-    def rest_state(self, theta: FloatArray, y: FloatArray) -> FloatArray:
-        """Return the states, shape (states,), of a bench at rest with the textbook states y[:6]."""
-        y, k, z = y.copy(), np.empty(self.model.coefficients), np.empty(READINGS)
-        self._code.bench_begin(
-            to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(y, (len(self.model.states),)), to_c(z)
-        )
+    def rest_state(self, theta: FloatArray, textbook: FloatArray) -> FloatArray:
+        """Return the states, shape (states,), of a bench at rest with the textbook states, shape (6,)."""
+        y, k, z = np.zeros(len(self.model.states)), np.empty(self.model.coefficients), np.empty(len(READINGS))
+        y[:TEXTBOOK] = textbook
+        self._code.bench_begin(to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(y), to_c(z))
         return y
 
     def window(
@@ -91,7 +80,7 @@ class Sensitivities:
         directions = np.zeros((self.held + len(k), first + dk.shape[1]))
         directions[: self.held, :first], directions[self.held :, first:] = dy, dk
         n, p = len(currents), directions.shape[1]
-        z, dz, workspace = np.empty((n, READINGS)), np.empty((n, READINGS, p)), np.empty((self.held, p))
+        z, dz, workspace = np.empty((n, len(READINGS))), np.empty((n, len(READINGS), p)), np.empty((self.held, p))
         self._code.bench_sensitivities(
             to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)), ctypes.c_long(n),
             to_c(currents, (n,)), ctypes.c_long(p), to_c(directions), to_c(z), to_c(dz), to_c(workspace),
@@ -99,16 +88,12 @@ class Sensitivities:
         return z, dz, y
 
     def filter_states(
-        self,
-        k: FloatArray,
-        state: FilterState,
-        currents: FloatArray,
-        readings: FloatArray,
-        q: FloatArray,
-        r: FloatArray,
-    ) -> FloatArray:
-        """Return filtered states, shape (n, states); `state` is updated in place.
+        self, k: FloatArray, y: FloatArray, covariance: FloatArray, currents: FloatArray, readings: FloatArray,
+        q: FloatArray, r: FloatArray,
+    ) -> FloatArray:  # fmt: skip
+        """Return filtered states, shape (n, states).
 
+        `y`, `covariance`: states, and covariance of their error, shape (held, held); both are updated in place.
         `currents`, `readings`: currents [A], shape (n,), and the readings after each, shape (n, 5). `q`: variance that
         a sample adds to each held state for what the model misses, shape (held,). `r`: variance of the readings' noise,
         shape (5,).
@@ -116,9 +101,9 @@ class Sensitivities:
         n, held = len(currents), self.held
         states, workspace = np.empty((n, len(self.model.states))), np.empty((2 * held + len(k), held))
         self._code.bench_follow(
-            to_c(k, (self.model.coefficients,)), to_c(state.y, (len(self.model.states),)),
-            to_c(state.covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, READINGS)),
-            to_c(q, (held,)), to_c(r, (READINGS,)), to_c(states), to_c(workspace),
+            to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)),
+            to_c(covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, len(READINGS))),
+            to_c(q, (held,)), to_c(r, (len(READINGS),)), to_c(states), to_c(workspace),
         )  # fmt: skip
         return states
 
@@ -149,13 +134,18 @@ class StateEstimator:
     def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, trust: float) -> None:
         self.exact, self.theta, self.noise = exact, theta, noise
         self.k, _ = exact.coefficients(theta)
-        self.q = (trust * process_noise(exact.model)[: exact.held]) ** 2
+        self.scales = np.array([one.scale for one in exact.model.states])[: exact.held]
+        deviation = MODEL_ERROR_HIDDEN * self.scales
+        deviation[:TEXTBOOK] = 0.0
+        deviation[:2] = MODEL_ERROR_PRESSURE * exact.model.bench.supply_pressure
+        deviation[3] = MODEL_ERROR_VELOCITY * exact.model.bench.stroke
+        self.q = (trust * deviation) ** 2
 
     def states(self, run: Run) -> FloatArray:
         """Return the states at every sample of a run, shape (n, states)."""
-        state = self._begin(run)
-        first = state.y.copy()
-        rest = self.exact.filter_states(self.k, state, run.u[:-1], run.readings[1:], self.q, self.noise**2)
+        y, covariance = self._begin(run)
+        first = y.copy()
+        rest = self.exact.filter_states(self.k, y, covariance, run.u[:-1], run.readings[1:], self.q, self.noise**2)
         return np.concatenate([first[None], rest])
 
     def initial_states(self, run: Run, samples: Indices) -> tuple[FloatArray, FloatArray]:
@@ -163,36 +153,19 @@ class StateEstimator:
 
         States, shape (n, states), and square roots of their covariances, shape (n, held, held).
         """
-        state, at, readings, r = self._begin(run), 0, run.readings, self.noise**2
-        held = self.exact.held
-        states, roots = np.empty((len(samples), len(state.y))), np.empty((len(samples), held, held))
-        scales = np.array([one.scale for one in self.exact.model.states])[:held]
+        (y, covariance), at, readings, scales = self._begin(run), 0, run.readings, self.scales
+        states, roots = np.empty((len(samples), len(y))), np.empty((len(samples), len(scales), len(scales)))
         for i, sample in enumerate(samples):
-            self.exact.filter_states(self.k, state, run.u[at:sample], readings[at + 1 : sample + 1], self.q, r)
-            at = int(sample)
-            states[i], roots[i] = state.y, scales[:, None] * _root(state.covariance / np.outer(scales, scales))
+            seen = run.u[at:sample], readings[at + 1 : sample + 1]
+            self.exact.filter_states(self.k, y, covariance, *seen, self.q, self.noise**2)
+            at, states[i] = int(sample), y
+            scaled = covariance / np.outer(scales, scales)
+            values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+            roots[i] = scales[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0)))
         return states, roots
 
-    def _begin(self, run: Run) -> FilterState:
-        model = self.exact.model
-        y: FloatArray = np.zeros(len(model.states))
-        y[:TEXTBOOK] = run.x[0, [4, 5, 6, 7, 2, 3]]
-        y = self.exact.rest_state(self.theta, y)
-        spread = np.array([one.scale for one in model.states])[: self.exact.held]
+    def _begin(self, run: Run) -> tuple[FloatArray, FloatArray]:
+        """States and their covariance at the first sample."""
+        spread = self.scales.copy()
         spread[:3] = 3.0 * self.noise[2:]
-        return FilterState(y, np.diag(spread**2))
-
-
-def process_noise(model: BenchModel) -> FloatArray:
-    """Return the process noise, shape (states,): standard deviation per sample at a trust of 1."""
-    result = MODEL_ERROR_HIDDEN * np.array([one.scale for one in model.states])
-    result[:TEXTBOOK] = 0.0
-    result[:2] = MODEL_ERROR_PRESSURE * model.bench.supply_pressure
-    result[3] = MODEL_ERROR_VELOCITY * model.bench.stroke
-    return result
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """A matrix whose product with its own transpose it is."""
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+        return self.exact.rest_state(self.theta, run.x[0, [4, 5, 6, 7, 2, 3]]), np.diag(spread**2)

@@ -12,10 +12,9 @@ import yaml
 from hydro_core.cli.console import Table, UserError, add_json_argument, bounded_number, command, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_sim.files import recordings
-from hydro_sim.files.learned_bench import BENCH_FILES, is_bench_file
+from hydro_sim.files.learned_bench import BENCH_FILES
 from hydro_sim.files.recordings import DataError
 from hydro_sim.identification import bench_learning
-from hydro_sim.identification.bench_learning import Result
 from hydro_sim.model.bench import Bench
 
 COLUMNS = {
@@ -33,15 +32,30 @@ COLUMNS = {
 def main() -> None:
     """Entry point."""
     options = parser().parse_args()
-    if not is_bench_file(options.out):
+    if Path(options.out).suffix not in BENCH_FILES:
         raise UserError(f"--out {options.out}: a bench file's name ends in {' or '.join(BENCH_FILES)}")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     data = recordings.split(recordings.load_states(options.bags))
     result = bench_learning.learn(
         bench, data, count=options.windows, seed=options.seed, report=lambda text: print(text, file=sys.stderr)
     )
-    _table(result).show(options.json)
-    _write(result, Path(options.out), data.digests)
+    table = Table(COLUMNS, title="parameters of the bench file's effects")
+    for one in result.parameters:
+        table.add(
+            parameter=one.name, before=one.before, learnt=one.value, low=one.low, high=one.high, unit=one.unit,
+            seen="yes" if one.informed else "no",
+        )  # fmt: skip
+    table.show(options.json)
+    lines = [
+        "bench.yaml with its effects' parameters learnt by `ros2 run hydro_sim learn`; SI units.",
+        result.quality.sentence(),
+        *(f"from {name}, samples {digest[:12]}" for name, digest in data.digests.items()),
+        *(f"{one.name}: 95 % within {one.low:.6g} and {one.high:.6g} {one.unit}" for one in result.parameters),
+    ]
+    head = "".join(f"# {line}\n" for line in lines)
+    content = yaml.safe_dump(result.with_quality().to_mapping(), sort_keys=False)
+    Path(options.out).parent.mkdir(parents=True, exist_ok=True)
+    write_whole(Path(options.out), (head + content).encode())
     print(f"{options.out}: {result.quality.sentence()}")
 
 
@@ -65,25 +79,3 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--seed", type=bounded_number(0), default=0, help="of the choice of predictions (0)")
     add_json_argument(result)
     return result
-
-
-def _table(result: Result) -> Table:
-    table = Table(COLUMNS, title="parameters of the bench file's effects")
-    for one in result.parameters:
-        table.add(
-            parameter=one.name, before=one.before, learnt=one.value, low=one.low, high=one.high, unit=one.unit,
-            seen="yes" if one.informed else "no",
-        )  # fmt: skip
-    return table
-
-
-def _write(result: Result, out: Path, digests: dict[str, str]) -> None:
-    lines = [
-        "bench.yaml with its effects' parameters learnt by `ros2 run hydro_sim learn`; SI units.",
-        result.quality.sentence(),
-        *(f"from {name}, samples {digest[:12]}" for name, digest in digests.items()),
-    ]
-    lines += [f"{one.name}: 95 % within {one.low:.6g} and {one.high:.6g} {one.unit}" for one in result.parameters]
-    head = "".join(f"# {line}\n" for line in lines)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, (head + yaml.safe_dump(result.with_quality().to_mapping(), sort_keys=False)).encode())

@@ -69,24 +69,17 @@ class ScoredRun:
 
 
 def prediction_errors(
-    predictor: Predictor,
-    states: list[FloatArray],
-    scored: list[ScoredRun],
-    *,
-    recorded: bool,
-    horizon: int,
+    predictor: Predictor, states: list[FloatArray], scored: list[ScoredRun], *, recorded: bool, horizon: int,
     stride: int,
-) -> Errors:
+) -> Errors:  # fmt: skip
     """Return the errors of predictions from `states` at the starts of windows, over all windows of all runs.
 
     Against the recordings themselves if `recorded`, else against the noise-free logs.
     """
     squares, windows = np.zeros((horizon, 8)), 0
     for begins, item in zip(states, scored, strict=True):
-        truth, starts = (
-            item.run.x if recorded else item.reference,
-            np.arange(SETTLING_SAMPLES, len(item.run) - horizon - 1, stride),
-        )
+        truth = item.run.x if recorded else item.reference
+        starts = np.arange(SETTLING_SAMPLES, len(item.run) - horizon - 1, stride)
         windows += len(starts)
         for part in np.array_split(starts, max(len(starts) * horizon // 500_000, 1)):
             rows = part[:, None] + np.arange(horizon)
@@ -94,16 +87,10 @@ def prediction_errors(
     return Errors(by_time=np.sqrt(squares / windows), windows=windows)
 
 
-def noise_floor(scored: list[ScoredRun]) -> FloatArray | None:
-    """Return the noise floor, shape (8,): RMS of recording minus noise-free log; None without a log."""
-    differences = [item.run.x - item.truth for item in scored if item.truth is not None]
-    return np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if len(differences) == len(scored) else None
-
-
-RATES = (1, 3, 7)
-"""Columns of x that the box computes from the readings 0, 1 and 4, and the coefficient of each."""
-DIFFERENTIATED_READINGS = (0, 1, 4)
+RATES, DIFFERENTIATED = (1, 3, 7), (0, 2, 6)
+"""Columns of x that the box computes, and those of the readings that it differentiates for them."""
 MEMORY_FIELDS = ("force_memory", "force_memory", "velocity_memory")
+"""The coefficient of each."""
 
 
 class ModelPrediction:
@@ -115,20 +102,17 @@ class ModelPrediction:
         self.memories = np.array([record[name] for name in MEMORY_FIELDS])
 
     def starts(self, states: FloatArray, run: Run) -> FloatArray:
-        """Return initial values of predictions: model states, box rates, readings; shape (n, states + 8)."""
-        return np.concatenate([states, run.x[:, RATES], run.x[:, READING_COLUMNS]], axis=1)
+        """Return initial values of predictions: model states, box rates, their readings; shape (n, states + 6)."""
+        return np.concatenate([states, run.x[:, RATES], run.x[:, DIFFERENTIATED]], axis=1)
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """x, shape (n, H, 8), under currents [A], shape (n, H)."""
-        n, states = len(starts), len(self.model.states)
         x = np.empty((*currents.shape, 8))
-        for i in range(n):
-            y = starts[i, :states].copy()
-            x[i][:, READING_COLUMNS] = self.model.rollout(self.k, y, np.ascontiguousarray(currents[i]))
-        rates, last = starts[:, states : states + 3].copy(), starts[:, states + 3 :][:, DIFFERENTIATED_READINGS]
-        columns = [READING_COLUMNS[reading] for reading in DIFFERENTIATED_READINGS]
+        states, rates, last = np.split(starts, (len(self.model.states), -3), axis=1)
+        for i, y in enumerate(states):
+            x[i][:, READING_COLUMNS] = self.model.rollout(self.k, y.copy(), np.ascontiguousarray(currents[i]))
         for h in range(currents.shape[1]):
-            now = x[:, h, columns]
+            now = x[:, h, DIFFERENTIATED]
             rates = self.memories * rates + (1.0 - self.memories) * (now - last) / SAMPLE_PERIOD
             x[:, h, RATES], last = rates, now
         return x
@@ -199,12 +183,20 @@ def main() -> None:
         print(f"of the bench file's effects the analytic model's predictions leave out {names}", file=sys.stderr)
     runs = [item.run for item in scored]
     learned, analytic = BenchPrediction(model, runs), AnalyticModel(bench)
-    both: tuple[PredictorWithStates, PredictorWithStates] = (
-        (learned, [*map(learned.estimate, runs)]),
-        (analytic, [*map(analytic.estimate, runs)]),
-    )
-    rmse_table(*both, scored).show(options.json)
-    _long(*both, scored)
+    mine, theirs = (learned, [*map(learned.estimate, runs)]), (analytic, [*map(analytic.estimate, runs)])
+    rmse_table(mine, theirs, scored).show(options.json)
+    longest = min(MAX_WINDOW_SAMPLES, min(map(len, runs)) - SETTLING_SAMPLES - 2)  # that fits into every run
+    how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
+    after, other = prediction_errors(*mine, scored, **how), prediction_errors(*theirs, scored, **how)
+    for horizon in (1, 10, 70, 200, 1000, longest):
+        print(f"after {horizon / 1e3:g} s: f_l off by {after.by_time[horizon - 1, 2]:.3g} N "
+              f"(analytic {other.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
+    begin = mine[1][0][SETTLING_SAMPLES : SETTLING_SAMPLES + 1]
+    free = learned.predict(begin, runs[0].u[None, SETTLING_SAMPLES:-1])[0]
+    deviation = free[:, 2] - scored[0].reference[SETTLING_SAMPLES + 1 :, 2]
+    print(f"free run of {len(free) / 1e3:g} s: f_l off by {np.sqrt(np.mean(deviation**2)):.3g} N RMS, "
+          f"{np.abs(deviation).max():.3g} N at most; "
+          f"{'finite throughout' if np.isfinite(free).all() else 'NOT finite'}")  # fmt: skip
     print(f"{options.model or learned_bench.shipped_bench().name}: {learned.quality.sentence()}")
 
 
@@ -220,9 +212,10 @@ def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scor
     other = prediction_errors(*analytic, scored, recorded=False, **how)
     references = np.concatenate([item.reference for item in scored])
     std, span = references.std(axis=0), np.ptp(references, axis=0)
-    floor = noise_floor(scored)
-    noise = np.full(8, np.nan) if floor is None else floor
-    judged = "recordings" if floor is None else "noise-free log"
+    differences = [item.run.x - item.truth for item in scored if item.truth is not None]
+    logged = len(differences) == len(scored)
+    noise = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if logged else np.full(8, np.nan)
+    judged = "noise-free log" if logged else "recordings"
     table = ConsoleTable(COLUMNS, title=f"{HORIZON}-sample predictions, {clean.windows} windows, against the {judged}")
     for i, name in enumerate(PLANT_FIELDS):
         table.add(
@@ -234,41 +227,22 @@ def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scor
     return table
 
 
-def _long(learned: PredictorWithStates, analytic: PredictorWithStates, scored: list[ScoredRun]) -> None:
-    """Errors by the time predicted, and those of one free run."""
-    longest = min(
-        MAX_WINDOW_SAMPLES, min(len(item.run) for item in scored) - SETTLING_SAMPLES - 2
-    )  # that fits into every run
-    how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
-    mine = prediction_errors(*learned, scored, **how)
-    theirs = prediction_errors(*analytic, scored, **how)
-    for horizon in (1, 10, 70, 200, 1000, longest):
-        print(f"after {horizon / 1e3:g} s: f_l off by {mine.by_time[horizon - 1, 2]:.3g} N "
-              f"(analytic {theirs.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
-    item, start = scored[0], learned[1][0]
-    free = learned[0].predict(start[SETTLING_SAMPLES : SETTLING_SAMPLES + 1], item.run.u[None, SETTLING_SAMPLES:-1])[0]
-    deviation = free[:, 2] - item.reference[SETTLING_SAMPLES + 1 :, 2]
-    print(f"free run of {len(free) / 1e3:g} s: f_l off by {np.sqrt(np.mean(deviation**2)):.3g} N RMS, "
-          f"{np.abs(deviation).max():.3g} N at most; "
-          f"{'finite throughout' if np.isfinite(free).all() else 'NOT finite'}")  # fmt: skip
-
-
 def _scored(bags: list[str], logs: list[str] | None) -> list[ScoredRun]:
     if logs and len(logs) != len(bags):
         raise UserError(f"{len(logs)} noise-free logs for {len(bags)} recordings: give one for each, in their order")
     scored = []
     for index, (name, states) in enumerate(recordings.load_states(bags).items()):
-        truth = _aligned(logs[index], states) if logs else None
+        truth = _noise_free(logs[index], states) if logs else None
         for run in recordings.split_runs(name, states):
-            part = None if truth is None else truth[run.first : run.first + len(run)]
             if len(run) > SETTLING_SAMPLES + 2 * recordings.MIN_SAMPLES:
+                part = None if truth is None else truth[run.first : run.first + len(run)]
                 scored.append(ScoredRun(run=run, truth=part))
     if not scored:
         raise UserError("no recording has five seconds without a gap to predict")
     return scored
 
 
-def _aligned(path: str, states: StateArray) -> FloatArray:
+def _noise_free(path: str, states: StateArray) -> FloatArray:
     """The noise-free log's x at the recording's sequence numbers, shape (n, 8)."""
     try:
         log = np.load(path)["noise_free"]

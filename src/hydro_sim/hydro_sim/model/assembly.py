@@ -34,13 +34,11 @@ from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model import equations as eq
 from hydro_sim.model import rates
 from hydro_sim.model.effects.base import Effect, EffectContext
-from hydro_sim.model.equations import Symbol
-from hydro_sim.model.rates import stick_slip_friction
+from hydro_sim.model.equations import READINGS, Symbol
 
 casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
 
 TEXTBOOK = ("pressure_a", "pressure_b", "piston_position", "piston_velocity", "load_force", "load_force_rate")
-READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 FORCES = ("holding", "level_out", "level_back", "thrust", "level", "cell")
 """N: that would hold the mass at rest; level of dry friction at rest, for either direction; force of the piston on its
 load but for dry friction, and the level of that; force on an ideal load cell."""
@@ -61,10 +59,8 @@ class Functions:
     enter: SX
     step: SX
     read: SX
-    spool: SX
-    """Mean position of the spool [A] over a step."""
     rates: SX
-    """y' of the textbook's states and the integrated hidden ones, where the edges are open as `openings`."""
+    """y' of the textbook's states and the integrated hidden ones."""
     past: int
     """Past currents at the end of y."""
     rest: SX
@@ -96,45 +92,50 @@ class Assembly:
     """
 
     def __init__(
-        self,
-        numbers: Mapping[str, tuple[float, float]],
-        effects: Sequence[Effect],
-        *,
-        ideal_cell: bool,
-        past: int,
+        self, numbers: Mapping[str, tuple[float, float]], effects: Sequence[Effect], *, ideal_cell: bool, past: int,
         substeps: int,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.effects, self.past, self.step = effects, past, SAMPLE_PERIOD / substeps
         self._symbols: list[SX] = []
         self._expressions: list[SX] = []
         self.theta: dict[str, SX] = {name: SX.sym(name) for name in numbers}
         self.numbers = SimpleNamespace(**self.theta)
-        at = EffectContext(self.numbers, self.step, self.hoist, lambda velocity: rates.dry_level(effects, velocity))
+        self.at = EffectContext(
+            self.numbers, self.step, self.hoist, lambda velocity: rates.dry_level(effects, velocity)
+        )
         for index, effect in enumerate(effects):
-            effect.at = at
+            effect.at = self.at
             for one in effect.parameters:
                 name = f"{effect.id}.{one.name}.{index}"
                 self.theta[name] = SX.sym(name)
                 setattr(effect, one.name, self.theta[name])
         self.hidden = [(effect, one) for effect in effects for one in effect.states]
         self.integrated = [i for i, (_, one) in enumerate(self.hidden) if one.integrated]
+        self.commanding = sorted((one for one in effects if one.acts_in("command")), key=lambda effect: effect.late)
+        bristles = any(effect.id == "friction_presliding" for effect in effects)
+        self.holds = not bristles and any(effect.acts_in("dry_level") for effect in effects)
+        """Whether dry friction can hold the mass: with bristles it bends instead."""
         self._correct(numbers, ideal_cell)
         self.y = SX.sym("y", len(TEXTBOOK) + len(self.hidden) + past)
         self.current, self.share = SX.sym("u"), SX.sym("share")
 
     def functions(self) -> Functions:
         """Return all functions of the model."""
-        begin, enter, read = self._begin(), self._enter(), self._read(self.y)
-        slide, motion = self._motion()
-        start, spool, edges = self._start()
-        slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self._holds() else _nothing))
+        begin, enter = self._begin(), self.y
+        if self.past:
+            first = self.y.numel() - self.past
+            enter = vertcat(self.y[:first], self.current, self.y[first:-1])
+        read, (slide, motion) = self._read(self.y), self._motion()
+        start, edges = self._start()
+        slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self.holds else _nothing))
         step, rest = self._step(start, edges), SX(vertcat(*eq.rest_state(self.numbers)))
         symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
         theta = vertcat(*self.theta.values())
         return Functions(
-            theta, vertcat(theta, symbols), self.y, self.current, self.share, vertcat(theta, expressions),
-            begin, enter, step, read, spool, slopes, self.past, rest, slide,
-            self._holds(), self.numbers.load_cell_omega is None, motion,
+            theta=theta, k=vertcat(theta, symbols), y=self.y, current=self.current, share=self.share,
+            once=vertcat(theta, expressions), begin=begin, enter=enter, step=step, read=read,
+            rates=slopes, past=self.past, rest=rest, slide=slide, dry_friction=self.holds,
+            ideal_cell=self.numbers.load_cell_omega is None, motion=motion,
         )  # fmt: skip
 
     def hoist(self, expression: Symbol) -> Symbol:
@@ -172,25 +173,15 @@ class Assembly:
 
     def _begin(self) -> SX:
         self._bind([0.0] * len(self.hidden))
-        signals = dict(zip(READINGS, self._truth(self.y), strict=True))
-        spool: Symbol = 0.0
-        values: list[Symbol] = []
-        for effect in self._commanding():  # a lag begins where the shifts before it have put the spool
+        signals, spool = self._truth(self.y), 0.0
+        for effect in self.commanding:  # a lag begins where the shifts before it have put the spool
             effect.next = effect.begin(signals | {"spool": spool})
             spool = spool + effect.current if effect.id == "valve_offset" else spool
+        values: list[Symbol] = []
         for effect in self.effects:
             started = effect.next if effect.acts_in("command") else effect.begin(signals)
             values += [started.get(one.name, 0.0) for one in effect.states]
         return vertcat(self.y[: len(TEXTBOOK)], *values, SX.zeros(self.past))
-
-    def _enter(self) -> SX:
-        if not self.past:
-            return self.y
-        first = self.y.numel() - self.past
-        return vertcat(self.y[:first], self.current, self.y[first:-1])
-
-    def _commanding(self) -> list[Effect]:
-        return sorted((effect for effect in self.effects if effect.acts_in("command")), key=lambda effect: effect.late)
 
     def _delayed(self) -> Symbol:
         """Mean current [A] over the step, the dead times earlier: each past sample by its share of the step."""
@@ -204,76 +195,76 @@ class Assembly:
             mean = mean + self.y[first + age] * np.fmax(covered, 0.0)
         return mean / width
 
-    def _spool(self) -> Symbol:
-        """Mean position of the spool [A] over the step."""
-        spool = self._delayed()
-        for effect in self._commanding():
-            spool = effect.command(spool)
-        return spool
-
     def _edges(self, spool: Symbol) -> rates.Edges:
-        """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back."""
+        """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back, at the spool's position [A]."""
         gain = self.numbers.valve_gain
         out, back = gain * np.fmax(spool, 0.0), gain * np.fmax(-spool, 0.0)
         for effect in self.effects:
             out, back = effect.openings(out, back, spool)
         return out, back
 
-    def _truth(self, y: Any) -> tuple[Symbol, ...]:
-        """Readings of five ideal sensors, in the order of READINGS."""
-        return eq.hydraulic_force(self.numbers, y[0], y[1]), y[4], y[0], y[1], y[2]
+    def _truth(self, y: Any) -> dict[str, Symbol]:
+        """Readings of five ideal sensors."""
+        values = eq.hydraulic_force(self.numbers, y[0], y[1]), y[4], y[0], y[1], y[2]
+        return dict(zip(READINGS, values, strict=True))
 
     def _read(self, y: SX) -> SX:
         self._bind(casadi.vertsplit(y[len(TEXTBOOK) : y.numel() - self.past]) if self.hidden else [])
-        signals = dict(zip(READINGS, self._truth(y), strict=True))
-        acceleration = self._acceleration(y)
+        signals, acceleration = self._truth(y), self._acceleration(y)
+        at = self.at
+        at.pressures, at.position, at.velocity, at.load_force = (y[0], y[1]), y[2], y[3], y[4]
+        at.acceleration = acceleration
         for effect in self.effects:
-            effect.at.position, effect.at.velocity, effect.at.pressures = y[2], y[3], (y[0], y[1])
-            effect.at.load_force, effect.at.acceleration = y[4], acceleration
             if effect.acts_in("filter_signal"):
                 signals[effect.sensor] = effect.signal
         for effect in self.effects:
             signals = {channel: effect.read_sensor(channel, signal) for channel, signal in signals.items()}
-        return vertcat(*signals.values())
+        return SX(vertcat(*signals.values()))
 
     def _acceleration(self, y: SX) -> Symbol:
         """x'' [m/s2] in a state, if an effect shows it: that of the forces, which the valve does not change at once."""
         if not any(effect.shaken for effect in self.effects):
             return 0.0
-        dry = self._sliding if self._holds() else _nothing
-        return rates.textbook_rates(self.numbers, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
+        dry = self._sliding if self.holds else _nothing
+        return rates.textbook_rates(self.at, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
 
     def _cell_force(self, y: Sequence[Symbol]) -> Symbol:
         """f_l [N] on an ideal load cell: the load's force in this state, and no state of its own."""
-        for effect in self.effects:
-            effect.at.velocity = y[3]
+        self.at.velocity = y[3]
         force = rates.load_force(self.numbers, self.effects, y[2])
         if any(effect.acts_in("inertia") for effect in self.effects):
             force = force + rates.dragged_mass(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
         return force
 
     def _motion(self) -> tuple[SX, SX]:
-        start, *_ = self._start()
-        spool, flowing = self._delayed(), dict[tuple[int, str], Symbol]()
-        for effect in self._commanding():
-            spool = self._flowing(effect, spool, flowing) if effect.acts_in("flow") else effect.command(spool)
-        for effect in self.effects:
-            effect.at.spool = spool
+        """Direction of motion, and the forces and rates for it."""
+        start, _ = self._start()
+        flowing: dict[tuple[int, str], Symbol] = {}
+
+        def flow(effect: Effect, signal: Symbol) -> Symbol:
+            passed, slopes = effect.flow(signal)
+            flowing.update({(id(effect), name): slope for name, slope in slopes.items()})
+            return passed
+
+        spool = self._delayed()
+        for effect in self.commanding:
+            spool = flow(effect, spool) if effect.acts_in("flow") else effect.command(spool)
+        self.at.spool = spool
         edges, slide = self._edges(spool), SX.sym("slide")
         free = self._rates(start, edges, _nothing)
         mass = self.numbers.moving_mass + rates.dragged_mass(self.effects, start[2])
         holding, load = mass * free[3], rates.load_force(self.numbers, self.effects, start[2])
 
         def level(velocity: Symbol) -> Symbol:
-            return rates.dry_level(self.effects, velocity) if self._holds() else 0.0
+            return rates.dry_level(self.effects, velocity) if self.holds else 0.0
 
         speed = np.fmax(np.abs(start[3]), rates.STANDSTILL)
         against = eq.choose(slide == 0.0, holding, slide * level(slide * speed))
-        slopes = self._rates(start, edges, lambda velocity: against) if self._holds() else free
-        signals = dict(zip(READINGS, self._truth(start), strict=True))
+        slopes = self._rates(start, edges, lambda velocity: against) if self.holds else free
+        signals = self._truth(start)
         for effect in self.effects:
             if effect.acts_in("flow") and effect.acts_in("filter_signal"):
-                signals[effect.sensor] = self._flowing(effect, signals[effect.sensor], flowing)
+                signals[effect.sensor] = flow(effect, signals[effect.sensor])
         integrated = dict(zip(self.integrated, slopes[len(TEXTBOOK) :], strict=True))
         hidden = [integrated.get(i, flowing.get((id(effect), one.name))) for i, (effect, one) in enumerate(self.hidden)]
         steps = self.past or any(slope is None for slope in hidden)
@@ -281,12 +272,6 @@ class Assembly:
         now = level(eq.choose(start[3] >= 0.0, speed, -speed))
         forces = (holding, *turned, holding + load, now, self._cell_force(start))
         return slide, vertcat(*forces, *([] if steps else [*slopes[: len(TEXTBOOK)], *hidden]))
-
-    @staticmethod
-    def _flowing(effect: Effect, signal: Symbol, flowing: dict[tuple[int, str], Symbol]) -> Symbol:
-        passed, slopes = effect.flow(signal)
-        flowing |= {(id(effect), name): slope for name, slope in slopes.items()}
-        return passed
 
     # --- an integration step -----------------------------------------------------------------------------------------
 
@@ -296,76 +281,67 @@ class Assembly:
         for place, i in enumerate(self.integrated):
             hidden[i] = y[len(TEXTBOOK) + place]
         self._bind(hidden)
-        slopes, drawn = rates.textbook_rates(self.numbers, self.effects, y, edges, dry)
+        slopes, drawn = rates.textbook_rates(self.at, self.effects, y, edges, dry)
         return slopes + [self.hidden[i][0].rates(drawn)[self.hidden[i][1].name] for i in self.integrated]
 
-    def _start(self) -> tuple[list[Symbol], Symbol, rates.Edges]:
-        """Start of a step: integrated states, the spool's mean position, and the edges."""
+    def _start(self) -> tuple[list[Symbol], rates.Edges]:
+        """Start of a step: integrated states, and the edges at the spool's mean position over it."""
         self.hidden_now = [self.y[len(TEXTBOOK) + i] for i in range(len(self.hidden))]
         self._bind(self.hidden_now)
+        self.at.began = self.y[2]
         for effect in self.effects:
-            effect.next, effect.at.began = {}, self.y[2]
+            effect.next = {}
         states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
         if self.numbers.load_cell_omega is None:
             states[4] = self._cell_force(states)
-        spool = self._spool()
-        for effect in self.effects:
-            effect.at.spool, effect.at.current = spool, self.current
-        return states, spool, self._edges(spool)
-
-    def _step(self, start: list[Symbol], edges: rates.Edges) -> SX:
-        first, dry = self._first_slopes(start, edges)
-        slopes, weights = [first], (1.0, 2.0, 2.0, 1.0)
-        for reach in (0.5 * self.step, 0.5 * self.step, self.step):
-            probe = [value + reach * slope for value, slope in zip(start, slopes[-1], strict=True)]
-            slopes.append(self._rates(probe, edges, dry[0]))
-        mean = [sum(w * s for w, s in zip(weights, each, strict=True)) / 6.0 for each in zip(*slopes, strict=True)]
-        end = [value + self.step * slope for value, slope in zip(start, mean, strict=True)]
-        end[0], end[1], end[3] = np.fmax(end[0], 0.0), np.fmax(end[1], 0.0), dry[1](end[3])
-        return self._remembered(start, end)
-
-    def _holds(self) -> bool:
-        """Return whether dry friction can hold the mass: with bristles it bends instead."""
-        bristles = any(effect.id == "friction_presliding" for effect in self.effects)
-        return not bristles and any(effect.acts_in("dry_level") for effect in self.effects)
+        spool = self._delayed()
+        for effect in self.commanding:
+            spool = effect.command(spool)
+        self.at.spool, self.at.current = spool, self.current
+        return states, self._edges(spool)
 
     def _sliding(self, velocity: Symbol) -> Symbol:
         return np.sign(velocity) * rates.dry_level(self.effects, velocity)
 
-    def _first_slopes(self, start: list[Symbol], edges: rates.Edges) -> tuple[list[Symbol], Any]:
-        """Slopes where the step begins; dry friction's force and its end of a step."""
+    def _step(self, start: list[Symbol], edges: rates.Edges) -> SX:
+        """y after a step of Runge-Kutta 4."""
         first = self._rates(start, edges, _nothing)
-        if not self._holds():
-            return first, (_nothing, lambda velocity: velocity)
-        dragged = rates.dragged_mass(self.effects, start[2])
-        mass = self.numbers.moving_mass + dragged
-        force, end = stick_slip_friction(
-            lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step
-        )
-        mobility = self.numbers.mobility if isinstance(dragged, float) else 1.0 / mass
-        first[3] = first[3] - force(start[3]) * mobility
-        return first, (force, end)
-
-    def _remembered(self, start: list[Symbol], end: list[Symbol]) -> SX:
-        """y after a step whose integrated states go from start to end."""
+        dry: Callable[[Symbol], Symbol] = _nothing
+        if self.holds:
+            dragged = rates.dragged_mass(self.effects, start[2])
+            mass = self.numbers.moving_mass + dragged
+            dry, at_end = rates.stick_slip_friction(
+                lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step
+            )
+            mobility = self.numbers.mobility if isinstance(dragged, float) else 1.0 / mass
+            first[3] = first[3] - dry(start[3]) * mobility
+        slopes, weights = [first], (1.0, 2.0, 2.0, 1.0)
+        for reach in (0.5 * self.step, 0.5 * self.step, self.step):
+            probe = [value + reach * slope for value, slope in zip(start, slopes[-1], strict=True)]
+            slopes.append(self._rates(probe, edges, dry))
+        mean = [sum(w * s for w, s in zip(weights, each, strict=True)) / 6.0 for each in zip(*slopes, strict=True)]
+        end = [value + self.step * slope for value, slope in zip(start, mean, strict=True)]
+        end[0], end[1] = np.fmax(end[0], 0.0), np.fmax(end[1], 0.0)
+        end[3] = at_end(end[3]) if self.holds else end[3]
         self._bind(self.hidden_now)
         for effect in self.effects:
             effect.advance_states(end[2], end[3])
-        early, late = start, list(end)
+        late = list(end)
         if self.numbers.load_cell_omega is None:
             hidden = list(self.hidden_now)
             self._bind([effect.next.get(one.name, old) for (effect, one), old in zip(self.hidden, hidden, strict=True)])
             late[4] = self._cell_force(end)
             self._bind(hidden)
-        signals = dict(zip(READINGS, zip(self._truth(early), self._truth(late), strict=True), strict=True))
+        before, after = self._truth(start), self._truth(late)
+        signals = {channel: (before[channel], after[channel]) for channel in READINGS}
         for effect in self.effects:
             signals = {channel: effect.filter_signal(channel, *pair) for channel, pair in signals.items()}
         integrated = dict(zip(self.integrated, end[6:], strict=True))
-        hidden = [
+        remembered = [
             integrated[i] if i in integrated else effect.next.get(one.name, self.hidden_now[i])
             for i, (effect, one) in enumerate(self.hidden)
         ]
-        return vertcat(*late[:6], *hidden, self.y[self.y.numel() - self.past :] if self.past else SX(0, 1))
+        return vertcat(*late[:6], *remembered, self.y[self.y.numel() - self.past :] if self.past else SX(0, 1))
 
 
 def _nothing(velocity: Symbol) -> Symbol:

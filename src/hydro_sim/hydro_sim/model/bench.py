@@ -7,7 +7,7 @@ compiled code reads) is derived from them. Values: physics.md, "The nominal benc
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from importlib import resources
 from math import isfinite, pi, sqrt
@@ -84,6 +84,11 @@ class Bench:
         """Return the declarations of the bench's numbers by name: unit, range, meaning."""
         return {name: setting for name, setting in describe(cls).items() if isfinite(setting.low)}
 
+    @classmethod
+    def ranges(cls) -> dict[str, tuple[float, float]]:
+        """Return the range of each of the bench's numbers by name."""
+        return {name: (float(one.low), float(one.high)) for name, one in cls.quantities().items()}
+
     @property
     def valve_gain(self) -> float:
         """K_v [m3/s/A/sqrt(Pa)] (eq. q4)."""
@@ -141,15 +146,19 @@ class Bench:
             raise ValueError(f"a bench has {', '.join(missing)}, too")
         if content.get("learned") is not None:
             Quality.from_mapping(content["learned"])
-        effects = _listed("effects", content.get("effects"), ("id",))
-        closures = _listed("closures", content.get("closures"), ("equation", "form", "parameters"))
-        return from_mapping(cls, {**content, "effects": effects, "closures": closures}, "bench")
+        lists = {}
+        for key, needs in (("effects", ("id",)), ("closures", ("equation", "form", "parameters"))):
+            value = content.get(key)
+            listed = isinstance(value, (list, tuple)) and all(isinstance(one, Mapping) for one in value)
+            if value is not None and not (listed and all(need in one for one in value for need in needs)):
+                raise ValueError(f"{key!r} is a list of mappings, each with an {', '.join(map(repr, needs))}")
+            lists[key] = tuple(map(dict, value or ()))
+        return from_mapping(cls, {**content, **lists}, "bench")
 
     def to_mapping(self) -> dict[str, Any]:
         """Return keys and values as in bench.yaml; the optional ones only if set."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        values["effects"] = [dict(effect) for effect in self.effects]
-        values["closures"] = [dict(closure) for closure in self.closures]
+        values |= {"effects": list(map(dict, self.effects)), "closures": list(map(dict, self.closures))}
         return {key: value for key, value in values.items() if value is not None and value != []}
 
     @property
@@ -168,9 +177,8 @@ class Bench:
 
     def without_effects(self) -> Bench:
         """Return the bench without effects; those that correct its numbers are applied to them."""
-        limits = {name: (one.low, one.high) for name, one in self.quantities().items()}
-        believed = {name: getattr(self, name) for name in limits}
-        numbers: dict[str, Any] = catalogue.correct_numbers(believed, limits, self.effects)
+        believed = {name: getattr(self, name) for name in self.ranges()}
+        numbers: dict[str, Any] = catalogue.correct_numbers(believed, self.ranges(), self.effects)
         return replace(self, effects=(), closures=(), learned=None, **numbers)
 
 
@@ -180,16 +188,6 @@ BENCH_DTYPE = np.dtype(
 )
 """The bench for compiled code, SI units; `valve_gain` is K_v, `load_cell_omega` [rad/s] is 0 for an ideal load cell.
 Effects that are wrong numbers of the bench file are in the numbers; the others are the model's (`bench_model`)."""
-
-
-def _listed(key: str, value: Any, needs: Sequence[str]) -> tuple[Mapping[str, Any], ...]:
-    if value is None:
-        return ()
-    listed = isinstance(value, (list, tuple)) and all(isinstance(one, Mapping) for one in value)
-    if not listed or not all(need in one for one in value for need in needs):
-        wanted = ", ".join(repr(need) for need in needs)
-        raise ValueError(f"{key!r} is a list of mappings, each with an {wanted}")
-    return tuple(dict(one) for one in value)
 
 
 NOMINAL = Bench.nominal().size

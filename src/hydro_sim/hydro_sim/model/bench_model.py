@@ -30,6 +30,7 @@ from hydro_sim.model import hydraulics, machine_code
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, grown, valve
 from hydro_sim.model.effects.base import Hidden, Parameter
+from hydro_sim.model.equations import READINGS
 
 if TYPE_CHECKING:
     from hydro_sim.model.assembly import Functions
@@ -45,8 +46,6 @@ DEAD_TIME = f"{valve.TransportDelay.id}.time"
 
 TEXTBOOK = 6
 """States of the textbook's equations: p_a, p_b, x_p, x_p', and f_l behind its amplifier with its rate."""
-
-READINGS = 5
 
 
 class BenchModel:
@@ -71,9 +70,14 @@ class BenchModel:
         """By their names in bench.yaml; those of an effect: its label, a dot, and the parameter."""
         self.values: FloatArray = np.array(numbers + [value for _, values in kinds for value in values])
         """The parameters' values in the bench file."""
-        self.structure = make_structure(bench, substeps)
-        past = self.structure.past
-        currents = (_state(f"current {i} samples ago", "A", 1e-2, integrated=False) for i in range(past))
+        labels, delay = tuple(catalogue.label(effect) for effect in bench.terms), catalogue.total_delay(bench.effects)
+        needed = ceil(delay / SAMPLE_PERIOD) + 2 if delay > 0.0 else 0
+        past = next(past for past in PASTS if past >= needed)
+        self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
+        """Equal for all benches with the same effects in order."""
+        currents = (
+            Hidden(name=f"current {i} samples ago", unit="A", scale=1e-2, integrated=False) for i in range(past)
+        )
         self.states = (*_TEXTBOOK, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
 
     def address_of(self, name: str) -> int:
@@ -86,28 +90,27 @@ class BenchModel:
         delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME]
         if sum(delays) > max(self.structure.past - 2, 0) * SAMPLE_PERIOD:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
-        k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(READINGS)
+        k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(len(READINGS))
         y[:TEXTBOOK] = hydraulics.rest_state(self.bench.constants()[0])
         self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))
         return k, y, z
 
     def sample(self, k: FloatArray, y: FloatArray, current: float) -> FloatArray:
         """Return readings z, shape (5,), after a sample at a held current [A]; advance y, shape (states,), in place."""
-        z = np.empty(READINGS)
+        z = np.empty(len(READINGS))
         self._code.bench_sample(*self._at(k, y), ctypes.c_double(current), to_c(z))
         return z
 
     def rollout(self, k: FloatArray, y: FloatArray, currents: FloatArray) -> FloatArray:
         """Return readings after each of n samples, shape (n, 5); y changes in place."""
-        z = np.empty((len(currents), READINGS))
-        n = len(currents)
+        n, z = len(currents), np.empty((len(currents), len(READINGS)))
         self._code.bench_rollout(*self._at(k, y), ctypes.c_long(n), to_c(currents, (n,)), to_c(z))
         return z
 
     def jacobian(self, k: FloatArray, y: FloatArray, current: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Run `sample`; return also d y/d(y, u), shape (states, states + 1), and d z/d(y, u), shape (5, states + 1)."""
         width = len(self.states) + 1
-        z, dy, dz = np.empty(READINGS), np.empty((width - 1, width)), np.empty((READINGS, width))
+        z, dy, dz = np.empty(len(READINGS)), np.empty((width - 1, width)), np.empty((len(READINGS), width))
         self._derivatives.bench_jacobian(*self._at(k, y), ctypes.c_double(current), to_c(z), to_c(dy), to_c(dz))
         return z, dy, dz
 
@@ -146,69 +149,42 @@ class Structure:
     substeps: int
 
 
-def make_structure(bench: Bench, substeps: int = SUBSTEPS) -> Structure:
-    """Return the structure of a bench's model, equal for all benches with the same effects in order."""
-    labels = tuple(catalogue.label(effect) for effect in bench.terms)
-    return Structure(labels, bench.load_cell_bandwidth is None, _past(catalogue.total_delay(bench.effects)), substeps)
-
-
-def _state(name: str, unit: str, scale: float, *, integrated: bool = True) -> Hidden:
-    return Hidden(name=name, unit=unit, scale=scale, integrated=integrated)
-
-
-_TEXTBOOK = (
-    _state("pressure_a", "Pa", 1e6), _state("pressure_b", "Pa", 1e6), _state("piston_position", "m", 1e-2),
-    _state("piston_velocity", "m/s", 0.1), _state("load_force", "N", 100.0), _state("load_force_rate", "N/s", 1e3),
+_TEXTBOOK = tuple(
+    Hidden(name=name, unit=unit, scale=scale, integrated=True)
+    for name, unit, scale in (
+        ("pressure_a", "Pa", 1e6), ("pressure_b", "Pa", 1e6), ("piston_position", "m", 1e-2),
+        ("piston_velocity", "m/s", 0.1), ("load_force", "N", 100.0), ("load_force_rate", "N/s", 1e3),
+    )
 )  # fmt: skip
 
 
-def _past(delay: float) -> int:
-    needed = ceil(delay / SAMPLE_PERIOD) + 2 if delay > 0.0 else 0
-    return next(past for past in PASTS if past >= needed)
-
-
-Part = Literal["", "derivatives", "sensitivities"]
-"""Content of a library beside the simulation: `BenchModel`'s derivatives, or those of `bench_states.Sensitivities`."""
-
-
 @lru_cache(maxsize=256)
-def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
-    """Return the compiled library of a structure, built on first use."""
-    return machine_code.cached_library(
-        _name(structure, part), lambda: _source(structure, part), said=lambda: _say(structure)
-    )
+def library(structure: Structure, part: Literal["", "derivatives", "sensitivities"] = "") -> ctypes.CDLL:
+    """Return the compiled library of a structure, built on first use.
 
+    `part`: content beside the simulation: `BenchModel`'s derivatives, or those of `bench_states.Sensitivities`.
+    """
 
-def _name(structure: Structure, part: Part) -> str:
-    return f"{structure} {part} {_sources_digest()}"
+    def source() -> str:
+        from hydro_sim.model.source import c_source  # only what is not compiled yet waits for CasADi
 
+        what = ", ".join(structure.labels) or "no effects"
+        print(f"compiling the model of a bench with {what}: some seconds, once", file=sys.stderr, flush=True)
+        asked = {"derivatives": part == "derivatives", "sensitivities": part == "sensitivities"}
+        return c_source(_assembled(structure), structure.substeps, **asked)
 
-def _say(structure: Structure) -> None:
-    what = ", ".join(structure.labels) or "no effects"
-    print(f"compiling the model of a bench with {what}: some seconds, once", file=sys.stderr, flush=True)
+    return machine_code.cached_library(f"{structure} {part} {_sources_digest()}", source)
 
 
 @lru_cache(maxsize=8)
 def _assembled(structure: Structure) -> Functions:
-    from hydro_sim.model.assembly import Assembly  # only what is not compiled yet waits for CasADi
+    from hydro_sim.model.assembly import Assembly
 
     effects = [catalogue.KINDS[label].make() for label in structure.labels]
     made = Assembly(
-        _limits(), effects, ideal_cell=structure.ideal_cell, past=structure.past, substeps=structure.substeps
+        Bench.ranges(), effects, ideal_cell=structure.ideal_cell, past=structure.past, substeps=structure.substeps
     )
     return made.functions()
-
-
-def _limits() -> dict[str, tuple[float, float]]:
-    """Names of a bench's numbers, with the range of each."""
-    return {name: (float(one.low), float(one.high)) for name, one in Bench.quantities().items()}
-
-
-def _source(structure: Structure, part: Part) -> str:
-    from hydro_sim.model.source import c_source
-
-    asked = {"derivatives": part == "derivatives", "sensitivities": part == "sensitivities"}
-    return c_source(_assembled(structure), structure.substeps, **asked)
 
 
 @lru_cache(maxsize=1)
@@ -220,7 +196,7 @@ def _sources_digest() -> str:
     names = ["equations.py", "rates.py", "laws.py", "tables.py", "assembly.py", "source.py"]
     folders = [one for folder in ("effects", "grammar") for one in sorted((here / folder).glob("*.py"))]
     files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders, *grown.effect_files()]
-    others = f"{SAMPLE_PERIOD} {_limits()} casadi {version('casadi')}".encode()
+    others = f"{SAMPLE_PERIOD} {Bench.ranges()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 
 

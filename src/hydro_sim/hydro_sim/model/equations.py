@@ -26,6 +26,9 @@ Symbol = Any
 Pair = tuple[Symbol, Symbol]
 """Chamber A's and chamber B's."""
 
+READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+"""What the sensors read, in the order of every array of readings."""
+
 LOAD_CELL_DAMPING = math.sqrt(0.5)
 """Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
 

@@ -30,13 +30,6 @@ def flow_gains(bench, pressure_a, pressure_b, opening):
 
 
 @njit
-def chamber_flows(bench, pressure_a, pressure_b, current):
-    """Flows [m3/s] into chamber A and into chamber B at valve current [A]."""
-    gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, current)
-    return gain_a * current, -gain_b * current
-
-
-@njit
 def stiffnesses(bench, position):
     """beta/V [Pa/m3] of both chambers at piston position [m]."""
     return eq.stiffnesses(bench, (bench.bulk_modulus, bench.bulk_modulus), position)
@@ -45,8 +38,8 @@ def stiffnesses(bench, position):
 @njit
 def pressure_rates(bench, pressure_a, pressure_b, position, velocity, current):
     """p_a', p_b' [Pa/s] at valve current [A]."""
-    flows = chamber_flows(bench, pressure_a, pressure_b, current)
-    return eq.pressure_rates(bench, stiffnesses(bench, position), flows, velocity)
+    gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, current)
+    return eq.pressure_rates(bench, stiffnesses(bench, position), (gain_a * current, -gain_b * current), velocity)
 
 
 @njit

@@ -33,13 +33,13 @@ FLAGS = (
 """Sums stay in their order; a product and a sum may be rounded once."""
 
 
-def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], None] = lambda: None) -> ctypes.CDLL:
-    """Return the cached library of a specification; compiles the C of `source()` if missing, after calling `said`.
+def cached_library(name: str, source: Callable[[], str]) -> ctypes.CDLL:
+    """Return the cached library of a specification; compiles the C of `source()` if missing.
 
     `name`: specification of the source as text: all that it depends on. Raises ValueError: there is no C compiler, it
     fails, or there is no place to keep the library.
     """
-    file = library_path(name)
+    file = cache_folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
     if found := _loaded(file):
         return found
     try:
@@ -48,7 +48,6 @@ def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], N
             fcntl.flock(lock, fcntl.LOCK_EX)
             if found := _loaded(file):
                 return found
-            said()
             with tempfile.TemporaryDirectory(dir=file.parent) as place:
                 made = Path(place) / "model.so"
                 compile_c(source(), made)
@@ -60,11 +59,6 @@ def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], N
     if found := _loaded(file):
         return found
     raise ValueError(f"{file} was compiled and cannot be loaded: set NUMBA_CACHE_DIR to a folder that allows programs")
-
-
-def library_path(name: str) -> Path:
-    """Return the path of a specification's library for this machine."""
-    return cache_folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
 
 
 def _loaded(file: Path) -> ctypes.CDLL | None:
@@ -133,15 +127,3 @@ def declare_call(signature: Any, letters: str) -> Any:
 def sample(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any) -> Any:
     """Call `bench_sample` at an address: y, in place, and readings z after a sample at a current [A]. For numba."""
     return declare_call(types.void(types.int64, k, y, types.float64, z), "ppdp")
-
-
-@intrinsic
-def jacobian(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any, dy: Any, dz: Any) -> Any:
-    """Call `bench_jacobian`: as `sample`, with d y/d(y, u) and d z/d(y, u) by rows into dy and dz. For numba."""
-    return declare_call(types.void(types.int64, k, y, types.float64, z, dy, dz), "ppdppp")
-
-
-@intrinsic
-def rates(typingctx: Any, address: Any, k: Any, count: Any, y: Any, currents: Any, slopes: Any) -> Any:
-    """Call `bench_rates`: y' at each of `count` states and currents, by rows into `slopes`. For numba."""
-    return declare_call(types.void(types.int64, k, types.int64, y, currents, slopes), "plppp")

@@ -12,13 +12,10 @@ from dataclasses import dataclass
 from math import exp, log
 from typing import Any
 
-from hydro_core.signals import PLANT_FIELDS
+from hydro_sim.model.equations import READINGS
 
 HORIZON = 70
 """Length of a prediction [samples]."""
-
-READINGS = tuple(PLANT_FIELDS[column] for column in (0, 2, 4, 5, 6))
-"""Sensor readings, in the order of a model's."""
 
 RATIO_MAX = 3.0
 """Largest error of a model that is relied on, over the noise: geometric mean of the readings."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model import equations as eq
-from hydro_sim.model.effects.base import Effect
+from hydro_sim.model.effects.base import Effect, EffectContext
 from hydro_sim.model.equations import Symbol, choose
 
 Edges = tuple[Symbol, Symbol]
@@ -43,49 +43,38 @@ def dragged_mass(effects: Sequence[Effect], position: Symbol) -> Symbol:
     return sum(effect.inertia(position) for effect in dragging) if dragging else 0.0
 
 
-def valve_flows(
-    n: Any, effects: Sequence[Effect], p_a: Symbol, p_b: Symbol, edges: Edges
-) -> tuple[Symbol, Symbol, Symbol]:
-    """Return the valve's flows [m3/s] into chamber A, into chamber B, and out of the supply, at pressures [Pa]."""
-    out, back = edges
-    supply = n.supply_pressure
+def textbook_rates(
+    at: EffectContext, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges, dry: Callable[[Symbol], Symbol]
+) -> tuple[list[Symbol], Symbol]:
+    """Return y', of length 6, and the flow out of the supply [m3/s]; `dry`: dry friction [N] by velocity [m/s].
+
+    `at`: context of the effects, to which this writes the state.
+    """
+    n, (p_a, p_b, position, velocity, shown, shown_rate) = at.numbers, y[:6]
+    at.position, at.velocity, at.pressures, at.load_force = position, velocity, (p_a, p_b), shown
+    # the valve
+    (out, back), supply = edges, n.supply_pressure
     for effect in effects:
         supply = effect.supply(supply)
     drops_out, drops_back = eq.edge_drops(supply, n.tank_pressure, p_a, p_b)
     if any(effect.all_edges for effect in effects):
         drawn_a, drawn_b = eq.orifice(out, drops_out[0]), eq.orifice(back, drops_back[1])
         into_a, into_b = drawn_a - eq.orifice(back, drops_back[0]), drawn_b - eq.orifice(out, drops_out[1])
-        return into_a, into_b, drawn_a + drawn_b
-    outwards, opening = out > 0.0, out - back  # one of the two is closed
-    into_a = eq.orifice(opening, choose(outwards, drops_out[0], drops_back[0]))
-    into_b = -eq.orifice(opening, choose(outwards, drops_out[1], drops_back[1]))
-    return into_a, into_b, choose(outwards, into_a, into_b)
-
-
-def pressure_rates(
-    n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges
-) -> tuple[Symbol, Symbol, Symbol]:
-    """Return p_a', p_b' [Pa/s], and the flow out of the supply [m3/s]."""
-    p_a, p_b, position, velocity = y[:4]
-    into_a, into_b, drawn = valve_flows(n, effects, p_a, p_b, edges)
+        drawn = drawn_a + drawn_b
+    else:
+        outwards, opening = out > 0.0, out - back  # one of the two is closed
+        into_a = eq.orifice(opening, choose(outwards, drops_out[0], drops_back[0]))
+        into_b = -eq.orifice(opening, choose(outwards, drops_out[1], drops_back[1]))
+        drawn = choose(outwards, into_a, into_b)
+    # the chambers
     modulus_a = modulus_b = n.bulk_modulus
     for effect in effects:
         from_a, from_b = effect.leaks(p_a, p_b)
         into_a, into_b = into_a - from_a, into_b - from_b
         modulus_a, modulus_b = effect.modulus(modulus_a, p_a), effect.modulus(modulus_b, p_b)
     stiff = eq.stiffnesses(n, (modulus_a, modulus_b), position)
-    return *eq.pressure_rates(n, stiff, (into_a, into_b), velocity), drawn
-
-
-def textbook_rates(
-    n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges, dry: Callable[[Symbol], Symbol]
-) -> tuple[list[Symbol], Symbol]:
-    """Return y', of length 6, and the flow out of the supply [m3/s]; `dry`: dry friction [N] by velocity [m/s]."""
-    p_a, p_b, position, velocity, shown, shown_rate = y[:6]
-    for effect in effects:
-        effect.at.position, effect.at.velocity, effect.at.pressures = position, velocity, (p_a, p_b)
-        effect.at.load_force = shown
-    rate_a, rate_b, drawn = pressure_rates(n, effects, y, edges)
+    rate_a, rate_b = eq.pressure_rates(n, stiff, (into_a, into_b), velocity)
+    # mass, load and load cell
     force = load_force(n, effects, position)
     against = n.viscous_friction * velocity + eq.stop_force(n, position, velocity) + dry(velocity)
     for effect in effects:
@@ -94,9 +83,8 @@ def textbook_rates(
     driving = eq.hydraulic_force(n, p_a, p_b) - against - force
     acceleration = driving * n.mobility if isinstance(dragged, float) else driving / (n.moving_mass + dragged)
     force = force + dragged * acceleration
-    cell = (
-        eq.amplifier_acceleration(n.load_cell_omega, force, shown, shown_rate) if n.load_cell_omega is not None else 0.0
-    )
+    ideal = n.load_cell_omega is None
+    cell = 0.0 if ideal else eq.amplifier_acceleration(n.load_cell_omega, force, shown, shown_rate)
     return [rate_a, rate_b, velocity, acceleration, shown_rate, cell], drawn
 
 

@@ -3,7 +3,7 @@
 
 ::
 
-    truth    f_h  f_l  p_a  p_b  x_p                              RAW_FIELDS, 5
+    truth    f_h  f_l  p_a  p_b  x_p                              READINGS, 5
       | noise, quantisation             (sense: the sensors)
       | differentiated, lightly filtered (condition: the box)
     x        f_h  f_h'  f_l  f_l'  p_a  p_b  x_p  x_p'            PLANT_FIELDS, 8 (eq. state_def)
@@ -25,9 +25,7 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_core.size import Size, rescale
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
-
-RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-"""Sensor readings, in the order of every raw array here."""
+from hydro_sim.model.equations import READINGS
 
 SENSORS_DTYPE = np.dtype(
     [("force_noise", np.float64), ("pressure_noise", np.float64), ("position_step", np.float64)]
@@ -65,14 +63,10 @@ class Sensors:
 
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
         """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""
-        memories = _memory(self.force_rate_age), _memory(self.velocity_age)
+        ages = self.force_rate_age / SAMPLE_PERIOD, self.velocity_age / SAMPLE_PERIOD
+        memories = ((age - 0.5) / (age + 0.5) for age in ages)
         noises = scale * self.force_noise, scale * self.pressure_noise, scale * self.position_step
         return np.array([(*noises, *memories)], SENSORS_DTYPE)
-
-
-def _memory(age: float) -> float:
-    """Coefficient a of a differentiator of that age [s]."""
-    return (age / SAMPLE_PERIOD - 0.5) / (age / SAMPLE_PERIOD + 0.5)
 
 
 class Noise:
@@ -82,23 +76,19 @@ class Noise:
 
     def __init__(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)
-        self._block: FloatArray = np.empty((0, len(RAW_FIELDS)))
-        self._used = 0
+        self._coming: FloatArray = np.empty((0, len(READINGS)))
 
     def row(self) -> FloatArray:
         """Return the next sample's standard normal numbers, shape (5,)."""
-        if self._used == len(self._block):
-            self._block = self._generator.standard_normal((self.BLOCK, len(RAW_FIELDS)))
-            self._used = 0
-        self._used += 1
-        return self._block[self._used - 1]
+        return self.rows(1)[0]
 
     def rows(self, count: int) -> FloatArray:
         """Return the standard normal numbers of the next `count` samples, shape (count, 5)."""
-        kept = self._block[self._used :]
-        fresh = self._generator.standard_normal((max(count - len(kept), 0), len(RAW_FIELDS)))
-        self._block, self._used = (self._block, self._used + count) if len(kept) >= count else (fresh[:0], 0)
-        return np.concatenate((kept[:count], fresh))
+        if (missing := count - len(self._coming)) > 0:
+            drawn = self._generator.standard_normal((max(missing, self.BLOCK), len(READINGS)))
+            self._coming = np.concatenate((self._coming, drawn))
+        rows, self._coming = self._coming[:count], self._coming[count:]
+        return rows
 
 
 @njit

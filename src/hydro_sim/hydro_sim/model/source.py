@@ -14,7 +14,8 @@ import casadi
 from casadi import SX
 
 from hydro_core.signals import SAMPLE_PERIOD
-from hydro_sim.model.assembly import READINGS, Functions
+from hydro_sim.model.assembly import Functions
+from hydro_sim.model.equations import READINGS
 
 Inputs = Sequence[tuple[str, SX]]
 Outputs = Sequence[tuple[str, SX]]
@@ -27,43 +28,38 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
     """
     if substeps % 2:
         raise ValueError(f"{substeps} integration steps in a sample are not an even number")
-    k, y = ("k", model.k), ("y", model.y)
-    at: Inputs = [k, y, ("u", model.current), ("share", model.share)]
-    functions: list[tuple[str, Inputs, Outputs]] = [
-        ("once", [("theta", model.theta)], [("out", model.once)]),
-        ("begin", [k, y], [("out", model.begin)]),
-        ("enter", [y, ("u", model.current)], [("out", model.enter)]),
-        ("step", at, [("out", model.step)]),
-        ("read", [k, y], [("z", model.read)]),
-        ("rates", at, [("out", model.rates)]),
-        *(_tangents(model, at) if derivatives else []),
-        *(_partials(model, at) if sensitivities else []),
-    ]
-    sizes = {"N": model.y, "M": model.k, "P": model.theta, "RATES": model.rates}
-    head = "".join(f"#define {name} {symbols.numel()}\n" for name, symbols in sizes.items())
-    head += f"#define SUBSTEPS {substeps}\n" + "#define DERIVATIVES\n" * derivatives
-    head += _places(model) if sensitivities else ""
+    functions = [*_functions(model, "once begin enter step read rates"), *(_tangents(model) if derivatives else [])]
+    head = f"#define N {model.y.numel()}\n#define M {model.k.numel()}\n#define P {model.theta.numel()}\n"
+    head += (
+        f"#define RATES {model.rates.numel()}\n#define SUBSTEPS {substeps}\n" + "#define DERIVATIVES\n" * derivatives
+    )
+    files = ["bench_model.c"]
+    if sensitivities:
+        once = casadi.sparsify(casadi.jacobian(model.once, model.theta))
+        at, step, read = _inputs(model), _partial(model.step, model), _partial(model.read, model)
+        files.append("bench_sensitivities.c")
+        functions += [
+            ("once_partials", [("theta", model.theta)], [("out", model.once), ("partials", once.nz[:])]),
+            ("step_partials", at, [("out", model.step), ("partials", step.nz[:])]),
+            ("read_partials", at[:2], [("z", model.read), ("partials", read.nz[:])]),
+        ]
+        head += f"#define HELD {model.y.numel() - model.past}\n"
+        for name, matrix in (("ONCE", once), ("STEP", step), ("READ", read)):
+            rows, columns = matrix.sparsity().get_triplet()
+            head += f"#define {name}_PARTIALS {len(rows)}\n"
+            for word, places in (("ROW", rows), ("COLUMN", columns)):
+                head += f"static const short {name}_{word}[] = {{{', '.join(map(str, places))}}};\n"
     body = "\n".join(_function(*entry) for entry in functions)
-    files = ["bench_model.c", *(["bench_sensitivities.c"] if sensitivities else [])]
-    loops = "\n".join((resources.files("hydro_sim.model") / name).read_text(encoding="utf-8") for name in files)
-    return f"#include <math.h>\n{head}\n{body}\n{loops}"
+    return f"#include <math.h>\n{head}\n{body}\n" + "\n".join(map(_loops, files))
 
 
 def exported_source(model: Functions, substeps: int) -> str:
     """Return the C source for `hydro_sim.export`, without loops; all names begin with `hydro_`."""
-    k, y = ("k", model.k), ("y", model.y)
-    at: Inputs = [k, y, ("u", model.current)]
-    functions: list[tuple[str, Inputs, Outputs]] = [
-        ("once", [("theta", model.theta)], [("out", model.once)]), ("rest", [k], [("out", model.rest)]),
-        ("begin", [k, y], [("out", model.begin)]), ("enter", [y, ("u", model.current)], [("out", model.enter)]),
-        ("step", [*at, ("share", model.share)], [("out", model.step)]), ("read", [k, y], [("z", model.read)]),
-        ("motion", [*at, ("share", model.share), ("slide", model.slide)], [("out", model.motion)]),
-    ]  # fmt: skip
     sizes = {"STATES": model.y, "COEFFICIENTS": model.k, "PARAMETERS": model.theta, "MOTION": model.motion}
     head = "".join(f"#define HYDRO_{name} {symbols.numel()}\n" for name, symbols in sizes.items())
     head += f"#define HYDRO_SUBSTEPS {substeps}\n#define HYDRO_STEP ({SAMPLE_PERIOD!r} / HYDRO_SUBSTEPS) /* s */\n"
-    text = "\n".join(_function(f"hydro_{name}", *rest) for name, *rest in functions)
-    return head + "\n" + re.sub(r"(static void \w+\((.*?)\)\n\{\n)", _used, text, flags=re.DOTALL)
+    functions = _functions(model, "once rest begin enter step read motion")
+    return head + "\n" + _with_used("\n".join(_function(f"hydro_{name}", *rest) for name, *rest in functions))
 
 
 def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: bool) -> str:
@@ -71,23 +67,13 @@ def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: b
 
     Raises ValueError: the model needs a mathematical function that a box does not have.
     """
-    k, y = ("k", model.k), ("y", model.y)
-    at: Inputs = [k, y, ("u", model.current), ("share", model.share)]
-    functions: list[tuple[str, Inputs, Outputs]] = [
-        ("rates", at, [("out", model.rates)]), ("enter", [y, ("u", model.current)], [("out", model.enter)]),
-    ]  # fmt: skip
-    if jacobian:
-        functions += _tangents(model, at)
-    else:
-        functions += [("step", at, [("out", model.step)]), ("read", [k, y], [("z", model.read)])]
-    loops = (resources.files("hydro_sim.model") / "bench_model.c").read_text(encoding="utf-8")
+    functions = _functions(model, "rates enter") + (_tangents(model) if jacobian else _functions(model, "step read"))
     wanted = ["rates", "jacobian" if jacobian else "sample"]
+    loops = _loops("bench_model.c")
     cut = [re.search(rf"^void bench_{one}.*?^}}\n", loops, re.MULTILINE | re.DOTALL) for one in wanted]
     text = "\n".join(_function(*entry) for entry in functions)
     text += "\n".join(found[0].replace("void bench_", "static void all_") for found in cut if found is not None)
-    numbers = {
-        "N": model.y.numel(), "SUBSTEPS": substeps, "Z": len(READINGS), "RATES": model.rates.numel()
-    }  # fmt: skip
+    numbers = {"N": model.y.numel(), "SUBSTEPS": substeps, "Z": len(READINGS), "RATES": model.rates.numel()}
     for name, number in numbers.items():
         text = re.sub(rf"\b{name}\b", str(number), text)
     names = [*(name for name, _, _ in functions), *(f"all_{one}" for one in wanted)]
@@ -102,31 +88,52 @@ def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: b
         text = re.sub(pattern, becomes, text)
     if missing := re.search(r"\b(log|pow|sin|cos|tanh|floor|log1p|expm1)\(", text):
         raise ValueError(f"the model needs {missing[1]}(), which a box in C does not have")
-    return re.sub(r"(static void \w+\((.*?)\)\n\{\n)", _used, text, flags=re.DOTALL)
+    return _with_used(text)
 
 
-def _used(head: re.Match[str]) -> str:
-    """The beginning of a function in which no argument is unused."""
-    names = [word.split()[-1].lstrip("*") for word in head[2].split(",")]
-    return head[1] + "".join(f"    (void){name};\n" for name in names)
+def _loops(file: str) -> str:
+    return (resources.files("hydro_sim.model") / file).read_text(encoding="utf-8")
 
 
-def _tangents(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:
+def _with_used(text: str) -> str:
+    """The text with functions in which no argument is unused."""
+
+    def marked(head: re.Match[str]) -> str:
+        names = [word.split()[-1].lstrip("*") for word in head[2].split(",")]
+        return head[1] + "".join(f"    (void){name};\n" for name in names)
+
+    return re.sub(r"(static void \w+\((.*?)\)\n\{\n)", marked, text, flags=re.DOTALL)
+
+
+def _inputs(model: Functions) -> list[tuple[str, SX]]:
+    return [("k", model.k), ("y", model.y), ("u", model.current), ("share", model.share)]
+
+
+def _functions(model: Functions, names: str) -> list[tuple[str, Inputs, Outputs]]:
+    """Functions of a model by name, with their arguments in C."""
+    at = _inputs(model)
+    inputs: dict[str, Inputs] = {
+        "once": [("theta", model.theta)], "rest": at[:1], "begin": at[:2], "enter": at[1:3], "step": at, "read": at[:2],
+        "rates": at, "motion": [*at, ("slide", model.slide)],
+    }  # fmt: skip
+    return [(name, inputs[name], [("z" if name == "read" else "out", getattr(model, name))]) for name in names.split()]
+
+
+def _tangents(model: Functions) -> list[tuple[str, Inputs, Outputs]]:
     """Propagation of d y/d(y, u), D of shape (N, N + 1)."""
-    states = model.y.numel()
-    d = casadi.SX.sym("D", states, states + 1)
+    at, states = _inputs(model), model.y.numel()
+    d = SX.sym("D", states, states + 1)
 
     def moved(outcome: SX) -> SX:
         by_current = casadi.horzcat(SX.zeros(states, states), casadi.jacobian(outcome, model.current))
         return (casadi.jacobian(outcome, model.y) @ d + by_current).T
 
+    z = [("z", model.read), ("dz", (casadi.jacobian(model.read, model.y) @ d).T)]
     return [
         ("enter_tangent", [("D", d)], [("out", moved(model.enter))]),
         ("step_tangent", [*at, ("D", d)], [("out", model.step), ("moved", moved(model.step))]),
-        ("read_tangent", [*at[:2], ("D", d)], [
-            ("z", model.read), ("dz", (casadi.jacobian(model.read, model.y) @ d).T),
-        ]),
-    ]  # fmt: skip
+        ("read_tangent", [*at[:2], ("D", d)], z),
+    ]
 
 
 def _partial(outcome: SX, model: Functions) -> SX:
@@ -134,29 +141,6 @@ def _partial(outcome: SX, model: Functions) -> SX:
     held = model.y.numel() - model.past
     jacobian = casadi.horzcat(casadi.jacobian(outcome, model.y)[:, :held], casadi.jacobian(outcome, model.k))
     return casadi.sparsify(jacobian[:held, :] if outcome.numel() == model.y.numel() else jacobian)
-
-
-def _partials(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:
-    """Outputs, and those of their derivatives by y and k that are not always 0."""
-    step, read = (_partial(outcome, model).nz[:] for outcome in (model.step, model.read))
-    once = casadi.sparsify(casadi.jacobian(model.once, model.theta)).nz[:]
-    return [
-        ("once_partials", [("theta", model.theta)], [("out", model.once), ("partials", once)]),
-        ("step_partials", at, [("out", model.step), ("partials", step)]),
-        ("read_partials", at[:2], [("z", model.read), ("partials", read)]),
-    ]
-
-
-def _places(model: Functions) -> str:
-    """Rows and columns of these derivatives, as C arrays."""
-    once = casadi.sparsify(casadi.jacobian(model.once, model.theta))
-    text = f"#define HELD {model.y.numel() - model.past}\n"
-    for name, matrix in (("ONCE", once), ("STEP", _partial(model.step, model)), ("READ", _partial(model.read, model))):
-        rows, columns = matrix.sparsity().get_triplet()
-        text += f"#define {name}_PARTIALS {len(rows)}\n"
-        for word, places in (("ROW", rows), ("COLUMN", columns)):
-            text += f"static const short {name}_{word}[] = {{{', '.join(map(str, places))}}};\n"
-    return text
 
 
 def _function(name: str, inputs: Inputs, outputs: Outputs) -> str:

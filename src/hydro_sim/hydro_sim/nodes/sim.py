@@ -53,8 +53,7 @@ class SimulatedPlant(Simulation):
             "effects": self.effects or "none",
             "refused by the box": self._box.refused[0],
         }
-        pace = f"{self.mean_speed():.2f} times real time"
-        return Status(message=f"{mode(self.flags)}, {pace}", values=values)
+        return Status(message=f"{mode(self.flags)}, {self.mean_speed():.2f} times real time", values=values)
 
 
 class SimNode(PlantNode):
@@ -114,21 +113,19 @@ def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
         description="The simulated bench in place of emulator and bridge: same topics, types, rates and rules.",
         epilog="Limits and time-outs of guard and box are ROS parameters: --ros-args -p box.load_force_limit:=600.0.",
     )
-    texts, defaults = describe(SimSettings), SimSettings()
-    for name in ("model", "bench", "box_bench", "pace", "noise", "seed"):
+    declared, defaults = describe(SimSettings), SimSettings()
+    for name, setting in declared.items():
         default = getattr(defaults, name)
-        parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=texts[name].text)
+        parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=setting.text)
     site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     reject_speed_option(own)
     asked = parser.parse_args(own)
     site.apply_site_option(asked, bench=site.BENCH, model=site.MODEL)
-    options: dict[str, Any] = {
+    given: dict[str, Any] = {
         name: str(value) if isinstance(value, Path) else value for name, value in vars(asked).items()
     }
-    del options["site"]
-    realtime = options.pop("realtime")
-    return replace(defaults, **options), realtime
+    return replace(defaults, **{name: given[name] for name in declared}), asked.realtime
 
 
 def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:

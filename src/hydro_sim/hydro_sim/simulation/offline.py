@@ -80,8 +80,8 @@ def simulate(
 
     Raises ValueError: the schedule's shapes are wrong, or it has a recorded reference and the plant is not analytic.
     """
-    box = Box(bench, config)
-    gains, correction = _changes(schedule, box.config)
+    box, samples = Box(bench, config), schedule.samples
+    changes = _changes(schedule, box.config)
     box.receive(Command(), 0.0)
     measurement = plant.reset(seed)
     law = box.config.compensated if schedule.law is Law.COMPENSATED else PAPER_LAW
@@ -89,47 +89,40 @@ def simulate(
     if isinstance(schedule.reference, ReferenceSignal):
         reference = schedule.reference
     else:
-        played = _played(schedule.reference, schedule.samples)
+        played = _played(schedule.reference, samples)
     begin = Command(
-        arm=True, reference=reference, filter_fresh=len(correction) > 0, law=schedule.law,
+        arm=True, reference=reference, filter_fresh=schedule.correction is not None, law=schedule.law,
         velocity_compensation=law.velocity_compensation, valve_gain_scale=law.valve_gain_scale,
     )  # fmt: skip
-    output = np.zeros(schedule.samples, STATE_DTYPE)
-    if not isinstance(plant, AnalyticPlant):
-        if len(played):
-            raise ValueError("a recorded reference is played on an analytic plant alone")
-        for k in range(len(output)):
-            delta_kp, delta_ki = map(float, gains[min(k // SAMPLES_PER_STEP, len(gains) - 1)])
-            delta_u = float(correction[k]) if len(correction) else 0.0
+    output = np.zeros(samples, STATE_DTYPE)
+    if isinstance(plant, AnalyticPlant):
+        command, playing = np.zeros(1, firmware.DOUBLE.command), box.state["reference"]
+        fill_command(command, begin)
+        records = plant.constants, plant.sensors, plant.state, box.settings, box.state, command
+        signals = played, command["reference"], playing["coming"], playing["fade_start"]
+        _loop(firmware.function_addresses(), *records, *signals, changes, plant.noise.rows(samples), output)
+    elif not len(played):
+        for k, (delta_kp, delta_ki, delta_u) in enumerate(changes.tolist()):
             now = k * SAMPLE_PERIOD
             box.receive(replace(begin, delta_kp=delta_kp, delta_ki=delta_ki, delta_u=delta_u), now)
             output[k] = box.tick(measurement, now)
             measurement = plant.step(float(output["valve_current"][k]))
-        return output
-    command = np.zeros(1, firmware.DOUBLE.command)
-    fill_command(command, begin)
-    noise = plant.noise.rows(schedule.samples)
-    records = (plant.constants, plant.sensors, plant.state, box.settings, box.state, command)
-    playing = box.state["reference"]
-    signals = (played, command["reference"], playing["coming"], playing["fade_start"])
-    _loop(firmware.function_addresses(), *records, *signals, gains, correction, noise, output)
+    else:
+        raise ValueError("a recorded reference is played on an analytic plant alone")
     return output
 
 
 @njit
 def _loop(
-    code, constants, sensors, plant_state, settings, box, command, played, wanted, coming, fade_start, gains,
-    correction, noise, output,
+    code, constants, sensors, plant_state, settings, box, command, played, wanted, coming, fade_start, changes, noise,
+    output,
 ):  # fmt: skip
     for k in range(len(output)):
         if len(played) > 0:
             wanted[0] = played[k]
             coming[0] = played[k]
             fade_start[0] = -1.0
-        row = min(k // SAMPLES_PER_STEP, len(gains) - 1)
-        command[0].delta_kp, command[0].delta_ki = gains[row, 0], gains[row, 1]
-        if len(correction) > 0:
-            command[0].delta_u = correction[k]
+        command[0].delta_kp, command[0].delta_ki, command[0].delta_u = changes[k, 0], changes[k, 1], changes[k, 2]
         firmware.receive(code.receive, box, settings, command, k * SAMPLE_PERIOD)
         firmware.tick(code.tick, box, settings, plant_state[0].x, k * SAMPLE_PERIOD, output[k : k + 1])
         plants.advance(constants, sensors, plant_state, noise[k], output[k].valve_current)
@@ -156,15 +149,14 @@ def _played(reference: FloatArray, samples: int) -> npt.NDArray[np.void]:
     return signals
 
 
-def _changes(schedule: Schedule, config: BoxConfig) -> tuple[FloatArray, FloatArray]:
-    """Gain changes against the box's base gains, shape (rows, 2), and the correction, shape (samples,) or (0,)."""
-    gains = np.atleast_2d(np.asarray(schedule.gains, np.float64))
+def _changes(schedule: Schedule, config: BoxConfig) -> FloatArray:
+    """Gain changes against the box's base gains, and the correction, shape (samples, 3)."""
+    gains, samples = np.atleast_2d(np.asarray(schedule.gains, np.float64)), schedule.samples
     if gains.ndim != 2 or gains.shape[1] != 2 or len(gains) == 0:
         raise ValueError(f"gains of shape {gains.shape} are neither a pair nor (policy steps, 2)")
-    correction: npt.NDArray[np.float64] = np.empty(0)
-    if schedule.correction is not None:
-        correction = np.ascontiguousarray(schedule.correction, np.float64)
-        if correction.shape != (schedule.samples,):
-            raise ValueError(f"correction of shape {correction.shape} for {schedule.samples} samples")
+    correction = np.zeros(samples) if schedule.correction is None else np.asarray(schedule.correction, np.float64)
+    if correction.shape != (samples,):
+        raise ValueError(f"correction of shape {correction.shape} for {samples} samples")
     own = config.compensated if schedule.law is Law.COMPENSATED else config
-    return np.ascontiguousarray(gains - (own.base_kp, own.base_ki)), correction
+    rows = np.minimum(np.arange(samples) // SAMPLES_PER_STEP, len(gains) - 1)
+    return np.column_stack(((gains - (own.base_kp, own.base_ki))[rows], correction))

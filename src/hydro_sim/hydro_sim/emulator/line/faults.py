@@ -65,7 +65,7 @@ class FaultyLine:
     @property
     def faulty(self) -> bool:
         """Whether frames may be lost here."""
-        return self._any()
+        return bool(self._held) or any(getattr(self.faults, name) for name in FAULT_NAMES)
 
     @property
     def stalled(self) -> bool:
@@ -84,7 +84,7 @@ class FaultyLine:
 
     def transmit(self, chunk: bytes, now: float) -> bytes:
         """Put `chunk`, possibly empty, on the line, and return the bytes that arrive by `now` [s]."""
-        out = self._disturb(chunk) if chunk and self._any() else chunk
+        out = self._disturb(chunk) if chunk and self.faulty else chunk
         if now < self._stalled_until:
             if sum(map(len, self._waiting)) + len(out) <= self.LIMIT:
                 self._waiting.append(out)
@@ -97,9 +97,6 @@ class FaultyLine:
             self._waiting.clear()
         return out
 
-    def _any(self) -> bool:
-        return bool(self._held) or any(getattr(self.faults, name) for name in FAULT_NAMES)
-
     def _happens(self, name: str) -> bool:
         chance = getattr(self.faults, name)
         happens = chance > 0.0 and self._random.random() < chance
@@ -107,8 +104,9 @@ class FaultyLine:
         return bool(happens)
 
     def _disturb(self, frame: bytes) -> bytes:
+        held, self._held = self._held, b""
         if self._happens("drop"):
-            return self._released()
+            return held
         data = bytearray(frame)
         if self._happens("corrupt"):
             for bit in self._random.integers(0, 8 * len(data), self._random.integers(1, 9)):
@@ -122,11 +120,7 @@ class FaultyLine:
             out = self._random.bytes(int(self._random.integers(1, 65))) + out
         if self._happens("duplicate"):
             out += out
-        if not self._held and self._happens("reorder"):
+        if not held and self._happens("reorder"):
             self._held = out
             return b""
-        return out + self._released()
-
-    def _released(self) -> bytes:
-        held, self._held = self._held, b""
-        return held
+        return out + held

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hydro_bridge.serial.protocol import encode_clock
@@ -12,15 +10,6 @@ from hydro_sim.box.box import Box
 from hydro_sim.emulator.line.faults import FAULT_NAMES, FaultyLine, LinkFaults
 from hydro_sim.emulator.line.host import HostState
 from hydro_sim.emulator.line.terminal import Terminal
-
-
-@dataclass
-class LinkReport:
-    """Statistics of the box's link."""
-
-    sent: int = 0  # frames that went out whole
-    unheard: int = 0  # frames made while nobody had the port open
-    blocked: int = 0  # frames dropped because the reader was too slow
 
 
 class BoxLink:
@@ -38,7 +27,8 @@ class BoxLink:
 
     def __init__(self, terminal: Terminal, box: Box, faults: LinkFaults, seed: int = 0) -> None:
         self.terminal, self.box = terminal, box
-        self.report = LinkReport()
+        self.sent = self.unheard = self.blocked = 0
+        """Frames that went out whole, that nobody had the port open for, and that the reader was too slow for."""
         up, down = np.random.default_rng(seed).spawn(2)
         self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
         self._unwritten = b""
@@ -89,19 +79,15 @@ class BoxLink:
 
     def poll(self, now: float) -> None:
         """Pass the bytes that have arrived by `now` [s] to the box."""
-        if data := self._arrived(now):
-            self.box.feed(data)
-
-    def _arrived(self, now: float) -> bytes:
-        """Return bytes that have arrived by `now` [s]; plug in again when it is time."""
         self.receive(now)
-        data, self._inbox = self._inbox, b""
-        return data
+        if self._inbox:
+            self.box.feed(self._inbox)
+            self._inbox = b""
 
     def send(self, now: float) -> None:
         """Send the box's frames of its last sample, without blocking."""
         if not self.terminal.opened:
-            self.report.unheard += 1
+            self.unheard += 1
             self._unwritten = b""
             self.host.reset()
             return
@@ -122,18 +108,17 @@ class BoxLink:
         if not data:
             return
         if self._unwritten:
-            self.report.blocked += 1
+            self.blocked += 1
             return
         self._unwritten = data[self.terminal.write(data) :]
-        self.report.sent += 1
+        self.sent += 1
 
     def summary(self) -> str:
         """Return one line of text on the traffic and the injected faults."""
         taken, stale, greetings = (int(self.box.state[name][0]) for name in ("taken", "stale", "greetings"))
         made = {name: self.up.counts[name] + self.down.counts[name] for name in FAULT_NAMES}
-        text = (
-            f"{self.report.sent} frames sent, {self.report.unheard} unheard, {self.report.blocked} blocked, "
-            f"{taken} commands taken, {stale} refused as old or repeated, {greetings} connections"
-        )
         faults = ", ".join(f"{name} {count}" for name, count in made.items() if count)
-        return text + (f"; faults made: {faults}" if faults else "")
+        return (
+            f"{self.sent} frames sent, {self.unheard} unheard, {self.blocked} blocked, "
+            f"{taken} commands taken, {stale} refused as old or repeated, {greetings} connections"
+        ) + (f"; faults made: {faults}" if faults else "")

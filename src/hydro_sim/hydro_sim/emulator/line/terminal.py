@@ -14,8 +14,6 @@ from pathlib import Path
 
 from hydro_core.settings import SettingsError
 
-_READ_SIZE = 65536
-
 
 def default_link() -> Path:
     """Default path of the port, one per user."""
@@ -59,7 +57,13 @@ class Terminal:
         os.close(slave)  # so that the kernel tells whether somebody else has it open
         self._master = master
         self._poll.register(master, select.POLLHUP)
-        self._show()
+        scratch = self.path.with_name(f".{self.path.name}.{os.getpid()}")
+        try:
+            scratch.unlink(missing_ok=True)
+            scratch.symlink_to(self._port)
+            os.replace(scratch, self.path)
+        except OSError as error:
+            raise SettingsError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
 
     def wait(self, seconds: float) -> None:
         """Wait until bytes have arrived, for at most `seconds`."""
@@ -67,16 +71,6 @@ class Terminal:
             select.select([self._master], [], [], seconds)
         else:
             time.sleep(seconds)
-
-    def _show(self) -> None:
-        scratch = self.path.with_name(f".{self.path.name}.{os.getpid()}")
-        try:
-            with contextlib.suppress(FileNotFoundError):
-                scratch.unlink()
-            scratch.symlink_to(self._port)
-            os.replace(scratch, self.path)
-        except OSError as error:
-            raise SettingsError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
 
     def unplug(self) -> None:
         """Remove the port and its link; a host that has it open gets a hang-up."""
@@ -94,11 +88,9 @@ class Terminal:
         if self._master is None:
             return b""
         try:
-            return os.read(self._master, _READ_SIZE)
-        except BlockingIOError:
-            return b""
+            return os.read(self._master, 65536)
         except OSError as error:
-            if error.errno == errno.EIO:  # nobody has the port open
+            if error.errno in (errno.EAGAIN, errno.EIO):  # nothing there; nobody has the port open
                 return b""
             raise
 

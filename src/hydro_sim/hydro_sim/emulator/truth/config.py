@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml, unknown_key
 from hydro_sim.emulator.truth.effects import (
@@ -19,8 +19,6 @@ from hydro_sim.emulator.truth.effects import (
     UnnamedEffects,
     ValveLag,
 )
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,8 +101,11 @@ def truth_from_mapping(data: Mapping[str, Any], where: str = "truth", bench: Tru
         if key not in ("profile", *sections):
             raise SettingsError(unknown_key(str(key), ["profile", *sections], where))
     base = profile(data.get("profile", "default"))
-    base = replace(base, bench=bench or base.bench)
-    changes = {name: _overlaid(getattr(base, name), data[name], f"{where}.{name}") for name in sections if name in data}
+    base, changes = replace(base, bench=bench or base.bench), dict[str, Any]()
+    for name in sections:
+        part, given = getattr(base, name), data.get(name)
+        read = from_mapping(type(part), {} if given is None else given, f"{where}.{name}")
+        changes[name] = replace(part, **{str(key): getattr(read, str(key)) for key in given or ()})
     return check_truth(replace(base, **changes))
 
 
@@ -132,11 +133,6 @@ def check_truth(config: TruthConfig) -> TruthConfig:
     added = config.effects.moving_mass
     if added is not None and config.bench.moving_mass + added.mass < 0.05:
         raise SettingsError("effects.moving_mass takes away all of the moving mass")
-    _one_each(config.effects)
-    return config
-
-
-def _one_each(effects: Effects) -> None:
     for name, key in (
         ("leakage_external", "chamber"),
         ("load_cell_gain", "cell"),
@@ -145,14 +141,9 @@ def _one_each(effects: Effects) -> None:
         ("sensor_lag", "sensor"),
         ("dead_volume", "chamber"),
     ):
-        places = [getattr(item, key) for item in getattr(effects, name)]
+        places = [getattr(item, key) for item in getattr(config.effects, name)]
         if len(places) != len(set(places)):
             raise SettingsError(f"effects.{name} names the same {key} twice")
-    if len(effects.end_cushion) > 2:
+    if len(config.effects.end_cushion) > 2:
         raise SettingsError("effects.end_cushion takes at most two, one for each end")
-
-
-def _overlaid(base: T, data: object, where: str) -> T:
-    given = from_mapping(type(base), {} if data is None else data, where)
-    keys = data if isinstance(data, Mapping) else {}
-    return replace(base, **{str(key): getattr(given, str(key)) for key in keys})  # type: ignore[type-var]
+    return config

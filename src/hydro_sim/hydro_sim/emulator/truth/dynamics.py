@@ -71,13 +71,6 @@ LAMINAR_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that
 
 
 @njit
-def delayed_command(p, commands, sample, elapsed):
-    """Return the delayed command [A] at the valve, `elapsed` s into `sample`; `commands`: ring of past ones."""
-    late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
-    return commands[(sample + int(late)) % DELAY_SAMPLES]
-
-
-@njit
 def spool_derivative(p, command, spool, spool_rate):
     """Return the spool's rate [A/s] and acceleration [A/s2]; both zero for an ideal spool."""
     target = command + p.valve_offset
@@ -123,13 +116,6 @@ def orifice_flow(coefficient, drop):
 
 
 @njit
-def gain_over_time(p, time):
-    """Return the relative gain [-] of all edges at `time` [s], from drift and warming up."""
-    warming = 0.0 if p.warm_change == 0.0 else p.warm_change * (1.0 - math.exp(-time / p.warm_time))
-    return max((1.0 + p.gain_drift * time) * (1.0 + warming), 0.0)
-
-
-@njit
 def edge_flows(p, spool, gain, pressure_a, pressure_b, supply):
     """Flows [m3/s] supply -> A, A -> tank, supply -> B, B -> tank at the spool's position [A]."""
     leak = null_leak(p, spool)
@@ -141,12 +127,6 @@ def edge_flows(p, spool, gain, pressure_a, pressure_b, supply):
         orifice_flow(retracting, supply - pressure_b),
         orifice_flow(extending, pressure_b - p.tank_pressure),
     )
-
-
-@njit
-def leak_a_to_b(p, drop):
-    """Flow [m3/s] past the piston's seal at `drop` = p_a - p_b [Pa]."""
-    return p.leak_internal * drop + orifice_flow(p.leak_internal_orifice, drop)
 
 
 ROUNDING = 1e-3  # m/s, over which the smooth form turns the sign
@@ -195,17 +175,6 @@ STOP_DAMPING = 2e3  # N s/m
 
 
 @njit
-def spring_deflection(p, position, spring_end):
-    """Deflection [m] of the spring; `spring_end` [m] is where its driven end lies in the `play` form."""
-    if p.backlash == 0.0:
-        return position - p.rest
-    if p.backlash_play == 1.0:
-        return spring_end - p.rest
-    travel = position - p.rest
-    return travel - min(max(travel, -0.5 * p.backlash), 0.5 * p.backlash)
-
-
-@njit
 def drag_spring_end(p, position, spring_end):
     """Return the spring's end [m] after the piston moved to `position` [m], with play."""
     return min(max(spring_end, position - 0.5 * p.backlash), position + 0.5 * p.backlash)
@@ -213,8 +182,15 @@ def drag_spring_end(p, position, spring_end):
 
 @njit
 def load_force(p, position, spring_end, hysteresis):
-    """Force [N] between mass and load, positive when it resists extension."""
-    deflection = spring_deflection(p, position, spring_end)
+    """Force [N] between mass and load, positive when it resists extension.
+
+    `spring_end`: place [m] of the spring's driven end with play. `hysteresis`: state of the Bouc-Wen element.
+    """
+    deflection = position - p.rest
+    if p.backlash > 0.0 and p.backlash_play == 1.0:
+        deflection = spring_end - p.rest
+    elif p.backlash > 0.0:
+        deflection -= min(max(deflection, -0.5 * p.backlash), 0.5 * p.backlash)
     return (p.stiffness + p.hardening * deflection * deflection) * deflection + p.hysteresis_force * hysteresis
 
 
@@ -319,9 +295,11 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
     supply = y[SUPPLY]
     if p.ripple_amplitude > 0.0:
         supply += p.ripple_amplitude * math.sin(2.0 * math.pi * p.ripple_frequency * time)
-    gain = gain_over_time(p, time)
+    warming = 0.0 if p.warm_change == 0.0 else p.warm_change * (1.0 - math.exp(-time / p.warm_time))
+    gain = max((1.0 + p.gain_drift * time) * (1.0 + warming), 0.0)
     into_a, out_of_a, into_b, out_of_b = edge_flows(p, spool, gain, pressure_a, pressure_b, supply)
-    across = leak_a_to_b(p, pressure_a - pressure_b)
+    drop = pressure_a - pressure_b
+    across = p.leak_internal * drop + orifice_flow(p.leak_internal_orifice, drop)  # past the piston's seal
     lost_a = p.leak_external_a * (pressure_a - p.tank_pressure)
     lost_b = p.leak_external_b * (pressure_b - p.tank_pressure)
     state.draw = into_a + into_b
@@ -386,7 +364,8 @@ def advance_substep(p, state, index, work):
     elapsed = index * SUBSTEP
     time = state.sample * SAMPLE_PERIOD + elapsed
     # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
-    command = delayed_command(p, state.commands, state.sample, elapsed)
+    late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
+    command = state.commands[(state.sample + int(late)) % DELAY_SAMPLES]
     force_h, force_l = state.hydraulic_force, state.load_force
     _heun_step(p, state, time, command, work)
     _settle(p, state)

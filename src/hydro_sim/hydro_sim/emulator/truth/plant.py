@@ -9,6 +9,7 @@ Differentiation is the box's own code, `hydro_sim.model.sensors.condition_readin
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_core.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth import dynamics
@@ -54,19 +55,6 @@ def _collect(p, state, readings):
 
 
 @njit
-def first_reading(p, box, state, chain, noise):
-    """First reading of a bench at rest; `noise`: standard normal numbers, the first four are used."""
-    _collect(p, state, chain.before)
-    copy_vector(chain.lagged, chain.before)
-    chain.lag_rate[:] = 0.0
-    raw = np.empty(5)
-    _read(p, chain, noise, False, raw)
-    reset_conditioning(chain.clean_last, raw, chain.clean)
-    _read(p, chain, noise, True, raw)
-    reset_conditioning(chain.noisy_last, raw, chain.measurement)
-
-
-@njit
 def advance_amplifiers(p, state, chain):
     """Advance the amplifiers by one substep, by the trapezoidal rule."""
     _collect(p, state, chain.now)
@@ -88,27 +76,35 @@ def advance_amplifiers(p, state, chain):
 
 
 @njit
-def _read(p, chain, noise, noisy, raw):
+def read_sensors(p, box, chain, noise, first):
+    """Read one sample of the box into `measurement` and `clean` of `chain`; `first`: that of a bench at rest."""
+    raw = np.empty(5)
     for i in range(5):
         raw[i] = p.sensor_gain[i] * chain.lagged[i] + p.sensor_bias[i]
-    if not noisy:
-        return
+    if first:
+        reset_conditioning(chain.clean_last, raw, chain.clean)
+    else:
+        condition_readings(box, chain.clean_last, raw, chain.clean)
     raw[0] += p.noise_force * noise[0]
     raw[1] += p.noise_force * noise[1]
     raw[2] += p.noise_pressure * noise[2]
     raw[3] += p.noise_pressure * noise[3]
     if p.encoder_step > 0.0:
         raw[4] = np.floor(raw[4] / p.encoder_step + 0.5) * p.encoder_step
+    if first:
+        reset_conditioning(chain.noisy_last, raw, chain.measurement)
+    else:
+        condition_readings(box, chain.noisy_last, raw, chain.measurement)
 
 
 @njit
-def read_sensors(p, box, chain, noise):
-    """Read one sample of the box into `measurement` and `clean` of `chain`."""
-    raw = np.empty(5)
-    _read(p, chain, noise, False, raw)
-    condition_readings(box, chain.clean_last, raw, chain.clean)
-    _read(p, chain, noise, True, raw)
-    condition_readings(box, chain.noisy_last, raw, chain.measurement)
+def start_at_rest(p, box, state, chain, noise):
+    """Set the bench at rest, with its first reading; arguments as of `advance_sample`."""
+    dynamics.rest_state(p[0], state[0])
+    _collect(p[0], state[0], chain[0].before)
+    copy_vector(chain[0].lagged, chain[0].before)
+    chain[0].lag_rate[:] = 0.0
+    read_sensors(p[0], box[0], chain[0], noise, True)
 
 
 @njit
@@ -130,14 +126,7 @@ def advance_sample(p, box, state, chain, work, noise, current):
     for index in range(SUBSTEPS):
         dynamics.advance_substep(p[0], state[0], index, work)
         advance_amplifiers(p[0], state[0], chain[0])
-    read_sensors(p[0], box[0], chain[0], noise)
-
-
-@njit
-def start_at_rest(p, box, state, chain, noise):
-    """Set the bench at rest, with its first reading; shapes as in `advance_sample`."""
-    dynamics.rest_state(p[0], state[0])
-    first_reading(p[0], box[0], state[0], chain[0], noise)
+    read_sensors(p[0], box[0], chain[0], noise, False)
 
 
 @njit
@@ -152,12 +141,7 @@ def copy_physical(state, row):
 class TruthPlant:
     """The emulated bench; implements `hydro_sim.model.plant.Plant`.
 
-    Parameters
-    ----------
-    config
-        Configuration of the bench.
-    seed
-        Of the sensors' noise and the random force.
+    `config`: the bench. `seed`: of the sensors' noise and the random force.
     """
 
     def __init__(self, config: TruthConfig, seed: int = 0) -> None:
@@ -166,22 +150,24 @@ class TruthPlant:
         ages = config.sensors
         self.sensors = Sensors(force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age)
         self.differentiation = self.sensors.constants()
-        self.state = np.zeros(1, dynamics.STATE)
-        self.chain = np.zeros(1, CHAIN)
+        self.state, self.chain = np.zeros(1, dynamics.STATE), np.zeros(1, CHAIN)
         self.work = np.zeros((3, 8))
         self.reset(seed)
+
+    @property
+    def records(self) -> tuple[npt.NDArray[np.void], ...]:
+        """Parameters, differentiation, state and sensors, for compiled code."""
+        return self.parameters, self.differentiation, self.state, self.chain
 
     def reset(self, seed: int) -> FloatArray:
         """Reset to rest, with noise from `seed`; return the measurement x, shape (8,)."""
         self.noise = Noise(seed)
-        start_at_rest(self.parameters, self.differentiation, self.state, self.chain, self.noise.row())
+        start_at_rest(*self.records, self.noise.row())
         return self.measurement()
 
     def step(self, valve_current: float) -> FloatArray:
         """Hold `valve_current` [A] for 1 ms; return the measurement x after it, shape (8,)."""
-        advance_sample(
-            self.parameters, self.differentiation, self.state, self.chain, self.work, self.noise.row(), valve_current
-        )
+        advance_sample(*self.records, self.work, self.noise.row(), valve_current)
         return self.measurement()
 
     def measurement(self) -> FloatArray:
