@@ -24,10 +24,10 @@ from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import InputError, RawTable
+from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.judge import Assessment
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.recording import Recording
+from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.selection.search import Outcome
 from hydro_diagnosis.significance import DECISIVE
 from hydro_sim.model.bench import Bench

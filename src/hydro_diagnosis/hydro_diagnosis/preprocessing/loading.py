@@ -16,7 +16,7 @@ import numpy as np
 from hydro_bridge.bags.location import exists, is_bag
 from hydro_diagnosis.bench_numbers import refuse_unconnected
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, read_table
+from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.io.topics import has_states
 from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SATURATED, SHORTEST
 from hydro_diagnosis.preprocessing.streaming import (
@@ -27,7 +27,7 @@ from hydro_diagnosis.preprocessing.streaming import (
     select_informative_windows,
     table_within,
 )
-from hydro_diagnosis.recording import MEASURED, Recording, Segment, named_in_full
+from hydro_diagnosis.recording import MEASURED, InputError, Recording, Segment, UnusableRecordingError, named_in_full
 from hydro_diagnosis.wiring import Inspection, inspect_table
 from hydro_sim.model.bench import Bench
 

@@ -23,10 +23,10 @@ from scipy.ndimage import uniform_filter1d
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.bench_numbers import has_spring, knows
-from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
+from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.preprocessing.smoothing import white_noise
-from hydro_diagnosis.recording import MEASURED, Recording, Segment
+from hydro_diagnosis.recording import MEASURED, Recording, Segment, UnusableRecordingError
 from hydro_diagnosis.significance import OUTLYING
 from hydro_sim.model.bench import Bench
 
