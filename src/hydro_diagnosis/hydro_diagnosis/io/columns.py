@@ -60,11 +60,6 @@ class Columns:
         return self.units.get(name) or split_unit(name)[1]
 
 
-def named_like_time(name: str) -> bool:
-    """Return whether a column's name says that it is the time."""
-    return _TIME.match(split_unit(name)[0]) is not None
-
-
 def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
     """Return whether the numbers grow from each row to the next but for rare exceptions, as times do.
 
@@ -77,7 +72,7 @@ def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
 
 def is_time(name: str, values: FloatArray) -> bool:
     """Return whether a column's name and numbers say that it is the time."""
-    return named_like_time(name) and runs_forward(values, ticks=True)
+    return _TIME.match(split_unit(name)[0]) is not None and runs_forward(values, ticks=True)
 
 
 def counts_rows(values: FloatArray) -> bool:
