@@ -39,19 +39,14 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
         if isinstance(claim.effect, Closure):
             bench = replace(bench, closures=(*bench.closures, claim.effect.to_closure(claim.values)))
             continue
-        changed = bench if _meets(claim, before) else claim.effect.settled(bench, claim.values)
+        hooks = [hook for hook in ("stiffness", "openings") if changes(claim, hook)]
+        changed = bench if acting(before, *hooks) else claim.effect.settled(bench, claim.values)
         if changed == bench or claim.effect.id == "sensor_lag":
             effects.append(claim.to_mapping())
             before.append(claim)
         else:
             bench = replace(changed, effects=())
     return replace(bench, effects=tuple(effects))
-
-
-def _meets(claim: Claim, before: Sequence[Claim]) -> bool:
-    """Return whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
-    hooks = [hook for hook in ("stiffness", "openings") if changes(claim, hook)]
-    return bool(acting(before, *hooks))
 
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:

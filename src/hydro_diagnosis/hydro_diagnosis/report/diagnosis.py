@@ -47,15 +47,6 @@ def accounted_sentence(report: Report) -> str:
     return f"On what was held out, the names account for {', and '.join(said)}." if said else ""
 
 
-def _seconds(models: Sequence[SegmentModel]) -> dict[str, float]:
-    """Length [s] of what is used of each recording."""
-    lengths: dict[str, float] = {}
-    for model in models:
-        name = model.segment.recording
-        lengths[name] = lengths.get(name, 0.0) + len(model.segment) * model.segment.step
-    return lengths
-
-
 @dataclass(repr=False)
 class Diagnosis:
     """A report and the data behind it."""
@@ -104,7 +95,10 @@ class Diagnosis:
     @property
     def used(self) -> str:
         """Recordings that were fitted and checked on, and how much of each."""
-        fitted, checked = (_seconds(models) for models in (self.problem.models, self.holdout))
+        fitted, checked = dict[str, float](), dict[str, float]()
+        for models, lengths in ((self.problem.models, fitted), (self.holdout, checked)):
+            for segment in (model.segment for model in models):
+                lengths[segment.recording] = lengths.get(segment.recording, 0.0) + len(segment) * segment.step
         if LAST_THIRD in self.report.data_quality:
             (name, first), last = next(iter(fitted.items())), sum(checked.values())
             return f"fitted on the first two thirds of {name} ({first:.4g} s); checked on its last third ({last:.4g} s)"
