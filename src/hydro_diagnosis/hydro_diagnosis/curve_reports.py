@@ -32,12 +32,6 @@ from hydro_sim.model.tables import KNOTS
 
 STEADY = 0.1
 """s for which a speed must be steady."""
-STEADY_BY = 0.2
-"""Share of itself by which a steady speed may vary within that time."""
-BINS = 10
-"""Points of a curve of the flow."""
-LEAST = 5
-"""Stretches of `STEADY` that make a point."""
 
 
 def curve_reports(
@@ -132,7 +126,7 @@ def steady(model: SegmentModel, top: float) -> npt.NDArray[np.bool_]:
     """Samples around which the piston moves at a steady speed, shape (n,); `top`: top speed [m/s]."""
     here, reach = _mean(model, model.v), _count(model) // 2
     change = np.abs(np.roll(here, -reach) - np.roll(here, reach))
-    return np.asarray((np.abs(here) > SLOW * top) & (change < STEADY_BY * np.abs(here)))
+    return np.asarray((np.abs(here) > SLOW * top) & (change < 0.2 * np.abs(here)))
 
 
 def at_rest(model: SegmentModel, top: float) -> npt.NDArray[np.bool_]:
@@ -145,16 +139,16 @@ def _count(model: SegmentModel) -> int:
 
 
 def _points(parts: Iterator[Samples]) -> Iterator[tuple[float, float, float, float, float]]:
-    """At, missing, its standard error, the stretches, and what claims make of it: point by point."""
+    """At, missing, its standard error, the stretches (five or more), and what claims make of it: ten points."""
     at, missing, made, stretch = (np.concatenate(one) for one in zip(*parts, strict=True))
     if not len(at):
         return
-    place = np.floor(BINS * (at - at.min()) / max(float(np.ptp(at)), 1e-300))
+    place = np.floor(10 * (at - at.min()) / max(float(np.ptp(at)), 1e-300))
     for one in np.unique(place):
         here = place == one
         _, index = np.unique(stretch[here], return_inverse=True)
         means = np.bincount(index, missing[here]) / np.bincount(index)
-        if len(means) >= LEAST:
+        if len(means) >= 5:
             error = float(np.std(means, ddof=1) / np.sqrt(len(means)))
             mean, named = float(missing[here].mean()), float(made[here].mean())
             yield float(at[here].mean()), mean, error, float(len(means)), named

@@ -126,13 +126,11 @@ def curves_plot(found: Diagnosis) -> str:
     return svg(len(curves), (8.0, 2.6 * len(curves)), draw)
 
 
-_OF_GROWN = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
-
-
 def _variable(cause: Effect, found: Diagnosis) -> str:
     have, effect = set(found.problem.models[0].channels), cause.id
     if effect in grown.IDS:
-        return _OF_GROWN.get(cause.equations[0], "pressure_difference")
+        over = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
+        return over.get(cause.equations[0], "pressure_difference")
     if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):
         return "velocity"
     if effect in ("leakage_internal",):
