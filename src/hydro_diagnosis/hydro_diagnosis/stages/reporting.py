@@ -17,7 +17,6 @@ from hydro_diagnosis.curve_reports import curve_reports
 from hydro_diagnosis.effects.base import HYDRAULIC, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
-from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Layout, Problem
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
@@ -90,45 +89,37 @@ def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
 
 def describe(findings: StageResult) -> list[EffectReport]:
     """One entry per name that stands, the strongest evidence first."""
-    reports = [
-        _report(findings, claim, own)
-        for claim, own in by_claim(findings.assessment.fit.claims, findings.bounds)
-        if claim.effect.named and not claim.effect.estimated
-    ]
-    return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
-
-
-def _report(findings: StageResult, claim: Claim, bounds: Sequence[Interval]) -> EffectReport:
     problem, found, read = findings.problem, findings.assessment.fit, findings.by_curve
-    parameters = {
-        parameter.name: bound.estimate(parameter.unit)
-        for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
-        if parameter.reported
-    }
-    if read is not None and claim.effect.label in read.evidence:
-        evidence, look_alikes = dict(read.evidence[claim.effect.label]), list[LookAlike]()
-        rivals = [one for one in read.rivals if (claim.effect.id in OPERATORS) != (one.id == "force_offset")]
-        rivals = rivals if claim.effect.id in (*OPERATORS, "friction_coulomb") else []
-    else:
-        without = fit(problem, found.but(claim))
-        rivals, look_alikes = _rivals(findings.outcome, found, claim)
-        if claim.effect.id == "force_offset" and HYDRAULIC not in problem.blocks:
-            why = "a bias of the force cell explains these recordings as well: record the pressures beside it"
-            rivals = [Rival(id="load_cell_bias", delta_bic=0.0, distinguishable=False, why=why), *rivals]
-        evidence = {
-            "delta_bic": without.score - found.score,
-            "holdout_gain": holdout_gain(findings.holdout, without, found),
+    reports = []
+    for claim, bounds in by_claim(found.claims, findings.bounds):
+        effect = claim.effect
+        if not effect.named or effect.estimated:
+            continue
+        if read is not None and effect.label in read.evidence:
+            evidence, look_alikes = dict(read.evidence[effect.label]), list[LookAlike]()
+            rivals = [one for one in read.rivals if (effect.id in OPERATORS) != (one.id == "force_offset")]
+            rivals = rivals if effect.id in (*OPERATORS, "friction_coulomb") else []
+        else:
+            without = fit(problem, found.but(claim))
+            rivals, look_alikes = _rivals(findings.outcome, found, claim)
+            if effect.id == "force_offset" and HYDRAULIC not in problem.blocks:
+                why = "a bias of the force cell explains these recordings as well: record the pressures beside it"
+                rivals = [Rival(id="load_cell_bias", delta_bic=0.0, distinguishable=False, why=why), *rivals]
+            evidence = {
+                "delta_bic": without.score - found.score,
+                "holdout_gain": holdout_gain(findings.holdout, without, found),
+            }
+        estimates = {
+            parameter.name: bound.estimate(parameter.unit)
+            for parameter, bound in zip(effect.parameters, bounds, strict=True)
+            if parameter.reported
         }
-    return EffectReport(
-        id=claim.effect.id,
-        equation=claim.effect.equations[0],
-        options=dict(claim.effect.options),
-        sentence=claim.effect.sentence(claim.values),
-        parameters=parameters,
-        evidence=evidence,
-        rivals=rivals,
-        look_alikes=look_alikes,
-    )
+        reports.append(EffectReport(
+            id=effect.id, equation=effect.equations[0], options=dict(effect.options),
+            sentence=effect.sentence(claim.values), parameters=estimates, evidence=evidence, rivals=rivals,
+            look_alikes=look_alikes,
+        ))  # fmt: skip
+    return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
 def _rivals(outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
