@@ -17,9 +17,10 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from threadpoolctl import threadpool_limits
 
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import knows
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
@@ -49,42 +50,37 @@ PHYSICS = {
 """s by which a channel may be late (negative: early) because of valve, play or an amplifier: causes, no mistakes."""
 TRIAL = SearchSettings(effort=1500)
 """Search by which two readings of the same recordings are compared."""
-Left = dict[str, tuple[float, float]]
-"""By channel: sum of the squares that are left, over the noise's, and how many they are."""
 Repaired = tuple[tuple[Repair, ...], Case]
 """Repairs, and the recordings after them."""
 
 
-def left(problem: Problem, claims: Sequence[Claim]) -> Left:
-    """Return squares and counts of the residuals under claims, by channel."""
+def left(problem: Problem, claims: Sequence[Claim]) -> FloatArray:
+    """Squares of the residuals under claims, over the noise's, and how many they are, shape (2, channels)."""
     with np.errstate(all="ignore"):
         squares = problem.layout.squares(problem.residual(claims))
     counts = problem.layout.count
-    return {
-        name: (float(np.nan_to_num(squares[k], nan=1e30, posinf=1e30)), float(counts[k]))
-        for k, name in enumerate(CHANNELS)
-        if counts[k]
-    }
+    return np.array([np.where(counts, np.nan_to_num(squares, nan=1e30, posinf=1e30), 0.0), counts], dtype=np.float64)
 
 
-def gain(before: Left, after: Left) -> float:
+def gain(before: FloatArray, after: FloatArray) -> float:
     """Log of the factor by which less is left after than before, over all channels; what is not judged has its price.
 
     A tenth of the samples may be missing for nothing.
     """
-    total = 0.0
-    for name in {*before, *after}:
-        most = 0.9 * max(found.get(name, (0.0, 0.0))[1] for found in (before, after))
-        for found, sign in ((before, 1.0), (after, -1.0)):
-            squares, count = found.get(name, (0.0, 0.0))
-            mean = (squares + UNJUDGED * max(most - count, 0.0)) / max(most, count)
-            total += sign * float(np.log(max(mean, 1.0)))
-    return total
+    judged = np.maximum(before[1], after[1]) > 0.0
+    most = 0.9 * np.maximum(before[1], after[1])[judged]
+    means = [
+        (squares + UNJUDGED * np.maximum(most - counts, 0.0)) / np.maximum(most, counts)
+        for squares, counts in (before[:, judged], after[:, judged])
+    ]
+    here, there = (np.log(np.maximum(mean, 1.0)) for mean in means)
+    return float(np.sum(here - there))
 
 
-def times(found: Left) -> float:
+def times(found: FloatArray) -> float:
     """Root mean square of what is left, over the noise's."""
-    return float(np.sqrt(sum(squares for squares, _ in found.values()) / sum(count for _, count in found.values())))
+    squares, counts = found
+    return float(np.sqrt(sum(squares) / sum(counts)))
 
 
 def suspected(
@@ -111,7 +107,7 @@ class _Trial:
 
     def __init__(self, problem: Problem, claims: Sequence[Claim], segments: list[Segment]) -> None:
         self._problem, self._claims, self._segments = problem, claims, segments
-        self._known: dict[Repair | None, Left] = {}
+        self._known: dict[Repair | None, FloatArray] = {}
 
     def segments(self, repair: Repair | None) -> list[Segment]:
         """The segments after a repair, without the ends where the clocks do not meet."""
@@ -121,7 +117,7 @@ class _Trial:
         margins = [int(np.ceil(abs(repair.delay) / one.step)) for one in moved]
         return [one.cut(margin, len(one) - margin) for one, margin in zip(moved, margins, strict=True)]
 
-    def left(self, repair: Repair | None = None) -> Left:
+    def left(self, repair: Repair | None = None) -> FloatArray:
         """Squares and counts of the residuals after a repair."""
         if repair not in self._known:
             problem, segments = self._problem, self.segments(repair)
@@ -158,7 +154,8 @@ class _Trial:
 
         def squares(delay: float) -> float:
             found, before = self.left(advance(field, delay)), self.left()
-            return sum(one / count / before[name][0] for name, (one, count) in found.items())
+            there = found[1] > 0.0
+            return float(np.sum(found[0, there] / found[1, there] / before[0, there]))
 
         at, moved = 0.0, REACH
         for _ in range(ITERATIONS):
@@ -193,8 +190,8 @@ def advance(field: str, delay: float) -> Repair:
 class SearchResult:
     """Residuals that the best causes leave, for one reading of the recordings."""
 
-    fitted: Left
-    held: Left
+    fitted: FloatArray
+    held: FloatArray
     claims: tuple[Claim, ...]
 
     @property
