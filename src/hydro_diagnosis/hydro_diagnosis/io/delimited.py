@@ -376,15 +376,11 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, sure: bool = True) -> tu
     if others_fit[given].all():
         return others, None
     times = _times_of_day(text)
-    if np.isfinite(times[given]).all():
-        return times, None
-    best = max((fits, others_fit, np.isfinite(times)), key=lambda one: int(np.sum(one & given)))
-    if not np.any(best & given):
-        return np.full(len(text), np.nan), None
-    bad = int(np.argmax(given & ~best))
-    if bad == len(text) - 1:  # the file ends within it
-        return (values if best is fits else others if best is others_fit else times), None
-    return np.full(len(text), np.nan), bad
+    fits, values = max([*read, (np.isfinite(times), times)], key=lambda one: int(np.sum(one[0] & given)))
+    bad = np.flatnonzero(given & ~fits)
+    if not len(bad) or (np.any(fits & given) and bad[0] == len(text) - 1):  # the file ends within it
+        return values, None
+    return np.full(len(text), np.nan), int(bad[0]) if np.any(fits & given) else None
 
 
 def _times_of_day(text: pd.Series) -> FloatArray:

@@ -32,8 +32,8 @@ from hydro_diagnosis.io.units import OFFERED, known, quantity, split_unit, to_si
 from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, unreadable
 
 
-def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str]]:
-    """Times [s], fields in SI units by name, all of the same length, and what was done to get them there.
+def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str], dict[str, str]]:
+    """Times [s], fields in SI units by name, all of the same length, what was done to get them there, and their units.
 
     Raises InputError if a column or a single number that the map names is not there, or no time belongs to the fields.
     """
@@ -82,7 +82,8 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
         notes.append(f"{field} was recorded{said}{' and' if said and by else ''}{by}: taken is {how}")
     if not inside.any() or not fields:
         raise InputError("the clocks of the mapped columns have no time in common")
-    return time[inside], {name: values[inside] for name, values in fields.items()}, notes
+    units = {field: source.unit for field, source in sources.items() if source.unit}
+    return time[inside], {name: values[inside] for name, values in fields.items()}, notes, units
 
 
 def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> Source:
@@ -336,8 +337,7 @@ def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
         length = max(len(found.series.get(source.column, ())) for source in chosen.sources.values())
         found = replace(found, series={**found.series, ROW: np.arange(length, dtype=np.float64)})
     try:
-        time, fields, notes = fields_of(found, chosen)
-        units = {name: _in_unit(name, source, found, []).unit for name, source in chosen.sources.items()}
+        time, fields, notes, units = fields_of(found, chosen)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return RawTable(path.stem, time, None, fields, tuple(notes), {name: unit for name, unit in units.items() if unit})
+    return RawTable(path.stem, time, None, fields, tuple(notes), units)
