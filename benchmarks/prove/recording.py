@@ -21,8 +21,9 @@ from benchmarks.prove.cases import FITTED, HELD, Case, missing
 from hydro_bridge.bags.recording import read_bag
 from hydro_core.cli import jobs
 from hydro_core.signals import Flag
-from hydro_diagnosis.io.table import UnusableRecordingError, read_table
+from hydro_diagnosis.io.table import read_table
 from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.recording import UnusableRecordingError
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.offline import record_offline, with_gain_limits_for, write_bag
 from hydro_sim.emulator.truth.config import truth_from_mapping

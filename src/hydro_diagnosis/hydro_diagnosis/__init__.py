@@ -13,8 +13,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hydro_diagnosis.io.table import InputError
     from hydro_diagnosis.pipeline import diagnose
+    from hydro_diagnosis.recording import InputError
     from hydro_diagnosis.report.diagnosis import Diagnosis
     from hydro_diagnosis.report_json import Report
 

@@ -33,17 +33,8 @@ _PER_CHANGE = 3
 """Numbers that a change adds: its time, a level and a slope."""
 SHORTEST = _PER_CHANGE + 1
 """Recordings between two changes."""
-COARSEST = 3
-"""Recordings from one place to the next at which all but short histories are first searched: nine times as fast."""
-_MEDIAN = float(chi2.ppf(0.5, 1))
-LASTING = (0.0, 1.0, 2.0, 4.0, 8.0)
-"""Times that scatter may last, in spacings of the recordings; 0: it is new each time."""
 _SIZES = (0.0, 0.25, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
-"""Its variances that are tried, over that by neighbours' differences."""
-_DATED = -2.0 * log(1.0 - sqrt(2.0 * CONFIDENCE - 1.0))
-"""95 % of the likelihood ratio of a break's date (Bai 1997; Eo and Morley 2015): 7.35."""
-HORIZON = 3650.0
-"""Days ahead beyond which no date is told."""
+"""Variances of lasting scatter that are tried, over that by neighbours' differences."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +59,9 @@ class Line:
         """Its standard deviation there."""
         return np.hypot(self.level_sd, self.slope_sd * (np.asarray(time) - self.middle))
 
-    def runs(self, count: int) -> bool:
-        """Whether there is evidence for its slope, by so many values."""
-        return bool((self.slope / self.slope_sd) ** 2 - log(count) > DECISIVE)
-
     def reaches(self, limit: float, upwards: bool) -> tuple[float, float, float]:
         """Days after `end` at which it passes a limit, and their 95 % interval; inf where it does not in ten years."""
-        ahead = np.arange(0.0, HORIZON + 1.0)
+        ahead = np.arange(0.0, 3651.0)
         value, spread, sign = self.at(self.end + ahead), QUANTILE * self.sd(self.end + ahead), 1.0 if upwards else -1.0
         past = [sign * (value + shift - limit) >= 0.0 for shift in (0.0, sign * spread, -sign * spread)]
         days = [float(ahead[np.argmax(one)]) if one.any() else inf for one in past]
@@ -100,14 +87,13 @@ class Course:
 
     changes: list[Change]
     lines: list[Line]
+    running: bool
+    """Whether there is evidence for a slope since the last change."""
 
     @property
     def findings(self) -> int:
         """Changes; 1 where there is none and the line runs up or down all the time."""
         return len(self.changes) or int(self.running)
-
-    running: bool
-    """Whether there is evidence for a slope since the last change."""
 
 
 class _Lines(BaseCost):  # a cost function of the user's own, as the library documents it
@@ -158,7 +144,8 @@ def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike
     signal = np.column_stack([time, value, 1.0 / (long**2 + 0.5 * np.square(bound))])
     changes = [_change(signal[a:c], each) for a, c, each in zip(edges, edges[2:], evidence, strict=False)]
     lines = [line(time[a:b], value[a:b], long[a:b]) for a, b in pairwise(edges)]
-    return Course(changes, lines, lines[-1].runs(edges[-1] - edges[-2]))
+    sure = (lines[-1].slope / lines[-1].slope_sd) ** 2 - log(edges[-1] - edges[-2])
+    return Course(changes, lines, bool(sure > DECISIVE))
 
 
 class _Noise:
@@ -169,7 +156,8 @@ class _Noise:
         self._white = np.maximum(own**2 - between**2, sd**2)
         gap, base = np.diff(time), max(between**2, 0.1 * float(np.median(self._white)))
         spacing = float(np.median(gap)) or 1.0
-        grid = [(one, size) for one in LASTING for size in _SIZES]
+        lasting = (0.0, 1.0, 2.0, 4.0, 8.0)  # in spacings of the recordings; 0: it is new each time
+        grid = [(one, size) for one in lasting for size in _SIZES]
         keep = np.exp(-1.0 / np.maximum([one for one, _ in grid], 1e-3))
         self._variance = base * np.array([size for _, size in grid]) / (1.0 - keep)
         self._keep = keep ** (gap[:, None] / spacing)
@@ -189,9 +177,14 @@ class _Noise:
                 found.append(edges)
             elif k < len(_SIZES):
                 break
+
+        def sure(edges: list[int]) -> float:
+            """Share of a likelihood ratio that counts where so many numbers are estimated (Sims 1980)."""
+            return max(0.0, 1.0 - (_PER_CHANGE * (len(edges) - 1) + 1) / count)
+
         deviance, best = self.deviance(found)
         gain = [
-            self._sure(one) * (deviance[0] - each) - (DECISIVE + price) * (len(one) - 2)
+            sure(one) * (deviance[0] - each) - (DECISIVE + price) * (len(one) - 2)
             for one, each in zip(found, deviance, strict=True)
         ]
         at = int(np.argmax(gain))
@@ -200,21 +193,17 @@ class _Noise:
         while len(edges) > 2:
             fewer = [edges[:k] + edges[k + 1 :] for k in range(1, len(edges) - 1)]
             deviance, best = self.deviance(fewer)
-            evidence = [self._sure(edges) * float(one - least) - price for one in deviance]
+            evidence = [sure(edges) * float(one - least) - price for one in deviance]
             worst = int(np.argmin(evidence))
             if evidence[worst] >= DECISIVE:
                 break
             edges, least, kind, evidence = fewer[worst], deviance[worst], int(best[worst]), []
         return edges, evidence, self.long(kind)
 
-    def _sure(self, edges: list[int]) -> float:
-        """Share of a likelihood ratio that counts where so many numbers are estimated (Sims 1980)."""
-        return max(0.0, 1.0 - (_PER_CHANGE * (len(edges) - 1) + 1) / len(self._time))
-
     def _searched(self, long: FloatArray, price: float) -> list[int]:
         middle, count = np.median(long), len(long)
         cost = _Lines().fit(np.column_stack([self._time, self._value / middle, (middle / long) ** 2]))
-        step = min(1 + count // 50, COARSEST)
+        step = min(1 + count // 50, 3)  # at every third place first: nine times as fast
         try:
             found = Pelt(custom_cost=cost, min_size=SHORTEST, jump=step).fit(cost.signal).predict(pen=DECISIVE + price)
         except BadSegmentationParameters:  # too few for two parts
@@ -228,7 +217,11 @@ class _Noise:
 
     def deviance(self, partitions: list[list[int]]) -> tuple[FloatArray, FloatArray]:
         """Least -2 log likelihood of each partition's lines over the grid, and where: by a Kalman filter."""
-        left = np.stack([self._left(edges) for edges in partitions])[:, :, None]
+        left = np.empty((len(partitions), len(self._time), 1))
+        for k, edges in enumerate(partitions):
+            for a, b in pairwise(edges):
+                time, value, weight = self._time[a:b], self._value[a:b], self._weight[a:b]
+                left[k, a:b, 0] = value - line(time, value, weight**-0.5).at(time)
         ahead, sure, total = np.zeros((len(left), len(self._variance))), self._variance, np.zeros(1)
         for k in range(left.shape[1]):
             off, spread = left[:, k] - ahead, sure + self._white[k]
@@ -238,13 +231,6 @@ class _Noise:
                 ahead = keep * (ahead + share * off)
                 sure = keep**2 * sure * (1.0 - share) + self._variance * (1.0 - keep**2)
         return total.min(axis=1), total.argmin(axis=1)
-
-    def _left(self, edges: list[int]) -> FloatArray:
-        left = np.empty_like(self._value)
-        for a, b in pairwise(edges):
-            time, value, weight = self._time[a:b], self._value[a:b], self._weight[a:b]
-            left[a:b] = value - line(time, value, weight**-0.5).at(time)
-        return left
 
 
 def _change(signal: FloatArray, evidence: float) -> Change:
@@ -259,7 +245,8 @@ def _change(signal: FloatArray, evidence: float) -> Change:
     bend = cost.bends(places)
     errors, numbers = (bend, 4) if bend.min() + log(count) < jump.min() else (jump, 5)
     errors = errors / max(1.0, float(errors.min()) / max(count - numbers, 1))
-    near = places[errors <= errors.min() + _DATED]
+    dated = -2.0 * log(1.0 - sqrt(2.0 * CONFIDENCE - 1.0))  # 95 % of its likelihood ratio (Bai 1997; Eo, Morley 2015)
+    near = places[errors <= errors.min() + dated]
     at = places[int(np.argmin(errors))]
     return Change(float(time[at]), float(time[near[0]]), float(time[near[-1]]), evidence)
 
@@ -267,10 +254,10 @@ def _change(signal: FloatArray, evidence: float) -> Change:
 def scatter_between(value: FloatArray, sd: FloatArray) -> float:
     """Standard deviation between neighbours beyond their own `sd`: the median of their squared differences."""
     steps, own = np.diff(value) ** 2, sd[1:] ** 2 + sd[:-1] ** 2
-    scale = float(steps.max())
+    scale, median = float(steps.max()), float(chi2.ppf(0.5, 1))
 
     def excess(share: float) -> float:
-        return float(np.median(steps / (own + 2.0 * share * scale))) - _MEDIAN
+        return float(np.median(steps / (own + 2.0 * share * scale))) - median
 
     return sqrt(scale * brentq(excess, 0.0, 10.0)) if scale > 0.0 and excess(0.0) > 0.0 else 0.0
 

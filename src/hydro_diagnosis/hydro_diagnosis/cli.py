@@ -13,14 +13,7 @@ from hydro_core.cli.console import command, writable_file, writable_folder
 from hydro_core.process import endings
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
-from hydro_diagnosis.stage_bar import StageBar, silent
-
-RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
-FOREIGN = (
-    "note: no --bench was given, so these recordings are compared with the nominal bench (piston area 2 cm2, supply\n"
-    "      16 MPa, spring 20 kN/m). For another rig write a bench file with its numbers first and pass --bench FILE"
-)
-"""Said where columns are mapped and no bench is given."""
+from hydro_diagnosis.stage_bar import StageBar
 
 
 def parser() -> argparse.ArgumentParser:
@@ -29,7 +22,10 @@ def parser() -> argparse.ArgumentParser:
         prog="diagnose",
         description="Find, name and size the physics that a simulation leaves out.",
     )
-    options.add_argument("recordings", nargs="*", metavar="RECORDING", help=RECORDINGS)
+    options.add_argument(
+        "recordings", nargs="*", metavar="RECORDING",
+        help="rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES),
+    )  # fmt: skip
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
     options.add_argument(
         "--bench", metavar="FILE", help="bench.yaml or corrected.yaml, with what is known (default: nominal)"
@@ -121,9 +117,14 @@ def run(arguments: Sequence[str]) -> int:
     if chosen.seconds is not None and not chosen.seconds > 0.0:
         options.error("--seconds must be more than 0")
     if chosen.columns and not (chosen.bench or chosen.model):
-        print(FOREIGN, file=sys.stderr)
+        print(
+            "note: no --bench was given, so these recordings are compared with the nominal bench (piston area 2 cm2, "
+            "supply\n      16 MPa, spring 20 kN/m). For another rig write a bench file with its numbers first and pass "
+            "--bench FILE",
+            file=sys.stderr,
+        )
     try:
-        with nullcontext(silent) if chosen.quiet else StageBar() as told:
+        with nullcontext(lambda text: None) if chosen.quiet else StageBar() as told:
             told("loading the program")
             from hydro_diagnosis.pipeline import diagnose
             from hydro_diagnosis.report.page import write_files

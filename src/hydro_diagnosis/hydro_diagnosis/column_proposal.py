@@ -29,8 +29,6 @@ from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.wiring import LOOKED_AT, MEAN, TOGETHER, line, means
 from hydro_sim.model.bench import Bench
 
-ENOUGH = 3.0
-"""Score from which a column is proposed for a field: a word or a letter, and a unit or a range that agrees."""
 _PRESSURE = r"(p|press\w*|druck\w*)"
 _WORDS: Mapping[str, str] = {
     "hydraulic_force": r"hydraulic_?force|f_?h(yd\w*)?|zylinderkraft|kolbenkraft|(piston|actuator)_?force|f_?cyl\w*|"
@@ -57,16 +55,8 @@ _ACTS_ON = {
 """Words that say of a force which it is."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
 """Units that are tried where none is stated."""
-_SIZES = ("piston_area", "area_ratio", "supply_pressure", "stroke", "valve_current_max", "spring_stiffness")
-"""Numbers of a bench by which a column's numbers are likely or not."""
-_APART = 0.1
-"""s, between rows at most where a time states no unit: a force loop that is logged at all is logged at 10 Hz."""
-ABOUT, EXACT = 0.05, 1e-3
-"""Shares of a force that the pressures may leave: of any force of the bench, of the hydraulic force."""
-FOLLOWED = 0.5
-"""Share of a reference that the spring's force may leave: the force lags behind it."""
-MOST = 16
-"""Columns at most that are tried for every field."""
+ABOUT = 0.05
+"""Share of a force that the pressures may leave of any force of the bench."""
 SILENT = 1e-4
 """White noise over the standard deviation below which a force was computed, not measured."""
 _REFERENCE = re.compile(_WORDS["reference_force"] + r"|\w*(ref|soll|target|desired|setpoint)", re.IGNORECASE)
@@ -80,25 +70,22 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
     Numbers that are not known of a bench are taken to be of the nominal one's size.
     """
     known, sprung = bench.to_mapping(), has_spring(bench)
-    bench = replace(Bench.nominal(), **{name: known[name] for name in _SIZES if name in known})
+    sizes = ("piston_area", "area_ratio", "supply_pressure", "stroke", "valve_current_max", "spring_stiffness")
+    bench = replace(Bench.nominal(), **{name: known[name] for name in sizes if name in known})
     sources: dict[str, Source] = {}
     if not found.clocks:
-        times = [name for name, values in found.series.items() if runs_forward(values)]
         named = [name for name, values in found.series.items() if is_time(name, values)]
-        even = [name for name in times if _even(found.series[name])]
+        even = [name for name, values in found.series.items() if runs_forward(values) and _even(values)]
         if named or even:
             best = "time" if "time" in named else (named or even)[0]
             sources["time"] = Source(best, unit=_time_unit(best, found))
     taken = set(found.clocks.values()) | {source.column for source in sources.values()}
-    pairs = [
-        (_score(field, name, found, bench), field, name)
-        for field in _WORDS
-        for name in found.series
-        if name not in taken
-    ]
+    free = [name for name in found.series if name not in taken]
+    pairs = [(_score(field, name, found, bench), field, name) for field in _WORDS for name in free]
     exact = [(100.0, name, name) for name in STATE_FIELDS if name in found.series]
     for score, field, name in sorted([*exact, *pairs], key=lambda pair: -pair[0]):
-        if score >= ENOUGH and field not in sources and name not in taken:
+        # a word or a letter, and a unit or a range that agrees
+        if score >= 3.0 and field not in sources and name not in taken:
             taken.add(name)
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
     _add_by_physics(sources, found, bench)
@@ -107,8 +94,7 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
         _add_by_equations(sources, found, bench)
     if found.clocks and sources:
         clock = base_of(sources, found)
-        unit = "" if clock in found.units else _time_unit(clock, found)
-        if unit:
+        if clock not in found.units and (unit := _time_unit(clock, found)):
             sources["time"] = Source(clock, unit=unit)
     return ColumnMap({field: sources[field] for field in TARGETS if field in sources})
 
@@ -134,25 +120,21 @@ def _move_lone_force(sources: dict[str, Source], found: Columns, sprung: bool) -
 def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) -> None:
     """Add columns of a stated unit whose names say nothing; where several may be meant, by how they move together."""
     left: dict[str, list[str]] = {}
+    taken = {source.column for source in sources.values()}
     for name, values in found.series.items():
-        unit = found.unit(name)
-        if unit and np.isfinite(values).all() and np.ptp(values) > 0.0 and not _NEVER.search(_own_name(name)):
+        moves = name not in taken and np.isfinite(values).all() and np.ptp(values) > 0.0
+        if moves and (unit := found.unit(name)) and not _NEVER.search(_own_name(name)):
             left.setdefault(quantity(unit), []).append(name)
-    for source in sources.values():
-        for names in left.values():
-            if source.column in names:
-                names.remove(source.column)
 
     def take(field: str, name: str | None) -> None:
         if name is not None and field not in sources:
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
             left[QUANTITY_OF[field]].remove(name)
 
-    def nearest(field: str, like: FloatArray, *, unsure: int) -> str | None:
-        """Return the column that moves most like `like`; None where fewer than `unsure` may be meant."""
+    def nearest(field: str, like: FloatArray) -> str | None:
+        """Return the column that moves most like `like`; None where no two may be meant."""
         names = left.get(QUANTITY_OF[field], [])
-        alike = {name: _correlation(found.series[name], like) for name in names}
-        return max(alike, key=lambda name: alike[name]) if len(names) >= unsure else None
+        return max(names, key=lambda name: _correlation(found.series[name], like)) if len(names) > 1 else None
 
     def only(field: str) -> str | None:
         names = left.get(QUANTITY_OF[field], [])
@@ -161,7 +143,7 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
     for field in ("piston_position", "valve_current"):
         take(field, only(field))
     if "piston_position" in sources:  # an actuator that pushes a load against its spring
-        take("pressure_a", nearest("pressure_a", found.series[sources["piston_position"].column], unsure=2))
+        take("pressure_a", nearest("pressure_a", found.series[sources["piston_position"].column]))
     take("pressure_a", only("pressure_a"))
     take("pressure_b", only("pressure_b"))
     forces = left.get("force", [])
@@ -171,7 +153,7 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
     if {"pressure_a", "pressure_b"} <= sources.keys():
         a, b = (found.series[sources[field].column] for field in ("pressure_a", "pressure_b"))
         if len(a) == len(b):
-            take("hydraulic_force", nearest("hydraulic_force", a - bench.area_ratio * b, unsure=2))
+            take("hydraulic_force", nearest("hydraulic_force", a - bench.area_ratio * b))
     take("load_force", only("load_force"))
 
 
@@ -188,7 +170,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         if name != clock and len(values) == len(found.series[clock]) and np.isfinite(values).all()
         and np.ptp(values) > 0.0 and not (_NEVER.search(name) or found.unit(name))
     }  # fmt: skip
-    if len(free) > MOST or len(found.series[clock]) < 100 * MEAN:
+    if len(free) > 16 or len(found.series[clock]) < 100 * MEAN:
         return
 
     def sized(field: str, taken: set[str]) -> dict[Source, FloatArray]:
@@ -207,8 +189,8 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
                 fields[field] = fitting[0]
                 taken.add(fitting[0].column)
 
-        take("hydraulic_force", [force] if _balance(forces[force], pressures[a], pressures[b], bench, ABOUT) < EXACT
-             else [])  # fmt: skip
+        exact = _balance(forces[force], pressures[a], pressures[b], bench, ABOUT) < 1e-3
+        take("hydraulic_force", [force] if exact else [])
         places = sized("piston_position", taken | {force.column})
         springs = {place: line(one, forces[force], 1) for place, one in places.items()}
         springs = {place: spring for place, spring in springs.items() if _like_spring(*spring, bench)}
@@ -219,7 +201,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         slopes = {one: line(places[place], values, 1) for one, values in sized("load_force", taken).items()}
         silent = [one for one in slopes if _noise(free[one.column]) < SILENT]
         take("load_force", [one for one in slopes if one not in silent and _like_spring(*slopes[one], bench)])
-        take("reference_force", [one for one in silent if _like_spring(*slopes[one], bench, FOLLOWED)])
+        take("reference_force", [one for one in silent if _like_spring(*slopes[one], bench, 0.5)])  # it lags behind it
         speed = np.diff(places[place])
         currents = {one: abs(_correlation(values[1:], speed)) for one, values in sized("valve_current", taken).items()}
         best = max(currents.values(), default=0.0)
@@ -363,9 +345,8 @@ def _even(values: FloatArray) -> bool:
 
 
 def _time_unit(name: str, found: Columns) -> str:
-    """The unit that is stated, or the one in which the rows follow each other within `_APART`; empty for seconds."""
-    unit = found.unit(name)
-    if unit:
+    """The unit that is stated, or the one in which there are 10 rows a second or more; empty for seconds."""
+    if unit := found.unit(name):
         return unit if quantity(unit) == "time" and to_si(unit) != 1.0 else ""
     step = float(np.nanmean(np.diff(found.series[name])))
-    return next((unit for unit in ("", "ms", "us") if step * to_si(unit) <= _APART), "ns")
+    return next((unit for unit in ("", "ms", "us") if step * to_si(unit) <= 0.1), "ns")

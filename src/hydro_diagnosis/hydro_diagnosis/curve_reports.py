@@ -11,7 +11,7 @@ Measured flow: what the piston displaces and what the oil's compression stores.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,19 +25,9 @@ from hydro_diagnosis.curves import SLOW, ForceCurve, splines
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.report_json import CurveReport
 from hydro_diagnosis.significance import CONFIDENCE
 from hydro_sim.model.tables import KNOTS
-
-STEADY = 0.1
-"""s for which a speed must be steady."""
-STEADY_BY = 0.2
-"""Share of itself by which a steady speed may vary within that time."""
-BINS = 10
-"""Points of a curve of the flow."""
-LEAST = 5
-"""Stretches of `STEADY` that make a point."""
 
 
 def curve_reports(
@@ -50,10 +40,8 @@ def curve_reports(
         if curve.terms.position:
             found.append(_over_position(curve, by_curve))
     if PRESSURE in problem.blocks:
-        for rest in (False, True):
-            points = list(_points(_flows(problem, claims, rest=rest)))
-            if points:
-                over, unit = ("pressure_difference", "Pa") if rest else ("current", "A")
+        for rest, over, unit in ((False, "current", "A"), (True, "pressure_difference", "Pa")):
+            if points := _flows(problem, claims, rest=rest):
                 found.append(_report("pressure_a", over, unit, "m3/s", *map(np.array, zip(*points, strict=True))))
     return found
 
@@ -102,12 +90,15 @@ def _report(
     )  # fmt: skip
 
 
-Samples = tuple[FloatArray, FloatArray, FloatArray, npt.NDArray[np.int64]]
-"""Variable, missing, made by the claims, and stretch of each sample."""
+def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> list[tuple[float, float, float, float, float]]:
+    """At, missing flow, its standard error, stretches (five or more), and what claims make of it: ten points.
 
-
-def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> Iterator[Samples]:
+    Of samples around which the piston all but stands, else of those around which its speed is steady for 0.1 s: means
+    over that time, in which an encoder's steps are not.
+    """
+    steady_for = 0.1
     top = max(float(np.percentile(np.abs(model.v), 95)) for model in problem.models)
+    parts = []
     for k, model in enumerate(problem.models):
         modelled = []
         for everything in ((*problem.baseline, *claims), problem.baseline):
@@ -117,44 +108,29 @@ def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> Iterator
         p_a, p_b = (model.smooth(model.channels["pressure_" + chamber]) for chamber in "ab")
         measured = bench.piston_area * model.v + np.gradient(p_a, model.step) / stiff
         over = p_a - p_b if rest else model.channels["valve_current"]
-        there = (at_rest(model, top) if rest else steady(model, top))[model.rows]
-        at, one, after, before = (model.kept(_mean(model, each))[there] for each in (over, measured, *modelled))
-        stretch = np.floor(model.kept_time()[there] / STEADY).astype(np.int64) + k * 10**7
-        yield at, one - before, after - before, stretch
-
-
-def _mean(model: SegmentModel, signal: FloatArray) -> FloatArray:
-    """A signal in the mean over `STEADY` around each sample, shape (n,): an encoder's steps are not in it."""
-    return np.asarray(uniform_filter1d(signal, _count(model)))
-
-
-def steady(model: SegmentModel, top: float) -> npt.NDArray[np.bool_]:
-    """Samples around which the piston moves at a steady speed, shape (n,); `top`: top speed [m/s]."""
-    here, reach = _mean(model, model.v), _count(model) // 2
-    change = np.abs(np.roll(here, -reach) - np.roll(here, reach))
-    return np.asarray((np.abs(here) > SLOW * top) & (change < STEADY_BY * np.abs(here)))
-
-
-def at_rest(model: SegmentModel, top: float) -> npt.NDArray[np.bool_]:
-    """Samples around which the piston all but stands, shape (n,)."""
-    return np.asarray(maximum_filter1d(np.abs(_mean(model, model.v)), _count(model)) < SLOW * top)
-
-
-def _count(model: SegmentModel) -> int:
-    return max(round(STEADY / model.step), 3)
-
-
-def _points(parts: Iterator[Samples]) -> Iterator[tuple[float, float, float, float, float]]:
-    """At, missing, its standard error, the stretches, and what claims make of it: point by point."""
+        count = max(round(steady_for / model.step), 3)
+        speed, reach = np.asarray(uniform_filter1d(model.v, count)), count // 2
+        if rest:
+            there = maximum_filter1d(np.abs(speed), count) < SLOW * top
+        else:
+            change = np.abs(np.roll(speed, -reach) - np.roll(speed, reach))
+            there = (np.abs(speed) > SLOW * top) & (change < 0.2 * np.abs(speed))
+        there = there[model.rows]
+        smoothed = (np.asarray(uniform_filter1d(each, count)) for each in (over, measured, *modelled))
+        at, one, after, before = (model.kept(each)[there] for each in smoothed)
+        stretch = np.floor(model.kept_time()[there] / steady_for).astype(np.int64) + k * 10**7
+        parts.append((at, one - before, after - before, stretch))
     at, missing, made, stretch = (np.concatenate(one) for one in zip(*parts, strict=True))
+    points: list[tuple[float, float, float, float, float]] = []
     if not len(at):
-        return
-    place = np.floor(BINS * (at - at.min()) / max(float(np.ptp(at)), 1e-300))
+        return points
+    place = np.floor(10 * (at - at.min()) / max(float(np.ptp(at)), 1e-300))
     for one in np.unique(place):
         here = place == one
         _, index = np.unique(stretch[here], return_inverse=True)
         means = np.bincount(index, missing[here]) / np.bincount(index)
-        if len(means) >= LEAST:
+        if len(means) >= 5:
             error = float(np.std(means, ddof=1) / np.sqrt(len(means)))
             mean, named = float(missing[here].mean()), float(made[here].mean())
-            yield float(at[here].mean()), mean, error, float(len(means)), named
+            points.append((float(at[here].mean()), mean, error, float(len(means)), named))
+    return points

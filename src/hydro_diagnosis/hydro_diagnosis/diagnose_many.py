@@ -34,33 +34,18 @@ from hydro_core.settings import read_yaml
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import SUFFIXES, InputError
-from hydro_diagnosis.report_json import Report, row_of
+from hydro_diagnosis.report_json import row_of
 
 _OF = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
-DIAGNOSES = pa.schema(
-    [
-        *_OF,
-        ("verdict", pa.string()),
-        ("refused", pa.string()),
-        ("causes", pa.list_(pa.string())),
-        ("closures", pa.int32()),
-        ("explained", pa.float64()),
-        ("notes", pa.list_(pa.string())),
-        ("seconds", pa.float64()),
-    ]
-)
-PARAMETERS = pa.schema(
-    [
-        *_OF,
-        ("cause", pa.string()),
-        ("options", pa.string()),
-        ("parameter", pa.string()),
-        ("value", pa.float64()),
-        ("low", pa.float64()),
-        ("high", pa.float64()),
-        ("unit", pa.string()),
-    ]
-)
+_TEXT, _TEXTS, _NUMBER = pa.string(), pa.list_(pa.string()), pa.float64()
+DIAGNOSES = pa.schema([
+    *_OF, ("verdict", _TEXT), ("refused", _TEXT), ("causes", _TEXTS), ("closures", pa.int32()),
+    ("explained", _NUMBER), ("notes", _TEXTS), ("seconds", _NUMBER),
+])  # fmt: skip
+PARAMETERS = pa.schema([
+    *_OF, ("cause", _TEXT), ("options", _TEXT), ("parameter", _TEXT), ("value", _NUMBER), ("low", _NUMBER),
+    ("high", _NUMBER), ("unit", _TEXT),
+])  # fmt: skip
 """Columns of STUDY/diagnoses.parquet and of STUDY/parameters.parquet (`many_recordings.md`)."""
 
 
@@ -92,19 +77,15 @@ def _within(path: Path) -> Iterator[Path]:
             yield from _within(one)
 
 
-GAP_MAX = 60.0
-"""s without a message beyond which the clock was set, or nothing was recorded: no part reaches across."""
-
-
 def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
     """Parts of a bag by name, `every` s each, the last half to one and a half of it; another file as it is.
 
-    Parts are counted anew behind a gap of more than `GAP_MAX`, or before which the clock was set, which is told.
+    Parts are counted anew behind a minute without a message, or where the clock was set, which is told.
     """
     if not is_bag(path) or split_location(path)[1] is not None:
         return {name: str(path)}
     try:
-        stretches = BagSource(path).contiguous_intervals(GAP_MAX)
+        stretches = BagSource(path).contiguous_intervals(60.0)
     except RecordingError:  # each part would be refused for the same reason
         stretches = [(0.0, every)]
     for (_, before), (after, _) in pairwise(stretches):
@@ -121,7 +102,7 @@ def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
 
 
 def diagnosed(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Diagnose one recording, write its report to a folder, and return its rows of both tables."""
+    """Diagnose one recording, write its report to a folder, and return its rows of both tables, without its name."""
     from hydro_diagnosis.pipeline import diagnose
     from hydro_diagnosis.report.page import write_files
 
@@ -130,11 +111,7 @@ def diagnosed(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, A
     except InputError as error:
         return {"diagnosis": {"refused": str(error)}, "parameters": []}
     write_files(found, Path(folder))
-    return rows(found.report)
-
-
-def rows(report: Report) -> dict[str, Any]:
-    """A report as a row of `DIAGNOSES` and rows of `PARAMETERS`, without the recording's name."""
+    report = found.report
     begin = report.recordings[0]["begin"]
     shares = [one["all"] for one in report.accounted.values()]
     parameters = [
@@ -196,21 +173,6 @@ def parser() -> argparse.ArgumentParser:
     return options
 
 
-def asked_of(chosen: argparse.Namespace) -> dict[str, Any]:
-    """Options of `diagnose`, with the content of files in place of their paths: what is done depends on it.
-
-    Raises InputError or ValueError: a file cannot be read.
-    """
-    if chosen.bench:
-        read_bench(chosen.bench, frozenset(chosen.estimate))
-    columns = ColumnMap.load(chosen.columns)
-    return {
-        "bench": read_yaml(chosen.bench) if chosen.bench else None,
-        "columns": None if columns is None else str(columns),
-        **{name: getattr(chosen, name) for name in ("without", "estimate", "seconds")},
-    }
-
-
 @command(InputError, ValueError, OSError)
 def main() -> int:
     """Entry point; 0 if each recording was diagnosed or refused in a sentence, 2 if one could not be."""
@@ -221,7 +183,14 @@ def main() -> int:
             part: at for name, path in named.items() for part, at in parts_of(name, Path(path), chosen.every).items()
         }
     chosen.out.mkdir(parents=True, exist_ok=True)
-    options = asked_of(chosen)
+    if chosen.bench:
+        read_bench(chosen.bench, frozenset(chosen.estimate))  # refuses what cannot be read
+    columns = ColumnMap.load(chosen.columns)
+    options = {  # with the content of files in place of their paths: what is done depends on it
+        "bench": read_yaml(chosen.bench) if chosen.bench else None,
+        "columns": None if columns is None else str(columns),
+        **{name: getattr(chosen, name) for name in ("without", "estimate", "seconds")},
+    }
     folders = {name: str(chosen.out / "reports" / name.replace("#t=", "/")) for name in named}
     arguments = {name: (path, folders[name], options) for name, path in named.items()}
     found: dict[str, Any] = {}

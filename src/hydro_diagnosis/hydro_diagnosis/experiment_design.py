@@ -24,10 +24,10 @@ from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import InputError, RawTable
+from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.judge import Assessment
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.recording import Recording
+from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.selection.search import Outcome
 from hydro_diagnosis.significance import DECISIVE
 from hydro_sim.model.bench import Bench
@@ -66,15 +66,14 @@ def simulated_recording(
     return checked(RawTable("rehearsal", states["time"].copy(), None, columns), believed)
 
 
-SECONDS = 10.0
-"""Length of a rehearsal; the proposal is for `PROPOSED`."""
 PROPOSED = 20.0
-NOMINAL = Bench.nominal()
+"""Length [s] of a proposed recording."""
 
 
 def catalog(bench: Bench) -> list[ReferenceSignal]:
     """References that the box can run, over the working range: forces in proportion to the bench's largest."""
-    strength = bench.piston_area * bench.supply_pressure / (NOMINAL.piston_area * NOMINAL.supply_pressure)
+    nominal = Bench.nominal()
+    strength = bench.piston_area * bench.supply_pressure / (nominal.piston_area * nominal.supply_pressure)
     return [
         replace(one, amplitude=float(f"{strength * one.amplitude:.2g}"), offset=float(f"{strength * one.offset:.2g}"))
         for one in _nominal_catalog()
@@ -94,10 +93,15 @@ def _nominal_catalog() -> Iterator[ReferenceSignal]:
 
 def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -> dict[str, Any] | None:
     """The recording that separates the closest pair of rivals; None if all are distinguished."""
-    pair = _closest(outcome, assessment)
-    if pair is None:
+    close = []
+    for claim in assessment.fit.claims:
+        for rival in outcome.rivals.get(claim.effect.label, []):
+            distance, other = rival.score - assessment.fit.score, rival.claims[-1].effect
+            if distance < DECISIVE and other.named and other.id != claim.effect.id:
+                close.append((distance, claim.effect.label, rival))
+    if not close:
         return None
-    label, rival = pair
+    _, label, rival = min(close, key=lambda one: one[0])
     names = [label.split(":")[0], rival.claims[-1].effect.id]
     alike = f"{names[0]} and {names[1]} explain these recordings alike"
     return proposal(problem, assessment.fit, rival, names, alike)
@@ -111,13 +115,21 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
         why = f"No reference tells {names[0]} from {names[1]} on this bench: another sensor or a known load would."
         return {"why": why, "separates": names, "reference": None, "expected_gain": gain}
     why = f"{alike}; on this reference they differ most, by {gain**0.5:.3g} standard deviations of the noise."
-    return {"why": why, "separates": names, "reference": _as_mapping(reference), "expected_gain": gain}
+    proposed = {
+        "waveform": reference.waveform.name.lower(),
+        "amplitude": reference.amplitude,
+        "offset": reference.offset,
+        "frequency": reference.frequency,
+        "seconds": PROPOSED,
+    }
+    return {"why": why, "separates": names, "reference": proposed, "expected_gain": gain}
 
 
 def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
     """BIC by which `PROPOSED` seconds of a reference would tell a fit from a rival to it."""
+    seconds = 10.0
     try:
-        recording = simulated_recording(problem.bench, reference, seconds=SECONDS)
+        recording = simulated_recording(problem.bench, reference, seconds=seconds)
     except InputError:
         return 0.0
     rehearsed = Problem(recording.segments, problem.bench, problem.baseline)
@@ -127,37 +139,7 @@ def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, ri
     lengths = np.linalg.norm(columns, axis=0)
     basis = np.linalg.qr(columns[:, lengths > 0.0] / lengths[lengths > 0.0])[0]
     left = apart - basis @ (basis.T @ apart)
-    return float(left @ left) * PROPOSED / SECONDS
-
-
-def _closest(outcome: Outcome, assessment: Assessment) -> tuple[str, Fit] | None:
-    close = []
-    for claim in assessment.fit.claims:
-        for rival in outcome.rivals.get(claim.effect.label, []):
-            distance = rival.score - assessment.fit.score
-            other = rival.claims[-1].effect
-            if distance < DECISIVE and other.named and other.id != claim.effect.id:
-                close.append((distance, claim.effect.label, rival))
-    if not close:
-        return None
-    _, label, rival = min(close, key=lambda one: one[0])
-    return label, rival
-
-
-def _as_mapping(reference: ReferenceSignal) -> dict[str, Any]:
-    return {
-        "waveform": reference.waveform.name.lower(),
-        "amplitude": reference.amplitude,
-        "offset": reference.offset,
-        "frequency": reference.frequency,
-        "seconds": PROPOSED,
-    }
-
-
-NEARLY = 0.9
-"""Share of the deviance that a law gains from which another law is a rival to it."""
-TRIED = 3
-"""Laws that are fitted, the most promising first."""
+    return float(left @ left) * PROPOSED / seconds
 
 
 def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
@@ -180,14 +162,14 @@ def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> 
 
 
 def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Screen | None = None) -> Fit | None:
-    """The fit with the next best law, as the last claim, in the place of a law; None where none gains nearly as much.
+    """The fit with the next best law, as the last claim, in the place of a law; None where none gains 90 % of it.
 
     `without`: the fit of all other claims. `screen`: of the laws of these recordings, computed here if there is none.
     """
     own = found.claims[place].effect.label
     screen = screen or Screen(problem, without)
-    prospects, _there_is = screen.prospects(without, TRIED, {own})
-    enough = NEARLY * (without.deviance - found.deviance)
+    prospects, _there_is = screen.prospects(without, 3, {own})
+    enough = 0.9 * (without.deviance - found.deviance)
     for prospect in prospects:
         starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)
         fitted = min(starts, key=lambda one: one.deviance)

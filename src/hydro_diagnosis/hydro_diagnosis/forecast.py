@@ -47,14 +47,8 @@ from hydro_sim.simulation.offline import Schedule, simulate
 
 SETTLE = 2.0
 """s after which a loop that began at rest is where the recorded one is: a run that is entered late differs by 0.1 %."""
-LEAST = 1.0
-"""s that are compared at least."""
-SECONDS = 18.0
-"""s of each recording that are compared at most: 50 ms of computing for a simulation."""
 MISSED = 0.2
 """Share of the recorded RMSE by which a forecast that is said to miss is off."""
-LAW_OFF = MISSED / 4.0
-"""Share of the nominal current's RMS by which the law may miss it: what is then wrong is not the law's doing."""
 LAW_STATE_TOPIC = "/hydro/law_state"
 
 
@@ -174,16 +168,21 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     begin, end = max(runs.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
     spacing = segment.spacing
     begin += (segment.phase - begin) % spacing
-    end = min(end, begin + round((SETTLE + SECONDS) / SAMPLE_PERIOD))
-    if end - begin < round((SETTLE + LEAST) / SAMPLE_PERIOD):
-        raise NoForecastError(f"its box is armed for less than {SETTLE + LEAST:g} s without a gap")
+    least, most = SETTLE + 1.0, SETTLE + 18.0  # s; 50 ms of computing for a simulation
+    end = min(end, begin + round(most / SAMPLE_PERIOD))
+    if end - begin < round(least / SAMPLE_PERIOD):
+        raise NoForecastError(f"its box is armed for less than {least:g} s without a gap")
     part = segment.cut(begin, end).channels
     belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, bag), spacing)
+    current, nominal = part["valve_current"][::spacing], part["nominal_valve_current"][::spacing]
+    limit = belief.valve_current_max
+    added = np.where(np.abs(current) < SATURATED * limit, current - nominal, 0.0)  # by the filter
+    corrected = not np.max(np.abs(added)) < 1e-6 * limit
     schedule = Schedule(
         reference=followed[begin:end],
         gains=np.stack([part["proportional_gain"], part["integral_gain"]], axis=1)[::SAMPLES_PER_STEP],
         seconds=SAMPLE_PERIOD * (end - begin),
-        correction=_correction(part, belief.valve_current_max, spacing),
+        correction=np.asarray(np.repeat(added, spacing)[: end - begin]) if corrected else None,
         law=law,
     )
     return Loop(
@@ -230,15 +229,6 @@ def _law_state(segment: Segment, bag: Recording | None) -> tuple[Law, FloatArray
     return Law.COMPENSATED, followed, scales
 
 
-def _correction(channels: Mapping[str, FloatArray], limit: float, spacing: int) -> FloatArray | None:
-    """Recorded corrections [A] of the filter, none where the current is at its limit; None where it did nothing."""
-    current, nominal = channels["valve_current"][::spacing], channels["nominal_valve_current"][::spacing]
-    added = np.where(np.abs(current) < SATURATED * limit, current - nominal, 0.0)
-    if np.max(np.abs(added)) < 1e-6 * limit:
-        return None
-    return np.asarray(np.repeat(added, spacing)[: len(channels["valve_current"])])
-
-
 def _box(
     channels: Mapping[str, FloatArray], law: Law, followed: FloatArray, scales: tuple[float, float],
     beliefs: Sequence[Bench], spacing: int,
@@ -253,7 +243,7 @@ def _box(
         config = replace(config, compensated=replace(config.compensated, **fixed, **wide), **wide)  # type: ignore[arg-type]
         tried.append((_law_off(channels, followed, scales, belief, config, spacing), len(tried), belief, config))
     off, _, belief, config = min(tried)
-    if not off <= LAW_OFF:
+    if not off <= MISSED / 4.0:  # what misses by less is not the law's doing
         raise NoForecastError(
             f"the {law.name.lower()} law with its recorded gains misses the recorded nominal current by "
             f"{100.0 * off:.0f} %: what closed this loop is not known"

@@ -142,7 +142,10 @@ class Import:
         found = columns_of(path, ROWS)
         proposal = listed(path.name, found, None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
-        rows = [{key: _shown(value) for key, value in row.items()} for row in table.rows]
+        rows = [
+            {key: f"{one:.4g}" if isinstance(one, float) else str(one) for key, one in row.items()}
+            for row in table.rows
+        ]
         self._first = self._first or (path, found)
         self._send("columns", name=path.name, rows=rows, proposed=sources, **self._remarks(proposal))
 
@@ -176,10 +179,6 @@ def _map(columns: Mapping[str, Mapping[str, str]]) -> ColumnMap:
     loaded = ColumnMap.load(sources)
     assert loaded is not None
     return loaded
-
-
-def _shown(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Server:

@@ -33,21 +33,18 @@ COSTS = {
 """What each equation is for."""
 ROWS = 100_000
 """Rows of a longer bag that are listed, evenly taken; counts and ranges are those of all."""
-LEVELS = "▁▂▃▄▅▆▇█"
-WIDTH = 24
-"""Width in characters."""
 
 
 def sparkline(values: FloatArray) -> str:
-    """The middle of each of `WIDTH` parts, from the smallest number (▁) to the largest (█); gaps are blanks."""
-    parts = np.array_split(values, min(WIDTH, len(values))) if len(values) else []
+    """The middle of each of 24 parts, from the smallest number (▁) to the largest (█); gaps are blanks."""
+    levels, parts = "▁▂▃▄▅▆▇█", np.array_split(values, min(24, len(values))) if len(values) else []
     middles = np.array([np.nanmedian(part) if np.isfinite(part).any() else np.nan for part in parts])
     if not np.isfinite(middles).any():
         return ""
     low, high = float(np.nanmin(middles)), float(np.nanmax(middles))
     span = high - low if high > low else 1.0
     return "".join(
-        " " if not np.isfinite(one) else LEVELS[min(int((one - low) / span * len(LEVELS)), len(LEVELS) - 1)]
+        " " if not np.isfinite(one) else levels[min(int((one - low) / span * len(levels)), len(levels) - 1)]
         for one in middles
     )
 

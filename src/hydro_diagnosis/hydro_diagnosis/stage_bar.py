@@ -23,15 +23,14 @@ LINES = 10.0
 """s between the lines that stand for the bar where there is no terminal."""
 SIMULATOR = "simulator: "
 """Begins what is told of the simulator's recordings, which have a bar of their own."""
-SHOWN = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
 
 
 class StageBar:
     """A bar of `STAGES`, to be called with each stage as it begins, and with what is tried in it."""
 
     def __init__(self) -> None:
-        self._bar: tqdm[Any] = progress(total=len(STAGES), label=LABEL, every=LINES, bar_format=SHOWN, delay=LINES)
-
+        shown = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
+        self._bar: tqdm[Any] = progress(total=len(STAGES), label=LABEL, every=LINES, bar_format=shown, delay=LINES)
         self._simulator = False
 
     def __enter__(self) -> StageBar:
@@ -56,7 +55,3 @@ class StageBar:
         self._bar.update(done - self._bar.n)
         if self._bar.mininterval < LINES:
             self._bar.refresh()
-
-
-def silent(text: str) -> None:
-    """Show nothing."""

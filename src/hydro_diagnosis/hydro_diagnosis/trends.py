@@ -34,7 +34,6 @@ NEUTRAL: Mapping[str, FitParameter] = {
     f"{effect.id}.{one.name}": one for effect in LIBRARY for one in effect.amplitudes if isfinite(one.neutral)
 }
 """Numbers with a value at which their cause is absent."""
-KNOWN = frozenset(f"{effect.id}.{one.name}" for effect in LIBRARY for one in effect.parameters)
 ALARM = 3
 """Exit status of a change or a limit."""
 _DAY = pd.Timedelta("1D")
@@ -71,10 +70,6 @@ class Series:
     def key(self) -> str:
         """cause.parameter."""
         return self.name.partition("[")[0]
-
-    def until(self, time: float) -> Series:
-        """The recordings up to a time."""
-        return Series(self.name, self.unit, *(one[self.time <= time] for one in self.arrays))
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -133,22 +128,19 @@ def row_of(bench: str, series: Series, found: Course, limit: float | None, asked
     """A row of the table; `asked`: new and horizon, in days."""
     line, last = found.lines[-1], found.changes[-1] if found.changes else None
     now, spread = float(line.at(line.end)), QUANTILE * float(line.sd(line.end))
-    before = course(*series.until(line.end - asked.new).arrays)
+    before = course(*(one[series.time <= line.end - asked.new] for one in series.arrays))
     new = before is not None and found.findings > before.findings
-    ahead = (inf, inf, inf) if limit is None else _ahead(series, found, limit)
+    ahead = (inf, inf, inf)  # days to the limit; without evidence for a slope only one that is passed counts
+    if limit is not None:
+        start = NEUTRAL[series.key].neutral if series.key in NEUTRAL else float(found.lines[0].at(found.lines[0].begin))
+        reached = line.reaches(limit, limit > start)
+        ahead = reached if found.running or reached[0] == 0.0 else ahead
     return dict(zip(_COLUMNS, (
         bench, series.name, *(_date(one) for one in ((last.time, last.earliest, last.latest) if last else (inf,) * 3)),
         last.evidence if last else None, float(found.lines[-2].at(found.lines[-2].end)) if last else None,
         now, now - spread, now + spread, 30.0 * line.slope if found.running else None,
         limit, *(_date(line.end + one) for one in ahead), bool(new or ahead[0] <= asked.horizon),
     ), strict=True))  # fmt: skip
-
-
-def _ahead(series: Series, found: Course, limit: float) -> tuple[float, float, float]:
-    """Days from the last recording to a limit; without evidence for a slope only a limit that is passed counts."""
-    start = NEUTRAL[series.key].neutral if series.key in NEUTRAL else float(found.lines[0].at(found.lines[0].begin))
-    ahead = found.lines[-1].reaches(limit, limit > start)
-    return ahead if found.running or ahead[0] == 0.0 else (inf, inf, inf)
 
 
 def _date(days: float) -> str | None:
@@ -213,7 +205,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _limit(word: str) -> tuple[str, float]:
     name, _, value = word.partition("=")
-    if name not in KNOWN:
+    if name not in (f"{effect.id}.{one.name}" for effect in LIBRARY for one in effect.parameters):
         raise argparse.ArgumentTypeError(f"{word}: no number {name}, as leakage_internal.coefficient")
     try:
         return name, float(value)

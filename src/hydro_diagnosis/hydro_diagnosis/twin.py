@@ -117,11 +117,9 @@ def _number(
     return NumberDifference(real=one.value, simulated=two.value, difference=apart, ci95=bounds, unit=one.unit)
 
 
-_WHO = {"real": "the bench has, the simulator has not: ", "simulated": "the simulator has, the bench has not: "}
-
-
 def sentences(found: Sequence[Difference]) -> list[str]:
     """What differs, a sentence a cause."""
+    who = {"real": "the bench has, the simulator has not: ", "simulated": "the simulator has, the bench has not: "}
     said = []
     for one in found:
         words = []
@@ -139,5 +137,5 @@ def sentences(found: Sequence[Difference]) -> list[str]:
                     f"{apart:+.5g} {unit} (95 % {low:+.5g} to {high:+.5g})"
                 )
         label = " ".join([one.id, *one.options.values()])
-        said.append(f"{_WHO.get(one.only_in or '', 'both have ')}{label}: {', '.join(words)}")
+        said.append(f"{who.get(one.only_in or '', 'both have ')}{label}: {', '.join(words)}")
     return said

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import chain, combinations
+from itertools import combinations
 
 import numpy as np
 
@@ -28,114 +28,73 @@ Channels = Mapping[str, FloatArray]
 
 @dataclass(frozen=True)
 class Repair:
-    """One mistake of one field and how to undo it."""
+    """One mistake of one field and how to undo it: the sensor is `factor` x + `offset`, `delay` s after what is read.
+
+    Or the field has another one's column (`exchanged`), or its column holds another field (`becomes`).
+    """
 
     field: str
     sentence: str
     """Description of the mistake."""
+    factor: float = 1.0
+    offset: float = 0.0
+    """SI units."""
+    unit: str = ""
+    """The unit in which it was recorded, where it is one."""
+    delay: float = 0.0
+    """s by which it was recorded late, negative: early."""
+    exchanged: str = ""
+    """Field with which its column was exchanged."""
+    becomes: str | None = None
+    """Field that its column holds, empty for none; None: its own."""
 
     def apply(self, channels: Channels, step: float) -> Channels:
         """The channels as they would be without the mistake; `step` is the sampling time in s."""
-        raise NotImplementedError
+        values = channels[self.field]
+        if self.becomes is not None:
+            others = {name: one for name, one in channels.items() if name != self.field}
+            return {**others, self.becomes: values} if self.becomes else others
+        if self.exchanged:
+            return {**channels, self.field: channels[self.exchanged], self.exchanged: values}
+        if self.delay:
+            at = np.arange(len(values), dtype=np.float64)
+            values = np.interp(at + self.delay / step, at, values)
+        return {**channels, self.field: self.factor * values + self.offset}
 
     def edit(self, columns: ColumnMap) -> ColumnMap:
         """The map without the mistake."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class Scale(Repair):
-    """A wrong sign, unit or count: the field is `factor` times what was read, plus `offset` in SI units."""
-
-    factor: float = 1.0
-    offset: float = 0.0
-    unit: str = ""
-    """The unit in which it was recorded, where it is one."""
-
-    def apply(self, channels: Channels, step: float) -> Channels:
-        """See `Repair`."""
-        return {**channels, self.field: self.factor * channels[self.field] + self.offset}
-
-    def edit(self, columns: ColumnMap) -> ColumnMap:
-        """See `Repair`."""
         source = columns.sources[self.field]
+        if self.becomes is not None:
+            without = columns.changed(self.field, None)
+            return without.changed(self.becomes, source) if self.becomes else without
+        if self.exchanged:
+            there = columns.sources[self.exchanged]
+            return columns.changed(self.field, there).changed(self.exchanged, source)
         if self.unit and not self.offset:
             return columns.changed(self.field, replace(source, unit=self.unit))
-        si = to_si(source.unit)
         steps, factor = list(source.steps), self.factor
-        if steps and steps[-1][0] == "*" and isinstance(steps[-1][1], float):
-            factor *= float(steps.pop()[1])
-        if factor != 1.0:
-            steps.append(("*", factor))
+        if factor != 1.0 or self.offset:
+            if steps and steps[-1][0] == "*" and isinstance(steps[-1][1], float):
+                factor *= float(steps.pop()[1])
+            if factor != 1.0:
+                steps.append(("*", factor))
         if self.offset:
-            steps.append(("+" if self.offset > 0.0 else "-", abs(self.offset) / si))
-        return columns.changed(self.field, replace(source, steps=tuple(steps)))
+            steps.append(("+" if self.offset > 0.0 else "-", abs(self.offset) / to_si(source.unit)))
+        return columns.changed(self.field, replace(source, steps=tuple(steps), delay=source.delay + self.delay))
 
 
-@dataclass(frozen=True)
-class Exchange(Repair):
-    """Two fields whose columns were exchanged."""
-
-    other: str = ""
-
-    def apply(self, channels: Channels, step: float) -> Channels:
-        """See `Repair`."""
-        return {**channels, self.field: channels[self.other], self.other: channels[self.field]}
-
-    def edit(self, columns: ColumnMap) -> ColumnMap:
-        """See `Repair`."""
-        here, there = columns.sources[self.field], columns.sources[self.other]
-        return columns.changed(self.field, there).changed(self.other, here)
-
-
-@dataclass(frozen=True)
-class Advance(Repair):
-    """A field that was recorded late (or early, if negative)."""
-
-    delay: float = 0.0
-    """s."""
-
-    def apply(self, channels: Channels, step: float) -> Channels:
-        """See `Repair`."""
-        at = np.arange(len(channels[self.field]), dtype=np.float64)
-        return {**channels, self.field: np.interp(at + self.delay / step, at, channels[self.field])}
-
-    def edit(self, columns: ColumnMap) -> ColumnMap:
-        """See `Repair`."""
-        source = columns.sources[self.field]
-        return columns.changed(self.field, replace(source, delay=source.delay + self.delay))
-
-
-@dataclass(frozen=True)
-class Rename(Repair):
-    """A column that holds another field than it was taken for, or none: `becomes` is then empty."""
-
-    becomes: str = ""
-
-    def apply(self, channels: Channels, step: float) -> Channels:
-        """See `Repair`."""
-        others = {name: values for name, values in channels.items() if name != self.field}
-        return {**others, self.becomes: channels[self.field]} if self.becomes else others
-
-    def edit(self, columns: ColumnMap) -> ColumnMap:
-        """See `Repair`."""
-        source = columns.sources[self.field]
-        without = columns.changed(self.field, None)
-        return without.changed(self.becomes, source) if self.becomes else without
-
-
-def reversed_sign(field: str) -> Scale:
+def reversed_sign(field: str) -> Repair:
     """A field with the wrong sign."""
-    return Scale(field, f"{field} has the wrong sign", factor=-1.0)
+    return Repair(field, f"{field} has the wrong sign", factor=-1.0)
 
 
-def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -> list[Scale]:
+def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -> list[Repair]:
     """The field in each of these units but the one in which it was `taken`."""
     here = taken.get(field, "")
     said = f", not {here}" if here else ""
     factors = {unit: to_si(unit) / to_si(here) for unit in units if unit != here}
     return [
-        Scale(field, f"{field} is in {unit}{said}", factor=factor, unit=unit)
+        Repair(field, f"{field} is in {unit}{said}", factor=factor, unit=unit)
         for unit, factor in factors.items()
         if factor != 1.0
     ]
@@ -149,8 +108,6 @@ BEYOND = 1.5
 """Multiple of the stroke or largest current above which a number is in another unit."""
 MARGIN = 0.01
 """Share of the stroke by which a position may lie outside of it."""
-SIZE = 3.0
-"""Times by which the spring's force may differ from the bench file's."""
 TOGETHER = 0.9
 """Correlation above which a slope is one."""
 MEAN = 10
@@ -177,27 +134,20 @@ class Inspection:
 
 def inspect_table(table: RawTable, bench: Bench) -> Inspection:
     """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
-    channels = _whole({name: values[:LOOKED_AT] for name, values in table.columns.items()})
-    taken = table.units
-    checks = (
-        _copies(channels),
-        _pressures(channels, bench, taken),
-        _position(channels, bench, taken),
+    found, bench, taken = Inspection(units=dict(table.units)), guarded(bench), table.units
+    looked = {name: values[:LOOKED_AT] for name, values in table.columns.items()}
+    looked = {name: values for name, values in looked.items() if np.isfinite(values).sum() > 0.5 * len(values)}
+    rows = np.all([np.isfinite(values) for values in looked.values()], axis=0)
+    channels = {name: values[rows] for name, values in looked.items() if np.any(rows)}
+    for doubts in (
+        _copies(channels), _pressures(channels, bench, taken), _position(channels, bench, taken),
         _current(channels, bench, taken),
-    )
-    return Inspection(list(chain.from_iterable(_as_far_as_known(check) for check in checks)), dict(taken))
-
-
-def _whole(columns: Channels) -> Channels:
-    """The rows that are numbers in all channels that mostly are."""
-    kept = {name: values for name, values in columns.items() if np.isfinite(values).sum() > 0.5 * len(values)}
-    rows = np.all([np.isfinite(values) for values in kept.values()], axis=0)
-    return {name: values[rows] for name, values in kept.items() if np.any(rows)}
-
-
-def _as_far_as_known(found: Iterator[Doubt]) -> Iterator[Doubt]:
-    with suppress(UnknownNumberError):
-        yield from (doubt for doubt in found if doubt)
+    ):  # fmt: skip
+        with suppress(UnknownNumberError):
+            for doubt in doubts:
+                if doubt:
+                    found.doubts.append(doubt)
+    return found
 
 
 def _copies(channels: Channels) -> Iterator[Doubt]:
@@ -209,13 +159,13 @@ def _copies(channels: Channels) -> Iterator[Doubt]:
             if one == "pressure_a" and line(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0:
                 pairs.reverse()  # it falls as the force grows
             yield tuple(
-                Rename(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out")
+                Repair(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out", becomes="")
                 for wrong, right in pairs
             )
 
 
 def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
-    supply = guarded(bench).supply_pressure
+    supply = bench.supply_pressure
     for name in ("pressure_a", "pressure_b"):
         if name not in channels:
             continue
@@ -224,22 +174,21 @@ def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> It
         if alive and not PRESSURES[0] < share < PRESSURES[1]:
             units = in_other_units(name, ("Pa", "hPa", "kPa", "psi", "bar", "MPa"), taken)
             fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
-            fitting.sort(key=lambda one: abs(float(np.log(one.factor * share / 0.6))))
-            yield tuple(fitting)
+            yield tuple(sorted(fitting, key=lambda one: abs(float(np.log(one.factor * share / 0.6)))))
 
 
 def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
     """The piston stays within the stroke, which begins at 0."""
     if "piston_position" not in channels:
         return
-    position, stroke = channels["piston_position"], guarded(bench).stroke
+    position, stroke = channels["piston_position"], bench.stroke
     low, high = float(position.min()) / stroke, float(position.max()) / stroke
     factor, offset = _by_spring(channels, bench)
     if low >= -MARGIN and high <= 1.0 + MARGIN:
         if "piston_position" in taken and high < MARGIN:
             yield tuple(_lengths(factor, max(-low, high), taken))
         return
-    velocity = Rename("piston_position", "piston_position is the velocity", becomes="piston_velocity")
+    velocity = Repair("piston_position", "piston_position is the velocity", becomes="piston_velocity")
     if max(-low, high) > BEYOND:
         yield (velocity, *_lengths(factor, max(-low, high), taken))
         return
@@ -248,30 +197,29 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
     judged = "the spring's force" if factor else "the middle of what it travels"
     which = " and the wrong sign" if sign < 0.0 else ""
     said = f"piston_position has its zero elsewhere{which} (judged by {judged}: write what was measured)"
-    yield velocity, Scale("piston_position", said, factor=sign, offset=float(f"{zero:.3g}"))
+    yield velocity, Repair("piston_position", said, factor=sign, offset=float(f"{zero:.3g}"))
 
 
 def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
     """Factor and offset [m] by which the position would compress the spring as the load's force says; else 0, 0."""
     if "load_force" not in channels:
         return 0.0, 0.0
-    known = guarded(bench)
     slope, left = line(channels["piston_position"], channels["load_force"])
     if left > 1.0 - TOGETHER**2:
         return 0.0, 0.0
-    factor = slope / known.spring_stiffness
-    rest = float(np.median(channels["load_force"] / known.spring_stiffness - factor * channels["piston_position"]))
-    return factor, known.spring_rest_position + rest
+    factor = slope / bench.spring_stiffness
+    rest = float(np.median(channels["load_force"] / bench.spring_stiffness - factor * channels["piston_position"]))
+    return factor, bench.spring_rest_position + rest
 
 
-def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[Scale]:
+def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[Repair]:
     """Units in which the position would lie in the stroke and go with the spring; else the size of one count."""
     for one in in_other_units("piston_position", ("m", "mm", "cm", "um", "in"), taken):
-        if one.factor * share < 1.0 + MARGIN and (not factor or 1.0 / SIZE < abs(factor) / one.factor < SIZE):
+        if one.factor * share < 1.0 + MARGIN and (not factor or 1.0 / 3.0 < abs(factor) / one.factor < 3.0):
             yield one
     if factor:
         size = float(f"{abs(factor):.2g}")
-        yield Scale(
+        yield Repair(
             "piston_position",
             f"piston_position is in counts of about {size:.2g} m (judged by the spring: write the encoder's own)",
             factor=size,
@@ -281,13 +229,13 @@ def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[
 def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
     if "valve_current" not in channels:
         return
-    largest, limit = float(np.max(np.abs(channels["valve_current"]))), guarded(bench).valve_current_max
+    largest, limit = float(np.max(np.abs(channels["valve_current"]))), bench.valve_current_max
     if largest > BEYOND * limit:
         scales = (
             *in_other_units("valve_current", ("mA",), taken),
-            Scale("valve_current", f"valve_current is in per cent of {limit:g} A", factor=limit / 100.0),
-            Scale("valve_current", f"valve_current is in volts, 10 V for {limit:g} A", factor=limit / 10.0),
-            Scale("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),
+            Repair("valve_current", f"valve_current is in per cent of {limit:g} A", factor=limit / 100.0),
+            Repair("valve_current", f"valve_current is in volts, 10 V for {limit:g} A", factor=limit / 10.0),
+            Repair("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),
         )
         yield tuple(one for one in scales if one.factor * largest <= BEYOND * limit)
 

@@ -22,8 +22,8 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
 from hydro_diagnosis.stages.reading import baseline
 from hydro_diagnosis.stages.unclaimed import confirmed

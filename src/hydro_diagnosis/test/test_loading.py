@@ -13,12 +13,12 @@ from mcap.reader import make_reader
 from hydro_bridge.bags.recording import BagWriter
 from hydro_core.cli.console import Table
 from hydro_diagnosis.inspect_command import COLUMNS, listed
-from hydro_diagnosis.io.table import InputError, columns_of, read_table
+from hydro_diagnosis.io.table import columns_of, read_table
 from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.preprocessing.streaming import read_bag_within
-from hydro_diagnosis.recording import Recording
+from hydro_diagnosis.recording import InputError, Recording
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment

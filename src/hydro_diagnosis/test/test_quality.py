@@ -15,10 +15,10 @@ import pytest
 
 from hydro_core.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import InputError, RawTable, read_table
+from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.preprocessing.box_clock import BETWEEN
 from hydro_diagnosis.preprocessing.quality import checked, counted, frozen_encoder, uneven
-from hydro_diagnosis.recording import Recording
+from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages import naming, reading

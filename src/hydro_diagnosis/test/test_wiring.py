@@ -19,8 +19,9 @@ from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.table import InputError, RawTable
+from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
 from hydro_diagnosis.stages.reading import Case, Question
 from hydro_diagnosis.wiring import inspect_table, reversed_sign

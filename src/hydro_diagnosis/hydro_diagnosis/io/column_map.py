@@ -34,10 +34,10 @@ from hydro_diagnosis.io.units import UNITS, known, quantity, to_si
 from hydro_diagnosis.recording import InputError
 
 _SOURCE = re.compile(
-    r"""\s*(?:'(?P<single>[^']+)'|"(?P<double>[^"]+)"|(?P<bare>[^\[\]*/+\-@'"]+?))\s*(?P<rest>[\[*/+\-].*)?"""
+    r"""\s*(?:'(?P<single>[^']+)'|"(?P<double>[^"]+)"|(?P<bare>[^\[\]*/+\-@'"]+?))\s*"""
+    r"""(?:\[(?P<unit>[^\]]*)\]\s*(?P<behind>.*)|(?P<rest>[\[*/+\-].*))?"""
 )
 _STEP = re.compile(r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*")
-_UNIT = re.compile(r"\s*\[(?P<unit>[^\]]*)\]\s*")
 _DELAY = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
 _BARE = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
 """A column's name that needs no quotes, in a map in short nor in YAML."""
@@ -101,41 +101,39 @@ def source_of(field: str, value: Any) -> Source:
     """The source that an entry of a map describes. Raises InputError: in one sentence that names the field."""
     if isinstance(value, bool) or value is None:
         raise InputError(f"columns: {field} = {value!r} is neither a column nor a number")
-    if isinstance(value, (int, float)):
-        return _constant(field, float(value))
-    if isinstance(value, Mapping):
-        return _refuse_unit(field, _from_words(field, value))
-    number = _number(value)
-    return _constant(field, number) if isinstance(number, float) else _refuse_unit(field, _parsed(field, number))
+    if not isinstance(value, Mapping) and isinstance(number := _number(value), float):
+        if field == "time":
+            raise InputError("columns: the time cannot be a constant")
+        if not isfinite(number):
+            raise InputError(f"columns: {field} = {number} is not a finite number")
+        return Source("", (("+", number),))
+    column, unit, steps, delay = (_of_words if isinstance(value, Mapping) else _of_text)(field, value)
+    if unit is not None and not known(unit):
+        raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
+    wanted, unit = QUANTITY_OF.get(field, ""), known(unit or "")
+    if unit and wanted and quantity(unit) != wanted and not any(sign in "*/" for sign, _ in steps):
+        raise InputError(f"columns: {field} is a {wanted}, {unit} is a unit of {quantity(unit)}: give a factor to SI")
+    return Source(column, tuple(steps), unit, delay)
 
 
-def _constant(field: str, value: float) -> Source:
-    if field == "time":
-        raise InputError("columns: the time cannot be a constant")
-    if not isfinite(value):
-        raise InputError(f"columns: {field} = {value} is not a finite number")
-    return Source("", (("+", value),))
+_Parts = tuple[str, str | None, list[tuple[str, float | str]], float]
+"""Column, unit, steps, delay [s]."""
 
 
-def _from_words(field: str, words: Mapping[str, Any]) -> Source:
+def _of_words(field: str, words: Mapping[str, Any]) -> _Parts:
     unknown = [str(key) for key in words if key not in ("column", "unit", "scale", "offset", "delay")]
     if unknown or "column" not in words:
         said = f"{unknown[0]!r} is unknown" if unknown else "'column' is missing"
         raise InputError(f"columns: {field}: {said}; there are column, unit, scale, offset, delay")
-    steps: list[tuple[str, float | str]] = []
-    for sign, word in (("*", "scale"), ("+", "offset")):
-        if word in words:
-            steps.append((sign, _number(words[word])))
-    unit = _unit(field, str(words["unit"])) if "unit" in words else ""
+    steps = [(sign, _number(words[word])) for sign, word in (("*", "scale"), ("+", "offset")) if word in words]
     delay = _number(words.get("delay", 0.0))
     if not isinstance(delay, float) or not isfinite(delay):
         raise InputError(f"columns: {field}: delay {words['delay']!r} is not a number of seconds")
-    return Source(str(words["column"]), tuple(steps), unit, delay)
+    return str(words["column"]), str(words["unit"]) if "unit" in words else None, steps, delay
 
 
-def _parsed(field: str, text: str) -> Source:
+def _of_text(field: str, text: str) -> _Parts:
     late = _DELAY.search(text)
-    delay = float(late["value"]) * UNITS[late["unit"]] if late else 0.0
     found = _SOURCE.fullmatch(text[: late.start()] if late else text)
     if found is None:
         raise InputError(
@@ -143,16 +141,14 @@ def _parsed(field: str, text: str) -> Source:
         )
     column = next(name for name in (found["single"], found["double"], found["bare"]) if name is not None)
     steps: list[tuple[str, float | str]] = []
-    rest = found["rest"] or ""
-    unit = _UNIT.match(rest)
-    rest = rest[unit.end() :] if unit else rest
+    rest = found["behind"] or found["rest"] or ""
     while rest:
         step = _STEP.match(rest)
         if step is None:
             raise InputError(f"columns: {field}={text} cannot be read from {rest!r} on")
         steps.append((step["sign"], _number(step["value"])))
         rest = rest[step.end() :]
-    return Source(column.strip(), tuple(steps), _unit(field, unit["unit"]) if unit else "", delay)
+    return column.strip(), found["unit"], steps, float(late["value"]) * UNITS[late["unit"]] if late else 0.0
 
 
 def _number(text: Any) -> float | str:
@@ -160,20 +156,6 @@ def _number(text: Any) -> float | str:
         return float(text)
     except ValueError:
         return str(text)
-
-
-def _unit(field: str, unit: str) -> str:
-    if not known(unit):
-        raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
-    return known(unit)
-
-
-def _refuse_unit(field: str, source: Source) -> Source:
-    """Return a source whose unit is one of the field's quantity, or raise InputError; factors make any unit its."""
-    wanted, here = QUANTITY_OF.get(field, ""), quantity(source.unit)
-    if source.unit and wanted and here != wanted and not any(sign in "*/" for sign, _ in source.steps):
-        raise InputError(f"columns: {field} is a {wanted}, {source.unit} is a unit of {here}: give a factor to SI")
-    return source
 
 
 def _instead(name: str, there: Iterable[str]) -> str:
@@ -241,7 +223,8 @@ class ColumnMap:
             return cls({_target(key): source_of(key, value) for key, value in there.items()}, absent)
         if isinstance(given, Path) or (str(given).endswith((".yaml", ".yml")) and "=" not in str(given)):
             return cls.load(_from_yaml(Path(given)))
-        pairs = [part.partition("=") for part in _parts(str(given))]
+        parts = re.findall(r"""(?:[^,'"]|'[^']*'|"[^"]*")+""", str(given))  # at commas outside of quotes
+        pairs = [part.partition("=") for part in parts if part.strip()]
         for left, equals, _ in pairs:
             if not equals:
                 raise InputError(f"columns: {left.strip()!r} is not FIELD=COLUMN, for instance piston_position=pos[mm]")
@@ -254,12 +237,6 @@ def _target(name: str) -> str:
         hint = f", did you mean {close[0]!r}?" if close else f": there are {', '.join(TARGETS)}"
         raise InputError(f"columns: {name!r} is not a field of a recording{hint}")
     return name
-
-
-def _parts(text: str) -> list[str]:
-    """Split at commas outside of quotes."""
-    parts = re.findall(r"""(?:[^,'"]|'[^']*'|"[^"]*")+""", text)
-    return [part for part in parts if part.strip()]
 
 
 def _from_yaml(path: Path) -> Mapping[str, Any]:

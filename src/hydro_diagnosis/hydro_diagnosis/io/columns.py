@@ -6,6 +6,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import count, takewhile
 
 import numpy as np
 
@@ -47,14 +49,15 @@ class Columns:
             self.units[column] = stated(unit)
         return column
 
+    def clock(self, times: FloatArray, group: str = "") -> str:
+        """Name of the clock with these times [s], which is added if no column of the `group` (a prefix) has it."""
+        clocks = (clock for clock in dict.fromkeys(self.clocks.values()) if clock.startswith(group))
+        same = (clock for clock in clocks if np.array_equal(self.series[clock], times))
+        return next(same, "") or self.add(f"{group}time", times, "s")
+
     def unit(self, name: str) -> str:
         """Unit of a column, as the file states it or by the column's name; empty if neither tells."""
         return self.units.get(name) or split_unit(name)[1]
-
-
-def named_like_time(name: str) -> bool:
-    """Return whether a column's name says that it is the time."""
-    return _TIME.match(split_unit(name)[0]) is not None
 
 
 def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
@@ -69,7 +72,7 @@ def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
 
 def is_time(name: str, values: FloatArray) -> bool:
     """Return whether a column's name and numbers say that it is the time."""
-    return named_like_time(name) and runs_forward(values, ticks=True)
+    return _TIME.match(split_unit(name)[0]) is not None and runs_forward(values, ticks=True)
 
 
 def counts_rows(values: FloatArray) -> bool:
@@ -160,10 +163,8 @@ def tell_days(found: Columns) -> None:
         finite = values[np.isfinite(values)]
         if found.unit(name) or not is_time(name, values) or len(finite) < 3:
             continue
-        step, first = (
-            float(np.median(steps[steps > 0.0])) if np.any((steps := np.diff(finite)) > 0.0) else 1.0,
-            finite[0],
-        )
+        steps, first = np.diff(finite), finite[0]
+        step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
         dated = 20_000.0 < first < 80_000.0 or 690_000.0 < first < 780_000.0
         if step < (2e-5 if dated else 2e-6) and (dated or 0.0 <= first < 1.0) and finite[-1] - first < 30.0:
             found.units[name] = "d"
@@ -177,15 +178,14 @@ def assign_clocks_of_equal_length(found: Columns) -> None:
     clock; of several lengths, the longest does without, and what has neither is listed under `other`.
     """
     series, clocks = found.series, found.clocks
-    lengths = {len(values) for values in series.values()}
-    if len(lengths) <= 1:
+    longest = max(map(len, series.values()), default=0)
+    if all(len(values) == longest for values in series.values()):
         return
     times = [name for name, values in series.items() if is_time(name, values)]
-    longest = max(lengths)
     for name, values in [*series.items()]:
         alike = [time for time in times if len(series[time]) == len(values)]
         if alike:
-            clocks[name] = max(alike, key=lambda time: _kinship(time, name))
+            clocks[name] = max(alike, key=partial(_leading_parts_in_common, name))
         elif len(values) != longest:
             found.other.append(name)
             del series[name]
@@ -193,22 +193,12 @@ def assign_clocks_of_equal_length(found: Columns) -> None:
         clocks.clear()
 
 
-def _kinship(one: str, other: str) -> int:
-    """Number of leading parts that two dotted names share."""
+def _leading_parts_in_common(one: str, other: str) -> int:
     parts = zip(one.split(".")[:-1], other.split(".")[:-1], strict=False)
-    count = 0
-    for mine, yours in parts:
-        if mine != yours:
-            break
-        count += 1
-    return count
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], parts))
 
 
 def unique(name: str, taken: Mapping[str, object]) -> str:
     """The name, or with a number behind it if it is taken: `time`, `time.2`, `time.3`."""
-    if name not in taken:
-        return name
-    number = 2
-    while f"{name}.{number}" in taken:
-        number += 1
-    return f"{name}.{number}"
+    numbered = (f"{name}.{number}" for number in count(2))
+    return name if name not in taken else next(one for one in numbered if one not in taken)

@@ -23,7 +23,7 @@ import re
 from codecs import getincrementaldecoder
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import StringIO
 from itertools import islice
@@ -45,12 +45,7 @@ NAME_KEYS = (
 """First cells of rows that hold names, the best first: those in which names differ come before."""
 UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_label")
 """First cells of rows that hold units."""
-FIRST_NUMBERS = "trace_values"
-"""ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)."""
-MISSING = ["-", "--", "---", "?", "NaN.", "1.#R"]
-"""Cells in which nothing was measured, beside those that pandas knows."""
 BLANKS = r"\s+"
-_SEPARATORS = (";", "\t", BLANKS, ",", "|")
 _THOUSANDS = ".,'’ \u00a0\u2009\u202f"
 _PLAIN = {sign: rf"[+-]?(?:\d+[{sign}]?\d*|[{sign}]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)" for sign in ".,"}
 _GROUPED = {
@@ -61,10 +56,6 @@ _NUMBER = {sign: re.compile(f"(?:{_GROUPED[sign]}|{_PLAIN[sign]})", re.IGNORECAS
 """Numbers by decimal sign, with thousands or without."""
 _CLOCK = r"(?<!\d)(?:(\d{1,2}):)?(\d\d):(\d\d)(?:([.,:])(\d+))?(?!\d|:)(?:\s*([ap])\.?m\b)?"
 """Time of day in a cell, or minutes and seconds; parts of a second behind a point, a comma or a colon."""
-_FOLLOWING = 4
-"""Rows below the first that must be numbers too."""
-_HEAD = 1 << 16
-"""Bytes inspected to detect a file's format."""
 _TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
 """A line that begins with a word: what stands above a block of numbers."""
 
@@ -97,15 +88,16 @@ class Header:
 
 def delimited_columns(path: Path) -> Columns:
     """Read a table of text. Raises ValueError, OSError, pandas.errors.EmptyDataError if it cannot be read."""
+    inspected = 1 << 16
     with path.open("rb") as file:
-        head = file.read(_HEAD)
+        head = file.read(inspected)
     if not head.strip():
         raise pd.errors.EmptyDataError(str(path))
     if head.lstrip()[:1] == b"<":
         raise ValueError("it is a web page or XML, not a table")
     encoding = _encoding(head)
     lines = head.decode(encoding, errors="replace").splitlines()
-    found = merged(_blocks(path, encoding, style_of(lines[:-1] if len(head) == _HEAD else lines)))
+    found = merged(_blocks(path, encoding, style_of(lines[:-1] if len(head) == inspected else lines)))
     tell_days(found)
     if len({len(values) for values in found.series.values()}) == 1 and len(set(found.clocks.values())) <= 1:
         found.clocks.clear()
@@ -117,8 +109,7 @@ def _encoding(head: bytes) -> str:
 
     That of Western Europe, or that of Korea where bytes beyond ASCII come in pairs.
     """
-    marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-    for mark, encoding in marks.items():
+    for mark, encoding in ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
         if head.startswith(mark):
             return encoding
     if head[1::2].count(0) > len(head) // 4:
@@ -135,7 +126,7 @@ def style_of(lines: list[str]) -> Style:
     best, most = Style(",", ".", sure=False), -1
     for decimal, other in (".,", ",."):
         plain = re.compile(_PLAIN[decimal], re.IGNORECASE)
-        for separator in _SEPARATORS:
+        for separator in (";", "\t", BLANKS, ",", "|"):
             rows = (_cells(line, separator) for line in last if separator != BLANKS or not re.search("[;\t|]", line))
             cells = [cell for row in rows if len(row) > 1 for cell in row if cell]
             numbers = [cell for cell in cells if _is_number(cell, decimal)]
@@ -160,14 +151,22 @@ def _is_number(cell: str, decimal: str) -> bool:
 def header_of(lines: list[str], style: Style) -> Header:
     """Header of a block that begins with `lines`. Raises ValueError if no row of numbers is among them."""
     rows = [_cells(line, style.separator) for line in lines]
-    marked = (k for k, row in enumerate(rows) if row and row[0].lower() == FIRST_NUMBERS)
-    first = next(marked, None)
-    if first is None:
-        first = next((k for k in range(len(rows)) if _numbers_begin(rows, k, style.decimal)), None)
+
+    def lead(at: int) -> int:
+        """Return 1 where a row begins with a key and the next with an empty cell, else 0."""
+        keyed = any(rows[at][:1]) and not _is_number(rows[at][0], style.decimal)
+        return int(keyed and (at + 1 >= len(rows) or rows[at + 1][:1] == [""]))
+
+    def numbers_begin(at: int) -> bool:
+        below = [row for row in rows[at + 1 : at + 5] if any(row)]
+        return all(_mostly_numbers(row, style.decimal) for row in (rows[at][lead(at) :], *below))
+
+    # ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)
+    marked = [k for k, row in enumerate(rows) if row and row[0].lower() == "trace_values"]
+    first = marked[0] if marked else next(filter(numbers_begin, range(len(rows))), None)
     if first is None:
         raise ValueError("there is no row of two numbers or more in it")
-    lead = _lead(rows, first, style.decimal)
-    body = rows[first][lead:]
+    body = rows[first][lead(first) :]
     ends_empty = all(not row or row[-1] == "" for row in rows[first:])  # a separator behind which nothing stands
     width = len(body) - (len(body) > 2 and ends_empty)
     above = _header_rows(lines[:first], rows[:first], width, style.separator)
@@ -177,14 +176,12 @@ def header_of(lines: list[str], style: Style) -> Header:
             f"line {first + 1} has {width} cells under half as many names: its decimal commas separate columns, too; "
             "write decimal points, or semicolons between the columns"
         )
-    grouped = _by_clock(above)
-    names, units = _keyed(grouped or above, width) if lead or grouped else _plain(above, width)
-    apart = [split_unit(name)[1] for name in names]
-    units = [stated(unit) or behind for unit, behind in zip(units, apart, strict=True)]
+    names, units = _names_and_units(above, width, keyed=bool(lead(first)))
+    units = [stated(unit) or split_unit(name)[1] for name, unit in zip(names, units, strict=True)]
     distinct: dict[str, None] = {}
     for name in names:
         distinct[unique(name, distinct)] = None
-    return Header(first, lead, tuple(distinct), tuple(units), *stated_step(_properties(above)))
+    return Header(first, lead(first), tuple(distinct), tuple(units), *stated_step(_properties(above)))
 
 
 def _header_rows(lines: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
@@ -193,19 +190,17 @@ def _header_rows(lines: list[str], rows: list[list[str]], width: int, separator:
     if separator == BLANKS:
         rows = [line.split() for line in bare]
     if width > 1 and not any(width <= len(row) <= width + 3 for row in rows):
-        for way in (r"\s{2,}", r"\s*;\s*", r"\s*\t\s*", r"\s*,\s*", r"\s+"):
-            split = [re.split(way, line) for line in bare]
-            if any(len(cells) == width for cells in split):
-                rows = split
-                break
+        ways = (r"\s{2,}", r"\s*;\s*", r"\s*\t\s*", r"\s*,\s*", r"\s+")
+        split = ([re.split(way, line) for line in bare] for way in ways)
+        rows = next((one for one in split if any(len(cells) == width for cells in one)), rows)
     return [row for row in rows if any(row)]
 
 
 def _properties(above: list[list[str]]) -> Iterator[tuple[str, str]]:
     """Cells with what stands next to them and below them, where that is a number."""
-    for k, row in enumerate(above):
+    for row, next_row in zip(above, [*above[1:], []], strict=False):
         for j, cell in enumerate(row):
-            below = above[k + 1][j] if k + 1 < len(above) and len(above[k + 1]) > j else ""
+            below = next_row[j] if len(next_row) > j else ""
             beside = next((one for one in row[j + 1 :] if one), "")
             key, _, behind = cell.replace("=", ":").partition(":")
             value = next((one for one in (behind.strip(), beside, below) if re.match(r"[+-]?[\d.,]", one)), "")
@@ -213,48 +208,26 @@ def _properties(above: list[list[str]]) -> Iterator[tuple[str, str]]:
                 yield key, value
 
 
-def _by_clock(above: list[list[str]]) -> list[list[str]]:
-    """Rows that repeat their key above each clock, with the key in front and nothing or ms in its place; else none."""
-    if not any(row[0].lower() in NAME_KEYS and row[0] in row[1:] for row in above):
-        return []
-    clock = dict.fromkeys(UNIT_KEYS, "ms")
-    return [[row[0], *(clock.get(row[0].lower(), "") if cell == row[0] else cell for cell in row)] for row in above]
-
-
-def _numbers_begin(rows: list[list[str]], at: int, decimal: str) -> bool:
-    """Return whether this row and those below are numbers; only its own first cell may be a key."""
-    below = [row for row in rows[at + 1 : at + 1 + _FOLLOWING] if any(row)]
-    here = rows[at][_lead(rows, at, decimal) :]
-    return _mostly_numbers(here, decimal) and all(_mostly_numbers(row, decimal) for row in below)
-
-
-def _lead(rows: list[list[str]], at: int, decimal: str) -> int:
-    """Return 1 where a row begins with a key and the next with an empty cell, else 0."""
-    keyed = any(rows[at][:1]) and not _is_number(rows[at][0], decimal)
-    return int(keyed and (at + 1 >= len(rows) or rows[at + 1][:1] == [""]))
-
-
-def _mostly_numbers(row: list[str], decimal: str) -> bool:
-    cells = [cell for cell in row if cell]
-    numbers = sum(_is_number(cell, decimal) or bool(re.search(_CLOCK, cell)) for cell in cells)
-    return len(row) > 1 and numbers > 0 and 2 * numbers > len(cells)
-
-
-def _keyed(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
-    rows = {row[0].lower().strip("[]:"): row[1 : width + 1] for row in above if row[0]}
-    there = [rows[key] for key in NAME_KEYS if any(rows.get(key, ()))]
-    names = max(there, key=lambda names: len(set(names)), default=[])
-    units = next((rows[key] for key in UNIT_KEYS if any(rows.get(key, ()))), [])
-    names = [name or "time" for name in [*names, *[""] * (width - len(names))]] if names else names
-    return _filled_cells(names, width), [*units, *[""] * (width - len(units))]
-
-
-def _plain(above: list[list[str]], width: int) -> tuple[list[str], list[str]]:
-    """Of the rows as wide as the numbers the last in which most cells differ, and the last of units if there is one."""
-    wide = [row for row in reversed(above) if width <= len(row) <= width + 3]
-    units = next(filter(_are_units, wide), []) if len(wide) > 1 else []
-    names = max((row for row in wide if row is not units), key=lambda row: len(set(row[:width])), default=[])
-    return _filled_cells(names[:width], width), [*units[:width], *[""] * (width - len(units))]
+def _names_and_units(above: list[list[str]], width: int, *, keyed: bool) -> tuple[list[str], list[str]]:
+    """Names and units of the columns, `width` of each: from rows that begin with a key, else from rows as wide."""
+    if any(row[0].lower() in NAME_KEYS and row[0] in row[1:] for row in above):  # which is repeated above each clock
+        clock = dict.fromkeys(UNIT_KEYS, "ms")
+        above = [
+            [row[0], *(clock.get(row[0].lower(), "") if cell == row[0] else cell for cell in row)] for row in above
+        ]
+        keyed = True
+    if keyed:
+        by_key = {row[0].lower().strip("[]:"): row[1 : width + 1] for row in above if row[0]}
+        there = [by_key[key] for key in NAME_KEYS if any(by_key.get(key, ()))]
+        names = max(there, key=lambda names: len(set(names)), default=[])
+        names = [name or "time" for name in [*names, *[""] * (width - len(names))]] if names else names
+        units = next((by_key[key] for key in UNIT_KEYS if any(by_key.get(key, ()))), [])
+    else:  # the last row in which most cells differ
+        wide = [row for row in reversed(above) if width <= len(row) <= width + 3]
+        units = next(filter(_are_units, wide), []) if len(wide) > 1 else []
+        names = max((row for row in wide if row is not units), key=lambda row: len(set(row[:width])), default=[])
+        names, units = names[:width], units[:width]
+    return _numbered(names, width), [*units, *[""] * (width - len(units))]
 
 
 def _are_units(row: list[str]) -> bool:
@@ -267,9 +240,16 @@ def _are_units(row: list[str]) -> bool:
     )
 
 
-def _filled_cells(names: list[str], width: int) -> list[str]:
+def _numbered(names: list[str], width: int) -> list[str]:
+    """The names, with a number in place of those that are missing."""
     names = [*names, *[""] * (width - len(names))]
     return [name.lstrip("#% ") or f"column {k}" for k, name in enumerate(names)]
+
+
+def _mostly_numbers(row: list[str], decimal: str) -> bool:
+    cells = [cell for cell in row if cell]
+    numbers = sum(_is_number(cell, decimal) or bool(re.search(_CLOCK, cell)) for cell in cells)
+    return len(row) > 1 and numbers > 0 and 2 * numbers > len(cells)
 
 
 def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
@@ -296,8 +276,8 @@ def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
             if at:
                 return  # words below the last number
             raise
-        if header.names == tuple(_filled_cells([], len(above.names))):  # words, no header
-            header = Header(header.length, above.lead, above.names, above.units, above.start, above.step)
+        if header.names == tuple(_numbered([], len(above.names))):  # words, no header
+            header = replace(above, length=header.length)
         begin = at + header.length
         words = (k for k in range(begin + 1, len(rest)) if _TEXT.match(rest[k]))
         end = next(
@@ -326,7 +306,8 @@ def _read(source: object, header: Header, style: Style) -> pd.DataFrame:
     frame = pd.read_csv(
         source, sep=style.separator, decimal=style.decimal, header=None, names=range(width),
         usecols=range(header.lead, width), index_col=False, skiprows=header.length, skipinitialspace=True,
-        skip_blank_lines=True, low_memory=False, na_values=MISSING, dtype=None if style.sure else str,
+        skip_blank_lines=True, low_memory=False, dtype=None if style.sure else str,
+        na_values=["-", "--", "---", "?", "NaN.", "1.#R"],  # beside those that pandas knows
         float_precision="round_trip" if style.decimal == "." else "high",
     )  # fmt: skip
     if not len(frame):
@@ -395,15 +376,11 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, sure: bool = True) -> tu
     if others_fit[given].all():
         return others, None
     times = _times_of_day(text)
-    if np.isfinite(times[given]).all():
-        return times, None
-    best = max((fits, others_fit, np.isfinite(times)), key=lambda one: int(np.sum(one & given)))
-    if not np.any(best & given):
-        return np.full(len(text), np.nan), None
-    bad = int(np.argmax(given & ~best))
-    if bad == len(text) - 1:  # the file ends within it
-        return (values if best is fits else others if best is others_fit else times), None
-    return np.full(len(text), np.nan), bad
+    fits, values = max([*read, (np.isfinite(times), times)], key=lambda one: int(np.sum(one[0] & given)))
+    bad = np.flatnonzero(given & ~fits)
+    if not len(bad) or (np.any(fits & given) and bad[0] == len(text) - 1):  # the file ends within it
+        return values, None
+    return np.full(len(text), np.nan), int(bad[0]) if np.any(fits & given) else None
 
 
 def _times_of_day(text: pd.Series) -> FloatArray:
@@ -442,28 +419,23 @@ def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
                 "the times"
             )
     for k, name in enumerate(header.names):
-        if k in times and clock and np.array_equal(columns[k], steps, equal_nan=True):
+        values, unit = columns[k], header.units[k]
+        if k in times and clock and np.array_equal(values, steps, equal_nan=True):
             continue  # the clock of the columns to the left again
-        there = _filled(columns[k])
-        if not np.isfinite(columns[k]).any():
+        if not np.isfinite(values).any():
             found.other.extend([name] * (name not in found.broken))
-            continue
-        column = unique(name, series)
-        if header.units[k]:
-            found.units[column] = header.units[k]
-        if k in times:
-            series[column], clock, steps = columns[k][there], column, columns[k]
-        elif clock and _thinned(columns[k], steps):
-            sampled = np.isfinite(columns[k]) & np.isfinite(steps)
+        elif k in times:
+            clock, steps = found.add(name, values[_filled(values)], unit), values
+        elif clock and _thinned(values, steps):
+            sampled = np.isfinite(values) & np.isfinite(steps)
             own_clock = next((one for one in clocks.values() if np.array_equal(series[one], steps[sampled])), "")
-            own_clock = own_clock or unique(f"{clock} of {column}", series)
-            series[own_clock], series[column], clocks[column] = steps[sampled], columns[k][sampled], own_clock
-        elif clock and len(series[clock]) < len(columns[k]):
-            series[column], clocks[column] = columns[k][_filled(steps)], clock
+            own_clock = own_clock or found.add(f"{clock} of {unique(name, series)}", steps[sampled])
+            clocks[found.add(name, values[sampled], unit)] = own_clock
+        elif clock:
+            shorter = len(series[clock]) < len(values)
+            clocks[found.add(name, values[_filled(steps)] if shorter else values, unit)] = clock
         else:
-            series[column] = columns[k]
-            if clock:
-                clocks[column] = clock
+            found.add(name, values, unit)
 
 
 def _filled(values: FloatArray) -> npt.NDArray[np.bool_]:

@@ -32,7 +32,7 @@ from hydro_diagnosis.io.columns import (
     tell_days,
     unique,
 )
-from hydro_diagnosis.io.units import known, stated
+from hydro_diagnosis.io.units import known
 from hydro_diagnosis.recording import InputError
 
 log_manager.set_level(logging.CRITICAL)  # npTDMS prints what a note says here
@@ -59,31 +59,21 @@ def matlab_columns(path: Path) -> Columns:
     with _read_as("a MATLAB file"):
         content = loadmat(str(path), simplify_cells=True)
     variables = {key: value for key, value in content.items() if not key.startswith("__")}
-    captures = [value for value in variables.values() if _is_capture(value)]
-    if len(captures) == 1 == len(variables):
-        return _capture(captures[0])
+    if len(variables) == 1 and (capture := _capture(*variables.values())) is not None:
+        return capture
     leaves = list(_leaves(variables))
     objects = [name for name, value in leaves if isinstance(value, (MatlabOpaque, MatlabFunction))]
-    return _without_objects(leaves_as_columns((name, value, "", ()) for name, value in leaves), objects)
+    return leaves_as_columns(((name, value, "", ()) for name, value in leaves), objects)
 
 
-def _without_objects(found: Columns, objects: list[str]) -> Columns:
-    """The columns with a note on objects beside them; raises ValueError if there is nothing else."""
-    if objects:
-        found.notes.append(
-            f"{', '.join(objects)}: timetables, tables, timeseries and other objects of MATLAB can be read by MATLAB "
-            "only: save the numbers, of a timetable T by `T = timetable2table(T); s.time = seconds(T{:,1} - T{1,1}); "
-            "s.data = T{:,2:end}; save('run.mat', '-struct', 's')`"
-        )
-    if objects and not found.series:
-        raise ValueError(found.notes[-1])
-    return found
+Leaf = tuple[str, Any, str, Iterable[tuple[str, Any]]]
+"""Name, array or number or anything else, unit, and properties."""
 
 
-def leaves_as_columns(leaves: Iterator[tuple[str, Any, str, Iterable[tuple[str, Any]]]]) -> Columns:
-    """Arrays, numbers and the rest by name, unit and properties as columns, single numbers and others.
+def leaves_as_columns(leaves: Iterator[Leaf], objects: list[str]) -> Columns:
+    """Leaves as columns, single numbers and others; columns whose properties state a step get times by it.
 
-    Columns whose properties state a step get times by it.
+    `objects`: names of MATLAB's objects beside them; raises ValueError if there is nothing else.
     """
     found = Columns()
     for name, value, unit, properties in leaves:
@@ -93,24 +83,29 @@ def leaves_as_columns(leaves: Iterator[tuple[str, Any, str, Iterable[tuple[str, 
         elif array.size == 1:
             found.constants[name] = float(array.reshape(()))
         else:
-            columns = split(name, array.astype(np.float64))
-            found.series.update(columns)
-            found.units.update(dict.fromkeys(columns, unit) if unit else {})
+            names = [found.add(*column, unit) for column in split(name, array.astype(np.float64)).items()]
             start, step = stated_step(properties)
             if step:
-                times = start + step * np.arange(len(next(iter(columns.values()))), dtype=np.float64)
-                found.clocks.update(dict.fromkeys(columns, _master(times, found)))
+                times = start + step * np.arange(len(found.series[names[0]]), dtype=np.float64)
+                found.clocks.update(dict.fromkeys(names, found.clock(times)))
     tell_days(found)
     assign_clocks_of_equal_length(found)
+    if objects:
+        found.notes.append(
+            f"{', '.join(objects)}: timetables, tables, timeseries and other objects of MATLAB can be read by MATLAB "
+            "only: save the numbers, of a timetable T by `T = timetable2table(T); s.time = seconds(T{:,1} - T{1,1}); "
+            "s.data = T{:,2:end}; save('run.mat', '-struct', 's')`"
+        )
+        if not found.series:
+            raise ValueError(found.notes[-1])
     return found
 
 
 def split(name: str, array: FloatArray) -> dict[str, FloatArray]:
     """A matrix as columns `name.0`, `name.1`, ..., time along its longer side."""
-    if array.ndim == 1:
-        return {name: array}
-    upright = array if array.shape[0] >= array.shape[1] else array.T
-    if upright.shape[1] == 1:
+    upright = np.atleast_2d(array)
+    upright = upright if upright.shape[0] >= upright.shape[1] else upright.T
+    if array.ndim == 1 or upright.shape[1] == 1:
         return {name: upright[:, 0]}
     return {f"{name}.{k}": upright[:, k] for k in range(upright.shape[1])}
 
@@ -149,38 +144,28 @@ def _texts(value: Any) -> list[str]:
     return [one.strip() for one in entries] if all(isinstance(one, str) for one in entries) else []
 
 
-def _is_capture(value: Any) -> bool:
-    """Return whether a struct is what ControlDesk exports: axes X and signals Y, each with Name and Data."""
-    if not isinstance(value, Mapping) or not {"X", "Y"} <= set(value):
-        return False
-    return all({"Name", "Data"} <= set(one) for one in (*_listed(value["X"]), *_listed(value["Y"])))
-
-
-def _capture(content: Mapping[str, Any]) -> Columns:
-    """Signals of a ControlDesk export by their names; `XIndex` counts its axes from 1."""
+def _capture(content: Any) -> Columns | None:
+    """What ControlDesk exports, axes X and signals Y with Name and Data; `XIndex` counts the axes from 1. Else None."""
+    if not isinstance(content, Mapping) or not {"X", "Y"} <= set(content):
+        return None
+    entries = (np.atleast_1d(np.asarray(content[key], dtype=object)) for key in "XY")
+    axes, signals = ([one for one in those if isinstance(one, Mapping)] for those in entries)
+    if not all({"Name", "Data"} <= set(one) for one in (*axes, *signals)):
+        return None
     found = Columns()
-    axes = [_add(axis, "time", found) for axis in _listed(content["X"])]
-    for signal in _listed(content["Y"]):
-        name = _add(signal, str(signal["Name"]), found)
-        index = int(signal.get("XIndex", 1)) - 1
-        found.clocks[name] = axes[index if 0 <= index < len(axes) else 0]
-    if any(len(found.series[name]) != len(found.series[clock]) for name, clock in found.clocks.items()):
-        raise ValueError("a signal and its axis have different lengths")
+
+    def add(entry: Mapping[str, Any], name: str) -> str:
+        return found.add(name, np.asarray(entry["Data"], dtype=np.float64).reshape(-1), str(entry.get("Unit", "")))
+
+    clocks = [add(axis, "time") for axis in axes]
+    for signal in signals:
+        name, index = add(signal, str(signal["Name"])), int(signal.get("XIndex", 1)) - 1
+        found.clocks[name] = clock = clocks[index if 0 <= index < len(clocks) else 0]
+        if len(found.series[name]) != len(found.series[clock]):
+            raise ValueError("a signal and its axis have different lengths")
     if len(axes) <= 1:
         found.clocks.clear()
     return found
-
-
-def _add(entry: Mapping[str, Any], name: str, found: Columns) -> str:
-    return found.add(name, np.asarray(entry["Data"], dtype=np.float64).reshape(-1), str(entry.get("Unit", "")))
-
-
-def _listed(value: Any) -> list[Mapping[str, Any]]:
-    entries = [value] if isinstance(value, Mapping) else list(np.atleast_1d(np.asarray(value, dtype=object)))
-    return [entry for entry in entries if isinstance(entry, Mapping)]
-
-
-_UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string")
 
 
 def is_hdf5(path: Path) -> bool:
@@ -197,34 +182,31 @@ def hdf5_columns(path: Path) -> Columns:
         raise ValueError("not an HDF5 file that can be read")
     objects: list[str] = []
     with h5py.File(path, "r") as file:
-        return _without_objects(leaves_as_columns(_hdf5_leaves(file, "", objects)), objects)
+        return leaves_as_columns(_hdf5_leaves(file, "", objects), objects)
 
 
-def _hdf5_leaves(
-    group: h5py.Group, prefix: str, objects: list[str]
-) -> Iterator[tuple[str, Any, str, Iterable[tuple[str, Any]]]]:
+def _hdf5_leaves(group: h5py.Group, prefix: str, objects: list[str]) -> Iterator[Leaf]:
+    """Arrays and the fields of tables; texts come as texts, which are no columns."""
     for key, item in group.items():
         if key.startswith("#"):  # where MATLAB keeps what its cells refer to
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(item, h5py.Group):
             yield from _hdf5_leaves(item, name, objects)
-        elif isinstance(item, h5py.Dataset) and "MATLAB_object_decode" in item.attrs:
+        if not isinstance(item, h5py.Dataset):
+            continue
+        if "MATLAB_object_decode" in item.attrs:
             objects.append(f"{name} ({_text(item.attrs.get('MATLAB_class', 'object'))})")
-        elif isinstance(item, h5py.Dataset):
-            yield from _dataset(item, name)
-
-
-def _dataset(item: h5py.Dataset, name: str) -> Iterator[tuple[str, Any, str, Iterable[tuple[str, Any]]]]:
-    """One array, or the fields of a table; texts come as texts, which are no columns."""
-    unit = stated(_text(next((item.attrs[key] for key in _UNIT_KEYS if key in item.attrs), "")))
-    steps = [(key, _text(value)) for one in (item, item.parent) for key, value in one.attrs.items()]
-    if item.dtype.names:
-        yield from ((f"{name}.{field}", item[field], "", steps) for field in item.dtype.names)
-    elif _text(item.attrs.get("MATLAB_class", "")) in ("char", "cell") or item.dtype.kind not in "fiub":
-        yield name, "", "", ()
-    else:
-        yield name, np.asarray(item[()]), unit, steps
+            continue
+        steps = [(key, _text(value)) for one in (item, item.parent) for key, value in one.attrs.items()]
+        if item.dtype.names:
+            yield from ((f"{name}.{field}", item[field], "", steps) for field in item.dtype.names)
+        elif _text(item.attrs.get("MATLAB_class", "")) in ("char", "cell") or item.dtype.kind not in "fiub":
+            yield name, "", "", ()
+        else:
+            keys = ("unit", "units", "Unit", "Units", "unit_string")
+            unit = _text(next((item.attrs[key] for key in keys if key in item.attrs), ""))
+            yield name, np.asarray(item[()]), unit, steps
 
 
 def _text(value: Any) -> str:
@@ -232,12 +214,8 @@ def _text(value: Any) -> str:
     return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
-NEEDED = "asammdf==8.8.28"
-"""Package that reads MDF."""
-
-
 def mdf_columns(path: Path) -> Columns:
-    """Channels by name, each with the times of its channel group.
+    """Channels by name, each with the times of its channel group; those that it marks as invalid are no numbers.
 
     Raises InputError if asammdf is not installed; ValueError, OSError if the file cannot be read.
     """
@@ -247,43 +225,32 @@ def mdf_columns(path: Path) -> Columns:
         from asammdf.blocks.mdf_v4 import MDF4
     except ImportError:
         raise InputError(
-            f"an MDF file is read by asammdf, which is not installed: `python -m pip install {NEEDED}`"
+            "an MDF file is read by asammdf, which is not installed: `python -m pip install asammdf==8.8.28`"
         ) from None
     for kind in (MDF3, MDF4):  # of a file that cannot be read it prints a traceback of its own
         setattr(kind, "__del__", lambda self: None)  # noqa: B010
-    with _read_as("an MDF file"), MDF(str(path)) as file:
-        return _channels(file)
-
-
-def _channels(file: Any) -> Columns:
-    """Channels of all groups; those that a group marks as invalid are no numbers."""
     parts: dict[int, Columns] = {}
-    for signal in file.iter_channels(skip_master=True):
-        found, samples = parts.setdefault(signal.group_index, Columns()), np.asarray(signal.samples)
-        if samples.dtype.kind not in "fiub" or samples.ndim != 1 or len(samples) < 2:
-            found.other.append(unique(str(signal.name), found.series))
-            continue
-        bits = signal.invalidation_bits
-        invalid = np.zeros(len(samples), dtype=bool) if bits is None else np.asarray(bits, dtype=bool)
-        values = np.where(invalid, np.nan, samples.astype(np.float64))
-        name = found.add(str(signal.name), values, str(signal.unit))
-        found.clocks[name] = _master(np.asarray(signal.timestamps, dtype=np.float64), found)
-        if invalid.any():
-            found.notes.append(
-                f"{int(invalid.sum())} of {len(values)} samples of {name!r} are marked as invalid: left out"
-            )
-    found = merged(parts.values())
+    with _read_as("an MDF file"), MDF(str(path)) as file:
+        for signal in file.iter_channels(skip_master=True):
+            part, samples = parts.setdefault(signal.group_index, Columns()), np.asarray(signal.samples)
+            if samples.dtype.kind not in "fiub" or samples.ndim != 1 or len(samples) < 2:
+                part.other.append(unique(str(signal.name), part.series))
+                continue
+            bits = signal.invalidation_bits
+            invalid = np.zeros(len(samples), dtype=bool) if bits is None else np.asarray(bits, dtype=bool)
+            values = np.where(invalid, np.nan, samples.astype(np.float64))
+            times = np.asarray(signal.timestamps, dtype=np.float64)
+            name = part.add(str(signal.name), values, str(signal.unit))
+            part.clocks[name] = part.clock(times)
+            if invalid.any():
+                part.notes.append(
+                    f"{int(invalid.sum())} of {len(values)} samples of {name!r} are marked as invalid: left out"
+                )
+        found = merged(parts.values())
     first: dict[bytes, str] = {}  # groups sampled together share a clock
     same = {clock: first.setdefault(found.series[clock].tobytes(), clock) for clock in found.clocks.values()}
     found.clocks.update({name: same[clock] for name, clock in found.clocks.items()})
     return found
-
-
-def _master(times: FloatArray, found: Columns, prefix: str = "") -> str:
-    """Name of the column that holds these times, which is added if there is none of the group."""
-    clocks = (clock for clock in dict.fromkeys(found.clocks.values()) if clock.startswith(prefix))
-    same = (clock for clock in clocks if np.array_equal(found.series[clock], times))
-    return next(same, "") or found.add(f"{prefix}time", times, "s")
 
 
 class _Starts(TdmsReader):
@@ -322,8 +289,16 @@ def tdms_columns(path: Path) -> Columns:
     earliest = min((one[0][1] for one in reader.starts.values()), default=np.datetime64(0, "ns"))
     unsaid: list[str] = []
     for group in groups:
-        prefix = f"{group.name}." if len(groups) > 1 else ""
-        named = _numbers(group, prefix, found)
+        prefix, named = f"{group.name}." if len(groups) > 1 else "", {}
+        for channel in group.channels():
+            name, values = f"{prefix}{channel.name}", np.asarray(channel[:])
+            if values.dtype.kind == "M":  # times of day: since the first of them
+                values = (values - values[0]) / np.timedelta64(1, "s") if len(values) else values
+            if values.dtype.kind not in "fiub" or len(values) < 2:
+                found.other.append(unique(name, series))
+                continue
+            unit = str(channel.properties.get("unit_string", channel.properties.get("NI_UnitDescription", "")))
+            named[found.add(name, values.astype(np.float64), unit)] = channel
         times = [name for name in named if is_time(name, series[name])]
         for name, channel in named.items():
             step, length = float(channel.properties.get("wf_increment", 0.0)), len(series[name])
@@ -331,9 +306,13 @@ def tdms_columns(path: Path) -> Columns:
             if step > 0.0:
                 starts = reader.starts.get(channel.path, [])
                 unsaid += [name] * (not starts)
-                own = _waveform(starts, earliest, step, length)
+                own: FloatArray = step * np.arange(length, dtype=np.float64)
+                for first, start in starts:  # one that goes on as counted is none
+                    begin = float((start - earliest) / np.timedelta64(1, "ns")) * 1e-9
+                    if first < length and (first == 0 or abs(begin - own[first]) > 0.5 * step):
+                        own[first:] = begin + step * np.arange(length - first, dtype=np.float64)
                 own += float(channel.properties.get("wf_start_offset", 0.0))
-                found.clocks[name] = _master(own, found, prefix)
+                found.clocks[name] = found.clock(own, prefix)
             elif same:
                 found.clocks[name] = same[0]
     if reader.starts and unsaid:
@@ -343,28 +322,3 @@ def tdms_columns(path: Path) -> Columns:
     for name in sorted({clock for clock in found.clocks.values() if (series[clock][:1] > 0.0).any()}):
         found.notes.append(f"{name!r} was started {1e3 * series[name][0]:.6g} ms after the first")
     return found
-
-
-def _waveform(starts: list[tuple[int, np.datetime64]], earliest: np.datetime64, step: float, length: int) -> FloatArray:
-    """Times [s] of a waveform since the earliest start, in which a start that goes on as counted is none."""
-    times: FloatArray = step * np.arange(length, dtype=np.float64)
-    for first, start in starts:
-        begin = float((start - earliest) / np.timedelta64(1, "ns")) * 1e-9
-        if first < length and (first == 0 or abs(begin - times[first]) > 0.5 * step):
-            times[first:] = begin + step * np.arange(length - first, dtype=np.float64)
-    return times
-
-
-def _numbers(group: Any, prefix: str, found: Columns) -> dict[str, Any]:
-    """Channels of a group that hold numbers, by the names under which they are added."""
-    named = {}
-    for channel in group.channels():
-        name, values = f"{prefix}{channel.name}", np.asarray(channel[:])
-        if values.dtype.kind == "M":  # times of day: since the first of them
-            values = (values - values[0]) / np.timedelta64(1, "s") if len(values) else values
-        if values.dtype.kind not in "fiub" or len(values) < 2:
-            found.other.append(unique(name, found.series))
-            continue
-        unit = str(channel.properties.get("unit_string", channel.properties.get("NI_UnitDescription", "")))
-        named[found.add(name, values.astype(np.float64), unit)] = channel
-    return named

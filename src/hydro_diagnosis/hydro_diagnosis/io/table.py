@@ -29,16 +29,11 @@ from hydro_diagnosis.io.delimited import delimited_columns, numbers_of
 from hydro_diagnosis.io.measurement_files import hdf5_columns, is_hdf5, matlab_columns, mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
 from hydro_diagnosis.io.units import OFFERED, known, quantity, split_unit, to_si
-from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, UnusableRecordingError, unreadable
-
-SLOWER = 1.2
-"""Multiple of the chosen clock's sampling time up to which a sensor counts as equally fast."""
-COINCIDENT = 1e-3
-"""Share of a sampling time within which two times are the same: times of day have 0.2 us in a float."""
+from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, unreadable
 
 
-def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str]]:
-    """Times [s], fields in SI units by name, all of the same length, and what was done to get them there.
+def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str], dict[str, str]]:
+    """Times [s], fields in SI units by name, all of the same length, what was done to get them there, and their units.
 
     Raises InputError if a column or a single number that the map names is not there, or no time belongs to the fields.
     """
@@ -47,31 +42,48 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     base = base_of(sources, found)
     times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
     time = times(base)
-    fields, clocks = {}, []
+    step, inside = _step(time), np.ones(len(time), dtype=bool)
+    coincident = 1e-3 * step  # within which two times are the same: times of day have 0.2 us in a float
+    fields = {}
     for field, source in sources.items():
         if field == "time":
             continue
         if source.column in found.broken or source.column in found.other:
             raise InputError(found.broken.get(source.column, f"{source.column!r} holds no numbers, or too few"))
-        own = found.clocks.get(source.column, base) if source.column else base
+        clock = found.clocks.get(source.column, base) if source.column else base
         length = len(found.series[source.column]) if source.column in found.series else len(time)
-        values = source.of(found.series, found.constants, length)
-        if own == base and not source.delay and len(values) != len(time):
+        values, late = source.of(found.series, found.constants, length), source.delay
+        if clock == base and not late and len(values) != len(time):
             raise InputError(f"{source.column!r} has {len(values)} rows, its times {len(time)}")
-        if not source.delay and (own == base or _coincide(times(own), time)):
+        own = times(clock) - late
+        if not late and (clock == base or (len(own) == len(time) and np.all(np.abs(own - time) < coincident))):
             fields[field] = values
             continue
-        moved = _moved(field, times(own) - source.delay, values, time)
-        if moved is None:
-            notes.append(_too_slow(field, own, times(own), time))
+        timed, values = own[np.isfinite(own)], values[np.isfinite(own)]
+        if field in MEASURED and _step(timed) > 1.2 * step:
+            notes.append(
+                f"{field} is sampled {1.0 / _step(times(clock)):.4g} times a second, the others {1.0 / step:.4g} "
+                f"times: it was left out (--columns time='{clock}' brings all to its times)"
+            )
             continue
-        fields[field] = moved
-        clocks.append(times(own) - source.delay)
-        notes.append(_said(field, source, own, base))
-    inside = _inside(time, clocks)
+        inside &= ~(time < np.nanmin(own) - 0.5 * step) & ~(time > np.nanmax(own) + 0.5 * step)
+        if field == "valve_current":
+            fields[field], how = _held_mean(timed, values, time), "the mean of what was held about it"
+        elif field not in MEASURED:
+            last = np.searchsorted(timed, time + 1e-9, side="right") - 1
+            fields[field], how = values[np.clip(last, 0, len(timed) - 1)], "the last known"
+        else:
+            near = np.clip(np.searchsorted(timed, time - coincident), 0, len(timed) - 1)
+            exact = np.abs(timed[near] - time) < coincident
+            fields[field] = np.where(exact, values[near], np.interp(time, timed, values))
+            how = "read off between its neighbouring samples"
+        said = f" {abs(late) * 1e3:g} ms {'late' if late > 0.0 else 'early'}" if late else ""
+        by = f" by the clock {clock!r}, not {base!r}" if clock != base else ""
+        notes.append(f"{field} was recorded{said}{' and' if said and by else ''}{by}: taken is {how}")
     if not inside.any() or not fields:
         raise InputError("the clocks of the mapped columns have no time in common")
-    return time[inside], {name: values[inside] for name, values in fields.items()}, notes
+    units = {field: source.unit for field, source in sources.items() if source.unit}
+    return time[inside], {name: values[inside] for name, values in fields.items()}, notes, units
 
 
 def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> Source:
@@ -93,6 +105,10 @@ def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> So
     return replace(source, unit=unit)
 
 
+def _names(found: Columns) -> str:
+    return ", ".join(list(found.series)[:40])
+
+
 def base_of(sources: Mapping[str, Source], found: Columns) -> str:
     """The column of times to which all are resampled: the mapped one, else that of most sensors, or the longest."""
     if "time" in sources:
@@ -100,7 +116,7 @@ def base_of(sources: Mapping[str, Source], found: Columns) -> str:
     owners = [found.clocks.get(source.column, "") for field, source in sources.items() if field in MEASURED]
     owners = [clock for clock in owners if clock] or [clock for clock in found.clocks.values() if clock]
     if not owners:
-        raise InputError(f"no column is the time: map one by --columns time=NAME,...; there are {_some(found.series)}")
+        raise InputError(f"no column is the time: map one by --columns time=NAME,...; there are {_names(found)}")
     return max(sorted(set(owners)), key=lambda clock: (owners.count(clock), len(found.series[clock])))
 
 
@@ -116,17 +132,13 @@ def _times_of(clock: str, found: Columns, mapped: Source | None, notes: list[str
     return _between_ticks(clock, times, notes)
 
 
-TICKS = 0.1
-"""Share of rows that repeat the time before from which a clock is one of coarse ticks."""
-
-
 def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArray:
     """Times of rows that a clock of coarse ticks stamped: evenly apart, by counting them.
 
     Raises InputError if their number from tick to tick says that rows are missing, so that no count tells when.
     """
     steps = np.diff(times)
-    if not np.isfinite(times).all() or np.any(steps < 0.0) or not TICKS < np.mean(steps == 0.0) < 1.0:
+    if not np.isfinite(times).all() or np.any(steps < 0.0) or not 0.1 < np.mean(steps == 0.0) < 1.0:
         return times
     first = np.flatnonzero(steps > 0.0) + 1
     tick = float(np.median(np.diff(times[first]))) if len(first) > 2 else 0.0
@@ -149,32 +161,6 @@ def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArra
     return even
 
 
-def _moved(field: str, own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray | None:
-    """Values at other times; None for a sensor that is too slow for them."""
-    there = np.isfinite(own)
-    own, values = own[there], values[there]
-    if field == "valve_current":
-        return _held_mean(own, values, time)
-    if field not in MEASURED:
-        return values[np.clip(np.searchsorted(own, time + 1e-9, side="right") - 1, 0, len(own) - 1)]
-    if _step(own) > SLOWER * _step(time):
-        return None
-    return _read_off(own, values, time)
-
-
-def _read_off(own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray:
-    """Values between their neighbouring samples; a sample that falls on a time but for rounding is taken as it is."""
-    near = np.clip(np.searchsorted(own, time - COINCIDENT * _step(time)), 0, len(own) - 1)
-    there = np.abs(own[near] - time) < COINCIDENT * _step(time)
-    return np.where(there, values[near], np.interp(time, own, values))
-
-
-def _coincide(one: FloatArray, other: FloatArray) -> bool:
-    if len(one) != len(other):
-        return False
-    return bool(np.all(np.abs(one - other) < COINCIDENT * _step(other)))
-
-
 def _held_mean(own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray:
     """Mean of what is held from each of its own times to the next, over a row's length about the sample's middle."""
     ends = np.concatenate([own, own[-1:] + _step(own)])
@@ -191,37 +177,16 @@ def _step(times: FloatArray) -> float:
     return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
 
 
-def _inside(time: FloatArray, clocks: list[FloatArray]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Rows at which every clock ran."""
-    inside, slack = np.ones(len(time), dtype=bool), 0.5 * _step(time)
-    for times in clocks:
-        inside &= ~(time < np.nanmin(times) - slack) & ~(time > np.nanmax(times) + slack)
-    return inside
-
-
-def _said(field: str, source: Source, own: str, base: str) -> str:
-    how = "read off between its neighbouring samples" if field in MEASURED else "the last known"
-    how = "the mean of what was held about it" if field == "valve_current" else how
-    late = f" {abs(source.delay) * 1e3:g} ms {'late' if source.delay > 0.0 else 'early'}" if source.delay else ""
-    clock = f" by the clock {own!r}, not {base!r}" if own != base else ""
-    return f"{field} was recorded{late}{' and' if late and clock else ''}{clock}: taken is {how}"
-
-
-def _too_slow(field: str, own: str, times: FloatArray, time: FloatArray) -> str:
-    return (
-        f"{field} is sampled {1.0 / _step(times):.4g} times a second, the others {1.0 / _step(time):.4g} times: it was "
-        f"left out (--columns time='{own}' brings all to its times)"
-    )
-
-
-def _some(names: Mapping[str, object]) -> str:
-    return ", ".join(list(names)[:40])
-
-
 def read_columns(path: Path) -> Columns:
     """Read a file. Raises InputError: in one sentence that names the path."""
     try:
-        found = _READERS[path.suffix.lower()](path)
+        kind = path.suffix.lower()
+        if kind == ".dat":  # INCA's are MDF, those of test machines are text
+            with path.open("rb") as file:
+                kind = ".mdf" if file.read(3) == b"MDF" else ".txt"
+        elif kind == ".mat" and is_hdf5(path):  # from MATLAB 7.3 on
+            kind = ".h5"
+        found = _READERS[kind](path)
     except pd.errors.EmptyDataError:
         raise InputError(f"{path}: the file is empty") from None
     except InputError as error:
@@ -259,29 +224,10 @@ def _parquet(path: Path) -> Columns:
     return found
 
 
-def _mat(path: Path) -> Columns:
-    """Read a .mat file; from MATLAB 7.3 on it is HDF5."""
-    return hdf5_columns(path) if is_hdf5(path) else matlab_columns(path)
-
-
-def _dat(path: Path) -> Columns:
-    """Read a .dat file: INCA's are MDF, those of test machines are text."""
-    with path.open("rb") as file:
-        return (mdf_columns if file.read(3) == b"MDF" else delimited_columns)(path)
-
-
 _READERS: dict[str, Callable[[Path], Columns]] = {
-    **dict.fromkeys(TEXTS, delimited_columns),
-    ".dat": _dat,
-    ".parquet": _parquet,
-    ".pq": _parquet,
-    ".mat": _mat,
-    ".h5": hdf5_columns,
-    ".hdf5": hdf5_columns,
-    ".mf4": mdf_columns,
-    ".mdf": mdf_columns,
-    ".tdms": tdms_columns,
-}
+    **dict.fromkeys(TEXTS, delimited_columns), ".parquet": _parquet, ".pq": _parquet, ".mat": matlab_columns,
+    ".h5": hdf5_columns, ".hdf5": hdf5_columns, ".mf4": mdf_columns, ".mdf": mdf_columns, ".tdms": tdms_columns,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -313,7 +259,11 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     if not exists(path):
         raise InputError(f"{path}: there is no such recording")
     if is_bag(path) and has_states(path):
-        found = from_bag(path)
+        bag = _bag(path)
+        steps = np.diff(bag.state["sequence"]).view(np.int32).astype(np.float64)
+        fields = {name: np.ascontiguousarray(bag.state[name]) for name in STATE_FIELDS}
+        samples = np.concatenate([[0.0], np.cumsum(steps)])
+        found = RawTable(path.name, bag.state["time"].copy(), samples, fields, bag.notes)
         return found if columns is None else mapped(path, found, columns)
     return table_of(path, columns_of(path), columns)
 
@@ -347,16 +297,6 @@ def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
     return replace(turned, name=raw.name, sample=raw.sample if same else None)
 
 
-def from_bag(path: Path) -> RawTable:
-    """Read a bag's whole /hydro/state. Raises InputError: as `read_table`."""
-    bag = _bag(path)
-    states = bag.state
-    steps = np.diff(states["sequence"]).view(np.int32).astype(np.float64)
-    columns = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
-    samples = np.concatenate([[0.0], np.cumsum(steps)])
-    return RawTable(path.name, states["time"].copy(), samples, columns, bag.notes)
-
-
 def _bag(path: Path, rows: int | None = None) -> Bag:
     try:
         bag = read_bag(path, (STATE_TOPIC,), rows, salvages=True)
@@ -376,7 +316,7 @@ COUNTED = "where its rows are even, count them: --columns time=row*0.001,... at 
 def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
     """Read one recording of which the columns are known already. Raises InputError: as `read_table`."""
     chosen = (columns or ColumnMap({})).completed([*found.series, *found.broken])
-    there = _some(found.series)
+    there = _names(found)
     if not set(chosen.sources) - {"time"}:
         lacks, hint = "no column carries the name of a BenchState field", " (`inspect` proposes a map)"
         if columns is not None:
@@ -397,11 +337,7 @@ def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
         length = max(len(found.series.get(source.column, ())) for source in chosen.sources.values())
         found = replace(found, series={**found.series, ROW: np.arange(length, dtype=np.float64)})
     try:
-        time, fields, notes = fields_of(found, chosen)
-        units = {name: _in_unit(name, source, found, []).unit for name, source in chosen.sources.items()}
+        time, fields, notes, units = fields_of(found, chosen)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return RawTable(path.stem, time, None, fields, tuple(notes), {name: unit for name, unit in units.items() if unit})
-
-
-__all__ = ["InputError", "RawTable", "UnusableRecordingError", "read_table"]
+    return RawTable(path.stem, time, None, fields, tuple(notes), units)

@@ -23,8 +23,6 @@ SAME = 0.05
 """Share of the box's period by which a logger's may differ and still be the box's."""
 BETWEEN = 10
 """Samples from one row of a slow logger to the next at most: its splines bend no faster."""
-_SMOOTH = (*MEASURED, "valve_current")
-"""Channels that are interpolated by splines; all others by straight lines."""
 
 
 def on_box_clock(
@@ -44,8 +42,10 @@ def on_box_clock(
         Whether the samples were taken unevenly and placed on an even grid since.
     """
     rows, skipped = rows - rows[0], round(SAMPLE_PERIOD / step)
-    if skipped > 1:
-        begin = _ticks(rows, columns, skipped)
+    if skipped > 1:  # the current changes at the box's milliseconds, and is held until the next
+        current = columns.get("valve_current", np.zeros(len(rows)))
+        changed = rows[1:][np.diff(current) != 0.0]
+        begin = int(np.argmax(np.bincount(changed % skipped, minlength=skipped)))
         at = (rows >= begin) & ((rows - begin) % skipped == 0)
         rows, step, start = (rows[at] - begin) // skipped, step * skipped, start + begin * step
         columns = {key: values[at] for key, values in columns.items()}
@@ -71,8 +71,9 @@ def _placed(
     """`count` samples on the box's clock, of which those `at` were recorded."""
     even, measured = np.arange(count), np.zeros(count, dtype=np.bool_)
     measured[at] = True
+    splined = (*MEASURED, "valve_current")  # all others by straight lines
     channels = {
-        key: CubicSpline(at, values)(even) if key in _SMOOTH else np.interp(even, at, values)
+        key: CubicSpline(at, values)(even) if key in splined else np.interp(even, at, values)
         for key, values in columns.items()
     }
     for key, values in columns.items():
@@ -81,14 +82,6 @@ def _placed(
     if "valve_current" in columns and spacing > 1 and held > 1.5:
         channels["valve_current"] = CubicSpline(at, columns["valve_current"])(even + 0.5 * (held - 1.0) / held)
     return Segment(name, start, step, channels, spacing, measured, thinner)
-
-
-def _ticks(rows: Rows, columns: Mapping[str, FloatArray], skipped: int) -> int:
-    """First row at one of the box's milliseconds: there the current changes, and is held until the next."""
-    if "valve_current" not in columns:
-        return 0
-    changed = rows[1:][np.diff(columns["valve_current"]) != 0.0]
-    return int(np.argmax(np.bincount(changed % skipped, minlength=skipped)))
 
 
 def _fewer(rows: Rows, columns: Mapping[str, FloatArray], kept: Mask) -> tuple[Rows, dict[str, FloatArray]]:

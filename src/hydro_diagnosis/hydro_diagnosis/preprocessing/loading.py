@@ -16,23 +16,15 @@ import numpy as np
 from hydro_bridge.bags.location import exists, is_bag
 from hydro_diagnosis.bench_numbers import refuse_unconnected
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.table import InputError, RawTable, UnusableRecordingError, read_table
+from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.io.topics import has_states
 from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SATURATED, SHORTEST
-from hydro_diagnosis.preprocessing.streaming import (
-    LONGEST,
-    WINDOW,
-    Visits,
-    read_bag_within,
-    select_informative_windows,
-    table_within,
-)
-from hydro_diagnosis.recording import MEASURED, Recording, Segment, named_in_full
+from hydro_diagnosis.preprocessing.streaming import LONGEST, WINDOW, Visits, read_bag_within, table_within
+from hydro_diagnosis.recording import MEASURED, InputError, Recording, Segment, UnusableRecordingError, named_in_full
 from hydro_diagnosis.wiring import Inspection, inspect_table
 from hydro_sim.model.bench import Bench
 
-STILL_FOR = 0.25
-"""Time [s] over which motion of the piston is judged."""
+LAST_THIRD = "the last third of the only recording was held back to check on"
 
 
 def load_dataset(
@@ -62,55 +54,51 @@ def load_dataset(
 
 def _refuse_twice(recordings: list[Recording]) -> None:
     """Refuse copies: a sensor's noise never repeats, so recordings that share a stretch of it are copies."""
-    for (one, first), (other, second) in combinations([(one, _contents(one)) for one in recordings], 2):
+    contents = [  # what each sensor that moves read in each segment; in single precision, as any file has it
+        {
+            (name, sha256(segment.channels[name].astype(np.float32).tobytes()).hexdigest())
+            for segment in recording.segments
+            for name in MEASURED
+            if name in segment.channels and np.ptp(segment.channels[name]) > 0.0
+        }
+        for recording in recordings
+    ]
+    for (one, first), (other, second) in combinations(zip(recordings, contents, strict=True), 2):
         if first & second:
-            which = (
-                f"{one.name} was given twice"
-                if one.name == other.name
-                else f"{one.name} and {other.name} hold the same"
+            twice, same = f"{one.name} was given twice", f"{one.name} and {other.name} hold the same"
+            raise InputError(
+                f"{twice if one.name == other.name else same}: what is checked on must not be fitted, and nothing "
+                "counts twice"
             )
-            raise InputError(f"{which}: what is checked on must not be fitted, and nothing counts twice")
-
-
-def _contents(recording: Recording) -> set[str]:
-    """Digests of what each sensor that moves read in each segment; in single precision, as any file has it."""
-    return {
-        f"{name} {sha256(segment.channels[name].astype(np.float32).tobytes()).hexdigest()}"
-        for segment in recording.segments
-        for name in MEASURED
-        if name in segment.channels and np.ptp(segment.channels[name]) > 0.0
-    }
 
 
 def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
     """Refuse too little motion: a bench that trips at once shows half a second, which any hypothesis explains.
 
-    `notes`: on what was discarded.
+    `notes`: on what was discarded. A quarter of a second is judged at a time.
     """
     moving = lasted = 0.0
     for segment in segments:
         if "piston_position" not in segment.channels:
             return
-        length = max(round(STILL_FOR / segment.step), 1)
+        length = max(round(0.25 / segment.step), 1)
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
         lasted += len(segment) * segment.step
-        moving += STILL_FOR * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
-    if moving < 2.0 * SHORTEST:
-        why = "; ".join([*notes, *_saturation(segments, bench)]).replace(f"; {REMEDY}", "")
-        raise UnusableRecordingError(
-            f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
-            + (f" ({why})" if why else "")
-            + (f"; {REMEDY}" if why or moving < 0.5 * lasted else "; record 20 s of motion or more")
-        )
-
-
-def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
-    """A note if the valve stands at its limit in more than 1 % of what is left."""
+        moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
+    if moving >= 2.0 * SHORTEST:
+        return
+    reasons = list(notes)
     currents = [segment.channels["valve_current"] for segment in segments if "valve_current" in segment.channels]
-    if not currents:
-        return []
-    share = float(np.mean(np.abs(np.concatenate(currents)) >= SATURATED * bench.valve_current_max))
-    return [f"the valve current is saturated in {100.0 * share:.0f} % of what is left"] if share > 0.01 else []
+    if currents:
+        share = float(np.mean(np.abs(np.concatenate(currents)) >= SATURATED * bench.valve_current_max))
+        if share > 0.01:
+            reasons.append(f"the valve current is saturated in {100.0 * share:.0f} % of what is left")
+    why = "; ".join(reasons).replace(f"; {REMEDY}", "")
+    raise UnusableRecordingError(
+        f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
+        + (f" ({why})" if why else "")
+        + (f"; {REMEDY}" if why or moving < 0.5 * lasted else "; record 20 s of motion or more")
+    )
 
 
 def _read(
@@ -127,58 +115,41 @@ def _read(
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
     """
     recordings, refused = list[Recording](), list[UnusableRecordingError]()
+
+    def inspected(table: RawTable) -> RawTable:
+        inspection.add(inspect_table(table, bench))
+        return table
+
     for path in map(Path, paths):
-        one, found = _look(path, bench, columns)
-        inspection.add(found)
-        if isinstance(one, Recording):
-            recordings.append(one.renamed(str(path)) if path in in_full else one)
+        try:
+            if exists(path) and is_bag(path) and has_states(path):
+                found = read_bag_within(path, bench, columns, inspected)
+            else:
+                found = table_within(inspected(read_table(path, columns)), bench)
+        except UnusableRecordingError as error:
+            refused.append(error)
         else:
-            refused.append(one)
+            recordings.append(found.renamed(str(path)) if path in in_full else found)
     if refused and not recordings and not spare:
         raise refused[0]
     notes = [f"{error}; it was left out" for error in refused]
     return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
 
 
-def _look(path: Path, bench: Bench, columns: ColumnMap | None) -> tuple[Recording | UnusableRecordingError, Inspection]:
-    found = Inspection()
-
-    def inspected(table: RawTable) -> RawTable:
-        found.add(inspect_table(table, bench))
-        return table
-
-    try:
-        if exists(path) and is_bag(path) and has_states(path):
-            return read_bag_within(path, bench, columns, inspected), found
-        return table_within(inspected(read_table(path, columns)), bench), found
-    except UnusableRecordingError as error:
-        return error, found
-
-
-LAST_THIRD = "the last third of the only recording was held back to check on"
-
-
 def _split(
     fitted: list[Recording], notes: list[str], held: list[Recording], held_notes: list[str]
 ) -> tuple[list[Segment], list[Segment], list[str]]:
-    """Segments to fit, segments held out, and what was noted about all."""
+    """Segments to fit, segments held out, and what was noted about all: of one recording the last third is held out."""
     if not fitted:
         raise InputError("no recording was given")
     quality = [*notes, *held_notes]
     if not held and len(fitted) > 1:
         held = [fitted.pop()]
         quality.append(f"{held[0].name} was held back to check on")
-    first = [segment for recording in fitted for segment in recording.segments]
+    segments = [segment for recording in fitted for segment in recording.segments]
     if held:
-        return first, [segment for recording in held for segment in recording.segments], quality
-    quality.append(LAST_THIRD)
-    return *_parted(first), quality
-
-
-def _parted(segments: list[Segment]) -> tuple[list[Segment], list[Segment]]:
-    """The first two thirds of what a recording's segments hold, and the last."""
-    border = sum(map(len, segments)) * 2 // 3
-    first, last = [], []
+        return segments, [segment for recording in held for segment in recording.segments], quality
+    border, first, last = sum(map(len, segments)) * 2 // 3, [], []
     for segment in segments:
         cut = min(max(border, 0), len(segment))
         border -= len(segment)
@@ -186,7 +157,7 @@ def _parted(segments: list[Segment]) -> tuple[list[Segment], list[Segment]]:
             first.append(segment.cut(0, cut))
         if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= SHORTEST):
             last.append(segment.cut(cut, len(segment)))
-    return first, last
+    return first, last, [*quality, LAST_THIRD]
 
 
 def _informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
@@ -200,7 +171,7 @@ def _informative(segments: list[Segment], what: str, bench: Bench, quality: list
         for at in range(0, max(len(segment) - length + 1, 1), length):
             pieces.append(segment.cut(at, at + length))
             visits.add(pieces[-1])
-    kept = select_informative_windows(visits, int(LONGEST / WINDOW))
+    kept = visits.select(int(LONGEST / WINDOW))
     quality.append(
         f"of {total:.0f} s the {len(kept)} windows of {WINDOW:g} s were {what} which together visit most positions, "
         "velocities, currents and pressures"

@@ -8,7 +8,7 @@ together visit most of position and velocity, of current and pressure, and of th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -32,8 +32,6 @@ _OPENINGS = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
 """Edges of the current bins, as shares of the largest current."""
 _PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
 """Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
-_TIMES = 10
-"""Parts of the recordings that are distinguished, so that drift is seen."""
 
 
 class Visits:
@@ -61,25 +59,22 @@ class Visits:
         self._cells.append(np.concatenate(counts).astype(np.float64))
         self._starts.append(window.start)
 
-    def counts(self) -> FloatArray:
-        """Per window: samples in each cell, last those of its part of the length, shape (windows, cells)."""
-        starts = np.array(self._starts)
-        part = np.minimum((starts / max(float(starts.max()), 1e-9) * _TIMES).astype(np.int64), _TIMES - 1)
-        cells = np.array(self._cells)
-        return np.hstack([cells, np.eye(_TIMES)[part] * cells.sum(axis=1, keepdims=True) / 2.0])
+    def select(self, count: int, among: Sequence[int] | None = None) -> list[int]:
+        """Select at most `count` windows, each the one that most increases the sum of the roots of all cells' counts.
 
-
-def select_informative_windows(visits: Visits, count: int, among: Sequence[int] | None = None) -> list[int]:
-    """Select at most `count` windows, each the one that most increases the sum of the roots of all cells' counts."""
-    cells = visits.counts()
-    open_ = list(range(len(cells)) if among is None else among)
-    chosen: list[int] = []
-    held = np.zeros(cells.shape[1])
-    while open_ and len(chosen) < count:
-        gains: npt.NDArray[np.float64] = np.sqrt(held + cells[open_]).sum(axis=1)
-        chosen.append(open_.pop(int(np.argmax(gains))))
-        held += cells[chosen[-1]]
-    return sorted(chosen)
+        Each counts also for its tenth of the recordings' length, so that drift is seen.
+        """
+        starts, cells = np.array(self._starts), np.array(self._cells)
+        part = np.minimum((starts / max(float(starts.max()), 1e-9) * 10).astype(np.int64), 9)
+        cells = np.hstack([cells, np.eye(10)[part] * cells.sum(axis=1, keepdims=True) / 2.0])
+        open_ = list(range(len(cells)) if among is None else among)
+        chosen: list[int] = []
+        held = np.zeros(cells.shape[1])
+        while open_ and len(chosen) < count:
+            gains: npt.NDArray[np.float64] = np.sqrt(held + cells[open_]).sum(axis=1)
+            chosen.append(open_.pop(int(np.argmax(gains))))
+            held += cells[chosen[-1]]
+        return sorted(chosen)
 
 
 STRETCH = 60_000
@@ -90,8 +85,6 @@ WHOLE = round(LONGEST / (STRETCH * SAMPLE_PERIOD))
 """Largest number of stretches that are held whole."""
 FITTED, HELD = 10, 5
 """Windows kept of the first two thirds, and of the last, which is held out where no other recording is."""
-NOTES = 5
-"""Notes on the quality of single stretches that are passed on."""
 
 
 def read_bag_within(
@@ -110,9 +103,14 @@ def read_bag_within(
     try:
         stretches = _stretches(path, columns, notes)
         head = list(islice(stretches, WHOLE + 1))
+        if not head:
+            raise InputError(f"{path}: the recording is empty")
         if len(head) <= WHOLE:
-            table = _joined(path, head)
-            return checked(inspected(replace(table, notes=(*notes, *table.notes))), bench)
+            whole = {name: np.concatenate([table.columns[name] for table in head]) for name in head[0].columns}
+            numbers = [table.sample for table in head if table.sample is not None]
+            samples = np.concatenate(numbers) if len(numbers) == len(head) else None
+            time, said = np.concatenate([table.time for table in head]), (*notes, *head[0].notes)
+            return checked(inspected(RawTable(path.name, time, samples, whole, said, head[0].units)), bench)
         inspected(head[0])
         del head, stretches
         found = _telling(path.name, bench, lambda: _stretches(path, columns, notes))
@@ -131,16 +129,16 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
     rows = max(round(STRETCH * SAMPLE_PERIOD / step), STRETCH)
     if len(table.time) <= WHOLE * rows:
         return checked(table, bench)
-    return _telling(table.name, bench, lambda: _slices(table, rows))
 
+    def stretches() -> Iterator[RawTable]:
+        """Yield views of the table; its notes come with the first."""
+        for begin in range(0, len(table.time), rows):
+            part = slice(begin, begin + rows)
+            columns = {name: values[part] for name, values in table.columns.items()}
+            sample = None if table.sample is None else table.sample[part]
+            yield RawTable(table.name, table.time[part], sample, columns, table.notes if begin == 0 else ())
 
-def _slices(table: RawTable, rows: int) -> Iterator[RawTable]:
-    """Views of a table, `STRETCH` rows each; its notes come with the first."""
-    for begin in range(0, len(table.time), rows):
-        part = slice(begin, begin + rows)
-        columns = {name: values[part] for name, values in table.columns.items()}
-        sample = None if table.sample is None else table.sample[part]
-        yield RawTable(table.name, table.time[part], sample, columns, table.notes if begin == 0 else ())
+    return _telling(table.name, bench, stretches)
 
 
 def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Iterator[RawTable]:
@@ -169,74 +167,42 @@ def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
         yield np.concatenate(parts)
 
 
-def _joined(path: Path, tables: list[RawTable]) -> RawTable:
-    if not tables:
-        raise InputError(f"{path}: the recording is empty")
-    columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
-    numbers = [table.sample for table in tables if table.sample is not None]
-    samples = np.concatenate(numbers) if len(numbers) == len(tables) else None
-    time = np.concatenate([table.time for table in tables])
-    return replace(tables[0], name=path.name, time=time, sample=samples, columns=columns)
-
-
-@dataclass(frozen=True)
-class _Window:
-    """Position of a window: its stretch, the segment in that, and the first sample."""
-
-    stretch: int
-    segment: int
-    begin: int
-    start: float
-    """s since the start of the recording."""
-
-
-def _surveyed(stretches: Iterator[RawTable], bench: Bench) -> tuple[list[_Window], Visits, list[str], float]:
-    """Every window with the states that it visits, notes, and the recording's length [s]; the samples are released."""
-    windows, visits, notes, reasons, idle, origin, end = [], Visits(bench), [], [], 0, 0.0, 0.0
-    for number, table in enumerate(stretches):
+def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
+    """The informative windows, found in a first pass and read again in a second; all other samples are released."""
+    windows: list[tuple[int, int, int, float]] = []  # stretch, segment in it, first sample, s since the start
+    visits, notes, idle, origin, seconds = Visits(bench), list[str](), list[UnusableRecordingError](), 0.0, 0.0
+    for number, table in enumerate(stretches()):
         origin = origin if number else float(table.time[0])
-        start, end = (float(table.time[at]) - origin for at in (0, -1))
+        start, seconds = (float(table.time[at]) - origin for at in (0, -1))
         try:
-            recording = checked(table, bench)
+            found = checked(table, bench)
         except UnusableRecordingError as error:
-            idle += 1
-            reasons.append(error)
+            idle.append(error)
             continue
-        notes += [f"{note} (from {start:.0f} s on)" for note in recording.quality]
-        for index, segment in enumerate(recording.segments):
-            for begin, window in _cut(segment):
-                windows.append(_Window(number, index, begin, start + window.start))
+        notes += [f"{note} (from {start:.0f} s on)" for note in found.quality]
+        for index, segment in enumerate(found.segments):
+            length = round(WINDOW / segment.step)
+            for begin in range(0, len(segment) - length + 1, length):
+                window = segment.cut(begin, begin + length)
+                windows.append((number, index, begin, start + window.start))
                 visits.add(window)
     if not windows:
-        raise reasons[0] if reasons else UnusableRecordingError("no window of the recording is long enough")
-    more = [f"{len(notes) - NOTES} more notes of this kind"] if len(notes) > NOTES else []
-    idled = [f"{idle} stretches of {STRETCH * 1e-3:.0f} s show nothing: {reasons[0]}"] if idle else []
-    return windows, visits, [*notes[:NOTES], *more, *idled], end
-
-
-def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
-    length = round(WINDOW / segment.step)
-    for begin in range(0, len(segment) - length + 1, length):
-        yield begin, segment.cut(begin, begin + length)
-
-
-def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
-    """The informative windows, found in a first pass and read again in a second."""
-    windows, visits, notes, seconds = _surveyed(stretches(), bench)
-    early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
-    late = [k for k in range(len(windows)) if k not in set(early)]
-    chosen = {*select_informative_windows(visits, FITTED, early), *select_informative_windows(visits, HELD, late)}
-    by_stretch: dict[int, list[_Window]] = {}
-    for k in sorted(chosen):
-        by_stretch.setdefault(windows[k].stretch, []).append(windows[k])
+        raise idle[0] if idle else UnusableRecordingError("no window of the recording is long enough")
+    notes[5:] = [f"{len(notes) - 5} more notes of this kind"] if len(notes) > 5 else []
+    if idle:
+        notes.append(f"{len(idle)} stretches of {STRETCH * 1e-3:.0f} s show nothing: {idle[0]}")
+    early = [k for k, (*_, start) in enumerate(windows) if start < seconds * 2.0 / 3.0]
+    late = [k for k, (*_, start) in enumerate(windows) if not start < seconds * 2.0 / 3.0]
+    chosen = sorted({*visits.select(FITTED, early), *visits.select(HELD, late)})
     segments = []
     for number, table in enumerate(stretches()):
-        found = checked(table, bench).segments if number in by_stretch else ()
-        for window in by_stretch.get(number, []):
-            segment = found[window.segment]
-            kept = segment.cut(window.begin, window.begin + round(WINDOW / segment.step))
+        here = [windows[k] for k in chosen if windows[k][0] == number]
+        checked_again = checked(table, bench).segments if here else ()
+        for _, index, begin, start in here:
+            segment = checked_again[index]
+            kept = segment.cut(begin, begin + round(WINDOW / segment.step))
             channels = {name: values.copy() for name, values in kept.channels.items()}
-            segments.append(replace(kept, start=window.start, channels=channels))
+            segments.append(replace(kept, start=start, channels=channels))
     notes.append(
         f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
         "positions, velocities, currents and pressures; no other sample was judged"

@@ -39,19 +39,14 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
         if isinstance(claim.effect, Closure):
             bench = replace(bench, closures=(*bench.closures, claim.effect.to_closure(claim.values)))
             continue
-        changed = bench if _meets(claim, before) else claim.effect.settled(bench, claim.values)
+        hooks = [hook for hook in ("modulus", "openings") if claim.effect.acts_in(hook)]
+        changed = bench if acting(before, *hooks) else claim.effect.settled(bench, claim.values)
         if changed == bench or claim.effect.id == "sensor_lag":
             effects.append(claim.to_mapping())
             before.append(claim)
         else:
             bench = replace(changed, effects=())
     return replace(bench, effects=tuple(effects))
-
-
-def _meets(claim: Claim, before: Sequence[Claim]) -> bool:
-    """Return whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
-    hooks = [hook for hook in ("modulus", "openings") if claim.effect.acts_in(hook)]
-    return bool(acting(before, *hooks))
 
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
@@ -69,18 +64,14 @@ def claims_of(bench: Bench) -> tuple[Claim, ...]:
 
     Raises ValueError: an effect is unknown or lacks a parameter.
     """
-    closures = tuple(Claim(*from_mapping(entry, bench)) for entry in bench.closures)
-    return (*(_claim(entry, bench) for entry in bench.effects), *closures)
-
-
-def _claim(entry: Mapping[str, Any], bench: Bench) -> Claim:
-    options = {key: value for key, value in entry.items() if key not in ("id", "parameters")}
-    for effect in LIBRARY:
-        if effect.id == entry["id"] and dict(effect.options) == options:
-            parameters = entry.get("parameters", {})
-            missing = [one.name for one in effect.parameters if one.name not in parameters]
-            if missing:
-                raise ValueError(f"effect {effect.id} lacks its parameter {missing[0]!r}")
-            values = {one.name: float(parameters[one.name]) for one in effect.parameters}
-            return Claim(effect.adapted(bench), values)
-    raise ValueError(f"effect {entry['id']!r} with {options} is not known to the diagnosis")
+    claims = []
+    for entry in bench.effects:
+        options = {key: value for key, value in entry.items() if key not in ("id", "parameters")}
+        effect = next((one for one in LIBRARY if one.id == entry["id"] and dict(one.options) == options), None)
+        if effect is None:
+            raise ValueError(f"effect {entry['id']!r} with {options} is not known to the diagnosis")
+        given, names = entry.get("parameters", {}), [one.name for one in effect.parameters]
+        if missing := [name for name in names if name not in given]:
+            raise ValueError(f"effect {effect.id} lacks its parameter {missing[0]!r}")
+        claims.append(Claim(effect.adapted(bench), {name: float(given[name]) for name in names}))
+    return (*claims, *(Claim(*from_mapping(entry, bench)) for entry in bench.closures))

@@ -31,29 +31,18 @@ def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
     return f"95 % {ci95[0] * factor:.5g} to {ci95[1] * factor:.5g}"
 
 
-_WHAT = {
-    "pressure_a": "flow of chamber A", "pressure_b": "flow of chamber B", "actuation": "valve's flow",
-    "motion": "force on the moving mass", "load": "force of the load", "sensor": "sum of the pressures' forces",
-}  # fmt: skip
-
-
 def accounted_sentence(report: Report) -> str:
     """How much of what the bench file misses is accounted for, on what was held out; empty without a mismatch."""
+    what = {
+        "pressure_a": "flow of chamber A", "pressure_b": "flow of chamber B", "actuation": "valve's flow",
+        "motion": "force on the moving mass", "load": "force of the load", "sensor": "sum of the pressures' forces",
+    }  # fmt: skip
     said = []
     for equation, shares in report.accounted.items():
         named, everything = (100.0 * max(shares[key], 0.0) for key in ("named", "all"))
         further = f" ({everything:.0f} % with terms that have no name)" if everything - named > 1.0 else ""
-        said.append(f"{named:.0f} % of the {_WHAT[equation]} that your simulation misses{further}")
+        said.append(f"{named:.0f} % of the {what[equation]} that your simulation misses{further}")
     return f"On what was held out, the names account for {', and '.join(said)}." if said else ""
-
-
-def _seconds(models: Sequence[SegmentModel]) -> dict[str, float]:
-    """Length [s] of what is used of each recording."""
-    lengths: dict[str, float] = {}
-    for model in models:
-        name = model.segment.recording
-        lengths[name] = lengths.get(name, 0.0) + len(model.segment) * model.segment.step
-    return lengths
 
 
 @dataclass(repr=False)
@@ -104,7 +93,10 @@ class Diagnosis:
     @property
     def used(self) -> str:
         """Recordings that were fitted and checked on, and how much of each."""
-        fitted, checked = (_seconds(models) for models in (self.problem.models, self.holdout))
+        fitted, checked = dict[str, float](), dict[str, float]()
+        for models, lengths in ((self.problem.models, fitted), (self.holdout, checked)):
+            for segment in (model.segment for model in models):
+                lengths[segment.recording] = lengths.get(segment.recording, 0.0) + len(segment) * segment.step
         if LAST_THIRD in self.report.data_quality:
             (name, first), last = next(iter(fitted.items())), sum(checked.values())
             return f"fitted on the first two thirds of {name} ({first:.4g} s); checked on its last third ({last:.4g} s)"

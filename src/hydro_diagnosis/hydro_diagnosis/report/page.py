@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment
 
 from hydro_bridge.pages import environment
 from hydro_core.files.atomic import write_whole
@@ -21,18 +20,11 @@ from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
 from hydro_diagnosis.report.plots import svg
-from hydro_diagnosis.report_json import EffectReport, Report
 from hydro_diagnosis.significance import SURE
 from hydro_diagnosis.twin import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, add_legend
 
-_SECONDS = 6.0
-"""Length shown."""
-_POINTS = 1500
-"""Plotted per line at most."""
-_INTERVAL = 0.25
-"""s, shaded by one cause."""
 _SHADES = (SKY, GREEN, PURPLE, RED)
 
 
@@ -64,7 +56,7 @@ class Comparison:
 
     def plot(self) -> str:
         """SVG of measured and simulated signals, the causes shaded."""
-        every = max(len(self.time) // _POINTS, 1)
+        every = max(len(self.time) // 1500, 1)
         labels = list(dict.fromkeys(cause for *_, cause in self.causes))
 
         def draw(axes: Any) -> None:
@@ -101,23 +93,23 @@ def compare(found: Diagnosis) -> Comparison | None:
         return None
     length = round(FREE_RUN / model.step)
     first = model.settle - (model.settle - model.segment.phase) % model.spacing
-    count = int(min(_SECONDS / FREE_RUN, (len(model.segment) - first - 20) // length))
+    count = int(min(6.0 / FREE_RUN, (len(model.segment) - first - 20) // length))
     begins = first + length * np.arange(count)
     base, claims = tuple(found.problem.baseline), tuple(found.assessment.fit.claims)
+
+    def simulated(some: tuple[Claim, ...]) -> dict[str, FloatArray]:
+        """Readings by channel, the windows one after the other."""
+        plant = Plant.of(model, some)
+        shown = measurements(plant, plant.run(plant.start(begins), begins, length), begins)
+        return {name: one.T.ravel() for name, one in shown.items()}
+
     with np.errstate(all="ignore"):
-        before, after = (_simulated(model, some, begins, length) for some in (base, (*base, *claims)))
+        before, after = simulated(base), simulated((*base, *claims))
     rows = np.arange(begins[0], begins[-1] + length)
     measured = {name: model.channels[name][rows] for name in UNITS if name in before}
     time = model.segment.start + model.step * rows
     causes = _causes(found, model, claims, float(time[0]), float(time[-1]))
     return Comparison(model.segment.recording, time, measured, before, after, causes)
-
-
-def _simulated(model: SegmentModel, claims: tuple[Claim, ...], begins: Any, length: int) -> dict[str, FloatArray]:
-    """Readings by channel, the windows one after the other, shape (windows * length,)."""
-    plant = Plant.of(model, claims)
-    shown = measurements(plant, plant.run(plant.start(begins), begins, length), begins)
-    return {name: one.T.ravel() for name, one in shown.items()}
 
 
 def _causes(
@@ -129,12 +121,13 @@ def _causes(
     whole = unseen.residual(claims)
     parts = {one.effect.label: unseen.residual(tuple(k for k in claims if k is not one)) - whole for one in claims}
     shaded = []
-    for at in np.arange(begin, end, _INTERVAL):
-        inside = (unseen.layout.time >= at) & (unseen.layout.time < at + _INTERVAL)
+    interval = 0.25
+    for at in np.arange(begin, end, interval):
+        inside = (unseen.layout.time >= at) & (unseen.layout.time < at + interval)
         sizes = {label: float(np.sqrt(np.mean(np.square(part[inside])))) for label, part in parts.items()}
         label = max(sizes, key=lambda name: sizes[name], default=None) if inside.any() else None
         if label is not None and sizes[label] > SURE:
-            shaded.append((float(at), float(min(at + _INTERVAL, end)), label))
+            shaded.append((float(at), float(min(at + interval, end)), label))
     return shaded
 
 
@@ -157,9 +150,6 @@ _CHECKED = {
     "motion": "forces on the moving mass", "load": "force of the load", "sensor": "hydraulic force against pressures",
 }  # fmt: skip
 """What the equations of `checked` and `not_checked` compare."""
-_SHOWN = {"m": ("µm", 1e6), "Pa": ("kPa", 1e-3), "N": ("N", 1.0)}
-"""Units of the table of errors, and the factor from SI."""
-_MINUS = "\N{MINUS SIGN}"
 
 
 def write_files(found: Diagnosis, folder: Path) -> None:
@@ -173,7 +163,27 @@ def write_files(found: Diagnosis, folder: Path) -> None:
 def rendered(found: Diagnosis) -> str:
     """Return the page."""
     report, comparison = found.report, compare(found)
-    return _environment().get_template("report.html").render(
+    claims = {one.effect.id + str(dict(one.effect.options)): one for one in found.assessment.fit.claims}
+    pictures = [plots.effect_plot(found, claims[one.id + str(one.options)]) for one in report.effects]
+
+    def row(name: str, error: Mapping[str, Any], values: Sequence[float | None]) -> dict[str, Any]:
+        unit, factor = {"m": ("µm", 1e6), "Pa": ("kPa", 1e-3), "N": ("N", 1.0)}[error["unit"]]
+        return {"name": name, "unit": unit, "factor": factor, "values": values}
+
+    held_out = []  # 70 ms before and after, a free run before and after, the noise floor
+    for name, error in report.fit["holdout"].items():
+        free: dict[str, Any] = report.fit["free_run"].get(name, {})
+        runs = (error["rmse_before"], error["rmse_after"], free.get("rmse_before"), free.get("rmse_after"))
+        held_out.append(row(UNITS[name][0], error, [*runs, error["noise_floor"]]))
+    keys = ("rmse_before", "rmse_after", "noise_floor", "signal")
+    equations = [  # held-out residuals, where nothing can be simulated
+        row(name, error, [error[key] for key in keys]) for name, error in report.fit.get("equations", {}).items()
+    ]
+    made = environment("hydro_diagnosis", "report/templates")
+    made.filters.update(
+        heading=_heading, range=_range, interval=interval, display_unit=display_unit, gain=_gain, number=_number
+    )
+    return made.get_template("report.html").render(
         title="Diagnosis",
         report=report,
         used=found.used,
@@ -184,23 +194,15 @@ def rendered(found: Diagnosis) -> str:
             for name in report.not_checked
         ],
         differences=sentences(report.simulated or ()),
-        effects=[(effect, _picture(found, effect)) for effect in report.effects],
+        effects=list(zip(report.effects, pictures, strict=True)),
         comparison=comparison,
-        held_out=_held_out(report),
-        equations=_equations(report),
+        held_out=held_out,
+        equations=equations,
         location_plot=plots.location_plot(found) if report.location else "",
         curves=plots.curves_plot(found) if report.curves else "",
         accounted=accounted_sentence(report),
         residual_plot=plots.residual_plot(found),
     )  # fmt: skip
-
-
-def _environment() -> Environment:
-    made = environment("hydro_diagnosis", "report/templates")
-    made.filters.update(
-        heading=_heading, range=_range, interval=interval, display_unit=display_unit, gain=_gain, number=_number
-    )
-    return made
 
 
 def _heading(identifier: str) -> str:
@@ -211,7 +213,7 @@ def _heading(identifier: str) -> str:
 
 def _range(bounds: Sequence[float] | None) -> str:
     """Two numbers in thousandths; empty for none."""
-    return "" if bounds is None else f"{bounds[0] * 1e3:.3g} to {bounds[1] * 1e3:.3g}".replace("-", _MINUS)
+    return "" if bounds is None else f"{bounds[0] * 1e3:.3g} to {bounds[1] * 1e3:.3g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _gain(share: float) -> str:
@@ -225,33 +227,3 @@ def _number(value: float | None, factor: float) -> str:
     if value is None:
         return ""
     return f"{value * factor:.4g}" if isfinite(value) else "not finite"
-
-
-def _picture(found: Diagnosis, effect: EffectReport) -> str:
-    claim = next(
-        one
-        for one in found.assessment.fit.claims
-        if one.effect.id == effect.id and dict(one.effect.options) == effect.options
-    )
-    return plots.effect_plot(found, claim)
-
-
-def _held_out(report: Report) -> list[dict[str, Any]]:
-    """Errors of the channels: 70 ms before and after, a free run before and after, the noise floor."""
-    rows = []
-    for name, error in report.fit["holdout"].items():
-        free: dict[str, Any] = report.fit["free_run"].get(name, {})
-        ends = [error["rmse_before"], error["rmse_after"], free.get("rmse_before"), free.get("rmse_after")]
-        rows.append(_row(UNITS[name][0], error, [*ends, error["noise_floor"]]))
-    return rows
-
-
-def _equations(report: Report) -> list[dict[str, Any]]:
-    """Held-out residuals of the equations, where nothing can be simulated."""
-    keys = ("rmse_before", "rmse_after", "noise_floor", "signal")
-    return [_row(name, error, [error[key] for key in keys]) for name, error in report.fit.get("equations", {}).items()]
-
-
-def _row(name: str, error: Mapping[str, Any], values: Sequence[float | None]) -> dict[str, Any]:
-    unit, factor = _SHOWN[error["unit"]]
-    return {"name": name, "unit": unit, "factor": factor, "values": values}

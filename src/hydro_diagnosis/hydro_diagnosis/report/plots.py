@@ -14,7 +14,6 @@ from scipy.ndimage import uniform_filter1d
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.selection.localisation import Place
 from hydro_sim.model.effects import grown
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, add_legend, figure
 
@@ -34,7 +33,6 @@ _VARIABLES = {
     "pressure_difference": ("pressure A - pressure B [MPa]", 1e-6),
     "time": ("time [s]", 1.0),
 }
-_BINS = 36
 
 
 def svg(rows: int, size: tuple[float, float], draw: Callable[[Any], None], **layout: Any) -> str:
@@ -81,7 +79,12 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
     variable = _variable(claim.effect, found)
     name, unit, factor = _NAMES[CHANNELS[channel]]
     scale = problem.noise[CHANNELS[channel]] * factor
-    x = np.concatenate([_sampled(found, k, variable, channel) for k in range(len(problem.models))])
+    x = np.concatenate(
+        [
+            np.interp(layout.time[at & (layout.segment == k)], model.time, model.variable(variable))
+            for k, model in enumerate(problem.models)
+        ]
+    )
     label, units = _VARIABLES[variable]
 
     def draw(axes: Any) -> None:
@@ -100,9 +103,6 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
     return svg(1, (8.0, 3.2), draw)
 
 
-_FLOW = ("m3/s", "flow [l/min]", 6e4)
-
-
 def curves_plot(found: Diagnosis) -> str:
     """Plot what is missing in the equations over their variables, and what the claims make of it."""
     curves = found.report.curves
@@ -110,7 +110,7 @@ def curves_plot(found: Diagnosis) -> str:
     def draw(axes: Any) -> None:
         for axis, curve in zip(axes, curves, strict=True):
             label, units = _VARIABLES[curve.over]
-            words, factor = _FLOW[1:] if curve.unit_y == _FLOW[0] else ("force [N]", 1.0)
+            words, factor = ("flow [l/min]", 6e4) if curve.unit_y == "m3/s" else ("force [N]", 1.0)
             x, y, low, high, named = (
                 np.array(values) * size
                 for values, size in zip((curve.x, curve.y, curve.low, curve.high, curve.named), (units, *[factor] * 4),
@@ -126,13 +126,11 @@ def curves_plot(found: Diagnosis) -> str:
     return svg(len(curves), (8.0, 2.6 * len(curves)), draw)
 
 
-_OF_GROWN = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
-
-
 def _variable(cause: Effect, found: Diagnosis) -> str:
     have, effect = set(found.problem.models[0].channels), cause.id
     if effect in grown.IDS:
-        return _OF_GROWN.get(cause.equations[0], "pressure_difference")
+        over = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
+        return over.get(cause.equations[0], "pressure_difference")
     if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):
         return "velocity"
     if effect in ("leakage_internal",):
@@ -146,16 +144,10 @@ def _variable(cause: Effect, found: Diagnosis) -> str:
     return "position"
 
 
-def _sampled(found: Diagnosis, segment: int, variable: str, channel: int) -> FloatArray:
-    model, layout = found.problem.models[segment], found.problem.layout
-    at = (layout.channel == channel) & (layout.segment == segment)
-    return np.interp(layout.time[at], model.time, model.variable(variable))
-
-
 def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean of y over the mean of x, in even bins cut finer where the data are dense."""
-    even = np.linspace(x.min(), x.max(), _BINS + 1)
-    dense = np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1))
+    even = np.linspace(x.min(), x.max(), 37)
+    dense = np.quantile(x, np.linspace(0.0, 1.0, 37))
     finer = dense[1:][np.diff(dense) < 0.5 * (even[1] - even[0])]
     coarse = [edge for edge in even if not len(finer) or np.min(np.abs(finer - edge)) > 0.5 * (even[1] - even[0])]
     edges = np.unique(np.concatenate([coarse, finer]))
@@ -167,45 +159,33 @@ def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     return means[0], means[1]
 
 
-MOST = 4
-"""Equations shown at most, the largest share first."""
-_SMOOTHED = 0.1
-"""s, over which the squares are averaged."""
-_PAUSE = 1.0
-"""s, drawn between recordings."""
-_LABELS = {"pressure_a": "chamber A", "pressure_b": "chamber B"}
-
-
 def location_plot(found: Diagnosis) -> str:
-    """Residuals with the bench file alone, in units of the noise, over all segments side by side."""
-    places = found.assessment.places[:MOST]
-    begins = np.cumsum([0.0, *(len(model.segment) * model.step + _PAUSE for model in found.problem.models)])
+    """Residuals with the bench file alone, in units of the noise, over all segments side by side.
+
+    The root mean square over 0.1 s of the channel in which an equation shows most, for the four largest shares.
+    """
+    places, pause, layout = found.assessment.places[:4], 1.0, found.problem.layout
+    begins = np.cumsum([0.0, *(len(model.segment) * model.step + pause for model in found.problem.models)])
 
     def draw(axes: Any) -> None:
         for axis, place in zip(axes, places, strict=True):
             for k, model in enumerate(found.problem.models):
-                time, level = _level(found, place, k)
+                at = (layout.channel == CHANNELS.index(place.channel)) & (layout.segment == k)
+                time = layout.time[at]
+                width = max(int(0.1 / max(float(np.median(np.diff(time))), 1e-3)), 1)
+                squares = uniform_filter1d(np.square(found.outcome.nothing.residual[at]), width, mode="nearest")
+                level = np.sqrt(np.maximum(squares, 1e-2))
                 shift = begins[k] - model.segment.start
                 axis.plot(time + shift, level, color=BLUE, linewidth=0.7, label="unexplained" if k == 0 else None)
                 for number, (begin, end) in enumerate(place.windows[k]):
                     label = "stands out" if k == 0 and number == 0 else None
                     axis.axvspan(begin + shift, end + shift, color=ORANGE, alpha=0.18, linewidth=0, label=label)
                 if k:
-                    axis.axvline(begins[k] - 0.5 * _PAUSE, color="black", linewidth=0.6)
+                    axis.axvline(begins[k] - 0.5 * pause, color="black", linewidth=0.6)
             axis.axhline(1.0, color=RED, linewidth=0.7, label="noise")
             axis.set_yscale("log")
-            axis.set_ylabel(_LABELS.get(place.equation, place.equation))
+            axis.set_ylabel(place.equation.replace("pressure_a", "chamber A").replace("pressure_b", "chamber B"))
         add_legend(axes[0])
         axes[-1].set_xlabel("time [s], recordings one after the other")
 
     return svg(len(places), (9.0, 1.2 * len(places) + 0.6), draw, sharex=True)
-
-
-def _level(found: Diagnosis, place: Place, segment: int) -> tuple[FloatArray, FloatArray]:
-    """Time [s] and root mean square over the noise's, of the channel in which an equation shows most."""
-    layout = found.problem.layout
-    at = (layout.channel == CHANNELS.index(place.channel)) & (layout.segment == segment)
-    time = layout.time[at]
-    width = max(int(_SMOOTHED / max(float(np.median(np.diff(time))), 1e-3)), 1)
-    squares = uniform_filter1d(np.square(found.outcome.nothing.residual[at]), width, mode="nearest")
-    return time, np.sqrt(np.maximum(squares, 1e-2))

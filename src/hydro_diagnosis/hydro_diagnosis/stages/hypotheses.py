@@ -17,26 +17,17 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from threadpoolctl import threadpool_limits
 
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import knows
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.significance import ITERATIONS
 from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case, Progress, Question, read
-from hydro_diagnosis.wiring import (
-    Advance,
-    Doubt,
-    Exchange,
-    Inspection,
-    Rename,
-    Repair,
-    Scale,
-    in_other_units,
-    reversed_sign,
-)
+from hydro_diagnosis.wiring import Doubt, Inspection, Repair, in_other_units, reversed_sign
 
 CLEAR = float(np.log(10.0))
 """Log of the factor, over all channels, by which a repair must reduce what is left: more than any chance."""
@@ -44,8 +35,6 @@ ALIKE = float(np.log(1.1))
 """Log of the factor within which two readings leave the same."""
 UNJUDGED = 100.0
 """Price of a sample that a hypothesis does not judge, in noise variances: it is left if it is not known better."""
-MOST_REPAIRS = 4
-"""Largest number of simultaneous mistakes."""
 STEP = 0.02
 """s by which a channel is moved to see which way it is late."""
 REACH = 0.15
@@ -59,58 +48,56 @@ PHYSICS = {
     "pressure_b": (-0.02, 0.02),
 }
 """s by which a channel may be late (negative: early) because of valve, play or an amplifier: causes, no mistakes."""
-NO_UNITS: Mapping[str, str] = {}
-Left = dict[str, tuple[float, float]]
-"""By channel: sum of the squares that are left, over the noise's, and how many they are."""
+TRIAL = SearchSettings(effort=1500)
+"""Search by which two readings of the same recordings are compared."""
+Repaired = tuple[tuple[Repair, ...], Case]
+"""Repairs, and the recordings after them."""
 
 
-def left(problem: Problem, claims: Sequence[Claim]) -> Left:
-    """Return squares and counts of the residuals under claims, by channel."""
+def left(problem: Problem, claims: Sequence[Claim]) -> FloatArray:
+    """Squares of the residuals under claims, over the noise's, and how many they are, shape (2, channels)."""
     with np.errstate(all="ignore"):
         squares = problem.layout.squares(problem.residual(claims))
     counts = problem.layout.count
-    return {
-        name: (float(np.nan_to_num(squares[k], nan=1e30, posinf=1e30)), float(counts[k]))
-        for k, name in enumerate(CHANNELS)
-        if counts[k]
-    }
+    return np.array([np.where(counts, np.nan_to_num(squares, nan=1e30, posinf=1e30), 0.0), counts], dtype=np.float64)
 
 
-def gain(before: Left, after: Left) -> float:
+def gain(before: FloatArray, after: FloatArray) -> float:
     """Log of the factor by which less is left after than before, over all channels; what is not judged has its price.
 
     A tenth of the samples may be missing for nothing.
     """
-    total = 0.0
-    for name in {*before, *after}:
-        most = 0.9 * max(found.get(name, (0.0, 0.0))[1] for found in (before, after))
-        for found, sign in ((before, 1.0), (after, -1.0)):
-            squares, count = found.get(name, (0.0, 0.0))
-            mean = (squares + UNJUDGED * max(most - count, 0.0)) / max(most, count)
-            total += sign * float(np.log(max(mean, 1.0)))
-    return total
+    judged = np.maximum(before[1], after[1]) > 0.0
+    most = 0.9 * np.maximum(before[1], after[1])[judged]
+    means = [
+        (squares + UNJUDGED * np.maximum(most - counts, 0.0)) / np.maximum(most, counts)
+        for squares, counts in (before[:, judged], after[:, judged])
+    ]
+    here, there = (np.log(np.maximum(mean, 1.0)) for mean in means)
+    return float(np.sum(here - there))
 
 
-def times(found: Left) -> float:
+def times(found: FloatArray) -> float:
     """Root mean square of what is left, over the noise's."""
-    return float(np.sqrt(sum(squares for squares, _ in found.values()) / sum(count for _, count in found.values())))
+    squares, counts = found
+    return float(np.sqrt(sum(squares) / sum(counts)))
 
 
 def suspected(
-    problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = (), units: Mapping[str, str] = NO_UNITS
+    problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = (), units: Mapping[str, str] | None = None
 ) -> tuple[Repair, ...]:
-    """The repairs that together leave much less under these claims, the most telling first; empty if none does.
+    """The repairs, four at most, that together leave much less under these claims, the most telling first.
 
     `held`: recordings that are judged besides those of the problem; `units`: by field, where it was not taken as SI.
     """
     segments = [replace(one, thinner=None) for one in (*(model.segment for model in problem.models), *held)]
     found: list[Repair] = []
-    while len(found) < MOST_REPAIRS:
+    while len(found) < 4:
         trial = _Trial(problem, claims, segments)
-        better = max(trial.repairs(units), key=trial.gain, default=None)
+        better = max(trial.repairs(units or {}), key=trial.gain, default=None)
         if better is None or trial.gain(better) < CLEAR:
             break
-        found.append(trial.timed(better) if isinstance(better, Advance) else better)
+        found.append(trial.timed(better) if better.delay else better)
         segments = trial.segments(found[-1])
     return tuple(found)
 
@@ -118,44 +105,70 @@ def suspected(
 class _Trial:
     """Segments to which single repairs are done."""
 
-    def __init__(self, problem: Problem, claims: Sequence[Claim], segments: Sequence[Segment]) -> None:
+    def __init__(self, problem: Problem, claims: Sequence[Claim], segments: list[Segment]) -> None:
         self._problem, self._claims, self._segments = problem, claims, segments
-        self._channels = set.intersection(*(set(segment.channels) for segment in segments))
-        self._before = left(self._built(segments), claims)
-        self._known: dict[Repair, Left] = {}
+        self._known: dict[Repair | None, FloatArray] = {}
 
-    def gain(self, repair: Repair) -> float:
-        """Log of the factor by which less is left after it."""
-        return gain(self._before, self._left(repair))
+    def segments(self, repair: Repair | None) -> list[Segment]:
+        """The segments after a repair, without the ends where the clocks do not meet."""
+        if repair is None:
+            return self._segments
+        moved = [replace(one, channels={**repair.apply(one.channels, one.step)}) for one in self._segments]
+        margins = [int(np.ceil(abs(repair.delay) / one.step)) for one in moved]
+        return [one.cut(margin, len(one) - margin) for one, margin in zip(moved, margins, strict=True)]
 
-    def _left(self, repair: Repair) -> Left:
+    def left(self, repair: Repair | None = None) -> FloatArray:
+        """Squares and counts of the residuals after a repair."""
         if repair not in self._known:
-            self._known[repair] = left(self._built(self.segments(repair)), self._claims)
+            problem, segments = self._problem, self.segments(repair)
+            with np.errstate(all="ignore"):
+                built = Problem(segments, problem.bench, problem.baseline, estimated=problem.estimated)
+            self._known[repair] = left(built, self._claims)
         return self._known[repair]
 
-    def segments(self, repair: Repair) -> list[Segment]:
-        """The segments after it, without the ends where the clocks do not meet."""
-        return [_corrected(segment, repair) for segment in self._segments]
+    def gain(self, repair: Repair) -> float:
+        """Log of the factor by which less is left after a repair."""
+        return gain(self.left(), self.left(repair))
 
     def repairs(self, units: Mapping[str, str]) -> Iterator[Repair]:
         """Yield the repairs that are possible for channels whose numbers have the right size."""
-        here, bench = self._channels, self._problem.bench
+        here = set.intersection(*(set(segment.channels) for segment in self._segments))
+        bench = self._problem.bench
         for name in ("valve_current", "hydraulic_force", "load_force"):
             if name in here:
                 yield reversed_sign(name)
         if "piston_position" in here and knows(bench, "stroke"):
-            yield Scale("piston_position", "piston_position has the wrong sign", factor=-1.0, offset=bench.stroke)
+            yield replace(reversed_sign("piston_position"), offset=bench.stroke)
         for one, other in (("pressure_a", "pressure_b"), ("hydraulic_force", "load_force")):
             if {one, other} <= here:
-                yield Exchange(one, f"{one} and {other} are exchanged", other=other)
+                yield Repair(one, f"{one} and {other} are exchanged", exchanged=other)
         for name in ("hydraulic_force", "load_force"):
             if name in here:
                 yield from in_other_units(name, ("N", "kN", "daN", "lbf"), units)
         for name in (*MEASURED, "valve_current"):
-            if name in here:
-                yield from self._delays(name)
+            if name in here and not PHYSICS[name][0] <= (late := self.delay(name)) <= PHYSICS[name][1]:
+                yield advance(name, late)
 
-    def timed(self, repair: Advance) -> Advance:
+    def delay(self, field: str) -> float:
+        """The delay that leaves least, about: downhill by parabolas through three delays."""
+
+        def squares(delay: float) -> float:
+            found, before = self.left(advance(field, delay)), self.left()
+            there = found[1] > 0.0
+            return float(np.sum(found[0, there] / found[1, there] / before[0, there]))
+
+        at, moved = 0.0, REACH
+        for _ in range(ITERATIONS):
+            low, middle, high = (squares(at + by) for by in (-STEP, 0.0, STEP))
+            bend = low + high - 2.0 * middle
+            vertex = 0.5 * STEP * (low - high) / bend if bend > 0.0 else REACH * float(np.sign(low - high))
+            moved = float(np.clip(at + np.clip(vertex, -2.0 * STEP, 2.0 * STEP), -REACH, REACH)) - at
+            at += moved
+            if abs(moved) < 0.5 * STEP:
+                break
+        return at
+
+    def timed(self, repair: Repair) -> Repair:
         """The repair with the delay that leaves least; that of whole rows, if it leaves no more."""
         row = max(one.step * one.spacing for one in self._segments)
         width = max(0.3 * abs(repair.delay), 2.0 * row)
@@ -166,69 +179,19 @@ class _Trial:
         best, whole = (advance(repair.field, float(at)) for at in (round(found.x, 5), row * round(found.x / row)))
         return whole if self.gain(whole) > self.gain(best) - ALIKE else best
 
-    def _delays(self, field: str) -> Iterator[Advance]:
-        """The delay that leaves least, about, where no cause makes it: downhill by parabolas through three delays."""
-        at, moved = 0.0, REACH
-        for _ in range(ITERATIONS):
-            low, middle, high = (self._squares(advance(field, at + by)) for by in (-STEP, 0.0, STEP))
-            bend = low + high - 2.0 * middle
-            vertex = 0.5 * STEP * (low - high) / bend if bend > 0.0 else REACH * float(np.sign(low - high))
-            moved = float(np.clip(at + np.clip(vertex, -2.0 * STEP, 2.0 * STEP), -REACH, REACH)) - at
-            at += moved
-            if abs(moved) < 0.5 * STEP:
-                break
-        if not PHYSICS[field][0] <= at <= PHYSICS[field][1]:
-            yield advance(field, at)
 
-    def _squares(self, repair: Repair) -> float:
-        """Return the sum over channels of the residual's mean square after a repair over that before."""
-        found = self._left(repair)
-        return sum(squares / count / self._before[name][0] for name, (squares, count) in found.items())
-
-    def _built(self, segments: Sequence[Segment]) -> Problem:
-        problem = self._problem
-        with np.errstate(all="ignore"):
-            return Problem(segments, problem.bench, problem.baseline, estimated=problem.estimated)
-
-
-def advance(field: str, delay: float) -> Advance:
+def advance(field: str, delay: float) -> Repair:
     """A field that was recorded late by `delay` [s]."""
     said = f"{abs(delay) * 1e3:.3g} ms {'late' if delay > 0.0 else 'early'}"
-    return Advance(field, f"{field} was recorded about {said}", delay=delay)
-
-
-def retimed(problem: Problem, claims: Sequence[Claim], repairs: Sequence[Repair]) -> tuple[Repair, ...]:
-    """The repairs, their delays by what these claims leave of the repaired recordings."""
-    trial = _Trial(problem, claims, [replace(model.segment, thinner=None) for model in problem.models])
-    return tuple(
-        advance(one.field, round(one.delay + trial.timed(advance(one.field, 0.0)).delay, 5))
-        if isinstance(one, Advance) else one
-        for one in repairs
-    )  # fmt: skip
-
-
-def _corrected(segment: Segment, repair: Repair) -> Segment:
-    moved = replace(segment, channels={**repair.apply(segment.channels, segment.step)})
-    margin = int(np.ceil(abs(repair.delay) / segment.step)) if isinstance(repair, Advance) else 0
-    return moved.cut(margin, len(moved) - margin)
-
-
-TRIAL = SearchSettings(effort=1500)
-"""Search by which two readings of the same recordings are compared."""
-LAGS = frozenset({"sensor_lag", "transport_delay", "valve_lag"})
-"""Causes that a delay of a channel found too short or too long would pass for."""
-MOST_READINGS = 8
-"""Ways of reading that are tried where numbers cannot be what they are named."""
-Repaired = tuple[tuple[Repair, ...], Case]
-"""Repairs, and the recordings after them."""
+    return Repair(field, f"{field} was recorded about {said}", delay=delay)
 
 
 @dataclass(frozen=True)
 class SearchResult:
     """Residuals that the best causes leave, for one reading of the recordings."""
 
-    fitted: Left
-    held: Left
+    fitted: FloatArray
+    held: FloatArray
     claims: tuple[Claim, ...]
 
     @property
@@ -255,14 +218,25 @@ def read_repaired(question: Question, progress: Progress) -> Case:
         return case
     if case is not None and not (inspection.doubts or case.problem.noticeable(case.problem.residual(()))):
         return case
-    readings = _plausible(question, inspection, progress) if case is None or inspection.doubts else [((), case)]
-    readings = [_with_suspected_repairs(question, *one, inspection.units, progress) for one in readings]
+    readings: list[Repaired] = [((), case)] if case is not None else []
+    if case is None or inspection.doubts:
+        readings = _plausible(question, inspection, progress)
+    for k, (repairs, one) in enumerate(readings):
+        if further := suspected(one.problem, (), one.held, one.units):  # beside the mistakes that numbers show
+            repairs = (*repairs, *further)
+            with suppress(InputError):
+                readings[k] = repairs, read(_repaired(question, repairs, inspection.units), progress)
     if not readings:
         return read(question, progress)
-    repairs, other = _best_reading(readings, progress)
+    repairs, other = readings[0]
+    if len(readings) > 1:
+        explained = [_searched(one, progress) for _, one in readings]
+        repairs, other = readings[
+            max(range(len(readings)), key=lambda k: gain(explained[0].fitted, explained[k].fitted))
+        ]
     if not repairs:
         return other
-    if any(isinstance(repair, Rename) and not repair.becomes for repair in repairs):
+    if any(repair.becomes == "" for repair in repairs):
         refusal = "no two sensors have the same noise"
     if case is None or refusal:
         return replace(other, wiring=_told(repairs, other.question, f"as recorded: {refusal.split(' (')[0]}"))
@@ -275,8 +249,12 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
     left_over = found.assessment.remainder or found.holdout.noticeable(found.holdout.residual(claims))
     if case.question.as_wired or found.by_curve is not None:
         return case  # what rough recordings leave says nothing of their wiring
-    suspects = suspected(found.problem, claims, case.held, case.units) if left_over else ()
-    repairs = suspects or _other_zero(found.problem, claims)
+    repairs = suspected(found.problem, claims, case.held, case.units) if left_over else ()
+    values = {claim.effect.id: claim.values for claim in claims}
+    if not repairs and values.keys() >= {"spring_rest", "dead_volume"}:
+        offset = found.problem.bench.spring_rest_position - values["spring_rest"]["position"]
+        said = "piston_position has its zero elsewhere (offset estimated from the spring force: better measure it)"
+        repairs = (Repair("piston_position", said, offset=float(f"{offset:.5g}")),)
     if not repairs:
         return case
     try:
@@ -286,24 +264,14 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
     return _choose(case, _left(found.problem, found.holdout, claims), repairs, other, progress)
 
 
-def _other_zero(problem: Problem, claims: Sequence[Claim]) -> tuple[Repair, ...]:
-    """Another zero of the position, where both the spring's rest and a dead volume seem to be other ones."""
-    found = {claim.effect.id: claim.values for claim in claims}
-    if not found.keys() >= {"spring_rest", "dead_volume"}:
-        return ()
-    offset = problem.bench.spring_rest_position - found["spring_rest"]["position"]
-    said = "piston_position has its zero elsewhere (offset estimated from the spring force: better measure it)"
-    return (Scale("piston_position", said, offset=float(f"{offset:.5g}")),)
-
-
 def _plausible(question: Question, inspection: Inspection, progress: Progress) -> list[Repaired]:
     """Of the repairs that numbers ask for which cannot be what they are named, those that leave least.
 
-    One for each choice of channels that is left.
+    One for each choice of channels that is left; eight are tried.
     """
     best: dict[frozenset[str], Repaired] = {}
     units = inspection.units
-    for repairs in islice(product(*_one_per_field(inspection.doubts)), MOST_READINGS):
+    for repairs in islice(product(*_one_per_field(inspection.doubts)), 8):
         further = Inspection()
         try:
             case = read(_repaired(question, repairs, units), progress, further)
@@ -318,45 +286,22 @@ def _plausible(question: Question, inspection: Inspection, progress: Progress) -
     return list(best.values())
 
 
-def _with_suspected_repairs(
-    question: Question, repairs: tuple[Repair, ...], case: Case, units: Mapping[str, str], progress: Progress
-) -> Repaired:
-    """A reading without the mistakes that the model suspects in it too."""
-    further = suspected(case.problem, (), case.held, case.units)
-    if not further:
-        return repairs, case
-    try:
-        return (*repairs, *further), read(_repaired(question, (*repairs, *further), units), progress)
-    except InputError:
-        return repairs, case
-
-
-def _best_reading(readings: Sequence[Repaired], progress: Progress) -> Repaired:
-    """The reading of which the best causes leave least."""
-    if len(readings) == 1:
-        return readings[0]
-    explained = [_searched(case, progress) for _, case in readings]
-    return readings[max(range(len(readings)), key=lambda k: gain(explained[0].fitted, explained[k].fitted))]
-
-
 def _one_per_field(doubted: Iterable[Doubt]) -> list[Doubt]:
     """One doubt of each field: of those of several recordings the one with the middle number."""
     groups: list[tuple[set[str], list[Doubt]]] = []
     for doubt in doubted:
-        fields = {one.field for one in doubt}
-        met = [group for group in groups if group[0] & fields]
-        groups = [group for group in groups if not group[0] & fields]
-        groups.append(
-            (fields.union(*(group[0] for group in met)), [one for group in met for one in group[1]] + [doubt])
-        )
-    middle = [sorted(found, key=lambda doubt: str(doubt[-1]))[len(found) // 2] for _, found in groups]
-    return [tuple(doubt) for doubt in middle]
+        fields, found = {one.field for one in doubt}, [doubt]
+        for group in [group for group in groups if group[0] & fields]:
+            groups.remove(group)
+            fields, found = fields | group[0], [*found[:-1], *group[1], doubt]
+        groups.append((fields, found))
+    return [sorted(found, key=lambda doubt: str(doubt[-1]))[len(found) // 2] for _, found in groups]
 
 
 def _repaired(question: Question, repairs: Sequence[Repair], units: Mapping[str, str]) -> Question:
     """The same question with the column map that repairs the recordings; `units` as the columns were taken."""
     given = ColumnMap.load(question.columns) or ColumnMap({})
-    fields = [name for one in repairs for name in (one.field, one.other if isinstance(one, Exchange) else one.field)]
+    fields = [name for one in repairs for name in (one.field, one.exchanged) if name]
     whole = "time" in given.sources
     columns = given if whole else ColumnMap({**{name: Source(name) for name in fields}, **given.sources}, given.absent)
     for name in fields:
@@ -382,8 +327,14 @@ def _left(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> Search
 def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
     """The better of the two, with a note on both."""
     there = _searched(other, progress)
-    again = retimed(other.problem, [claim for claim in there.claims if claim.effect.id not in LAGS], repairs)
-    if again != tuple(repairs):
+    lags = ("sensor_lag", "transport_delay", "valve_lag")  # for which a delay found too short or long would pass
+    claims = [claim for claim in there.claims if claim.effect.id not in lags]
+    trial = _Trial(other.problem, claims, [replace(model.segment, thinner=None) for model in other.problem.models])
+    again = [
+        advance(one.field, round(one.delay + trial.timed(advance(one.field, 0.0)).delay, 5)) if one.delay else one
+        for one in repairs
+    ]
+    if again != list(repairs):
         with suppress(InputError):
             nearer = read(_repaired(case.question, again, case.units), progress)
             closer = _searched(nearer, progress)
@@ -391,7 +342,8 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
             if gained > ALIKE or (gained > -ALIKE and closer.numbers <= there.numbers):
                 repairs, other, there = again, nearer, closer
     clearer = min(gain(here.fitted, there.fitted), gain(here.held, there.held))
-    simpler = there.numbers + sum(_fitted(repair) for repair in repairs) < here.numbers
+    estimated = sum(bool(repair.delay or repair.offset) for repair in repairs)
+    simpler = there.numbers + estimated < here.numbers
     both = (
         f"in a trial of both, {times(here.held):.3g} times the noise was left on what was held out as recorded, "
         f"{times(there.held):.3g} times as repaired"
@@ -414,8 +366,3 @@ def _told(repairs: Sequence[Repair], question: Question, beside: str) -> str:
 
 def _words(repairs: Sequence[Repair]) -> str:
     return ", and ".join(repair.sentence for repair in repairs)
-
-
-def _fitted(repair: Repair) -> int:
-    """Numbers of a repair that were found from the recordings."""
-    return int(isinstance(repair, Advance) or (isinstance(repair, Scale) and bool(repair.offset)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import metadata
@@ -37,17 +38,15 @@ from hydro_sim.model.bench import Bench
 
 def recording_entries(paths: Sequence[str | Path]) -> list[dict[str, Any]]:
     """Name of each recording, and `begin` [s since 1970] of a bag with /hydro/state; None for other loggers' files."""
-    in_full = named_in_full(paths)
-    return [{**_entry(path), **({"name": str(path)} if path in in_full else {})} for path in map(Path, paths)]
-
-
-def _entry(path: Path) -> dict[str, Any]:
-    if not is_bag(path):
-        return {"name": path.stem, "begin": None}
-    try:
-        return {"name": path.name, "begin": float(next(stream_bag(path, salvages=True))["time"][0])}
-    except (RecordingError, StopIteration, IndexError):  # a bag of other topics
-        return {"name": path.stem, "begin": None}
+    in_full, entries = named_in_full(paths), []
+    for path in map(Path, paths):
+        name, begin = path.stem, None
+        if is_bag(path):
+            with suppress(RecordingError, StopIteration, IndexError):  # a bag of other topics
+                begin = float(next(stream_bag(path, salvages=True))["time"][0])
+                name = path.name
+        entries.append({"name": str(path) if path in in_full else name, "begin": begin})
+    return entries
 
 
 def baseline(
@@ -67,15 +66,12 @@ def baseline(
     try:
         if model is not None:
             return learned_bench.read(model), f"learned {Path(model).name}"
-        return bench if isinstance(bench, Bench) else _read(bench, frozenset(estimated)), "analytic"
+        if bench is None or isinstance(bench, Bench):
+            return bench or Bench.nominal(), "analytic"
+        read_by = completed if isinstance(bench, Mapping) else read_bench
+        return read_by(bench, frozenset(estimated)), "analytic"  # type: ignore[arg-type]
     except ValueError as error:
         raise InputError(str(error)) from None
-
-
-def _read(bench: Mapping[str, Any] | str | Path | None, estimated: frozenset[str]) -> Bench:
-    if bench is None:
-        return Bench.nominal()
-    return completed(bench, estimated) if isinstance(bench, Mapping) else read_bench(bench, estimated)
 
 
 Progress = Callable[[str], None]
@@ -132,7 +128,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     estimate = tuple(dict.fromkeys(question.estimate))
     refuse_inestimable(estimate)
     given, origin = baseline(question.bench, question.model, estimate)
-    unruled = _candidates(question.without)
+    candidates = _candidates(question.without)
     progress(stage_bar.READING)
     inspection = Inspection() if inspection is None else inspection
     fitted, held, quality = load_dataset(
@@ -145,33 +141,50 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
         progress("estimating " + ", ".join(estimate))
         with threadpool_limits(1, "blas"):
             believed = starting_bench(fitted, given, baseline_claims, estimate)
-    ruled_out = [effect for effect in CANDIDATES if effect not in unruled and effect.named]
+    others = (effect for effect in CANDIDATES if effect not in candidates and effect.named)
+    ruled_out = [effect.adapted(believed) for effect in others if applies(effect, believed)]
     question.budget.allow(sum(len(segment) for segment in fitted))
     problem = Problem(
         fitted, believed, baseline_claims,
-        estimated=estimated_claims(believed, estimate), ruled_out=_acting(ruled_out, believed, None),
+        estimated=estimated_claims(believed, estimate), ruled_out=ruled_out,
         budget=question.budget,
     )  # fmt: skip
-    machine = _machine(problem)
     if not np.isfinite(problem.residual(())).all():
         raise InputError(
             "the recordings and the bench file give residuals that are not finite: check units and numbers"
         )
-    without = " ".join(question.without)
-    untried = [f"--without {without}: these causes were not tried"] if without else []
+    candidates = [effect.adapted(believed) for effect in candidates if applies(effect, believed)]
+    if machine := _machine(problem):
+        candidates = [sized(effect, machine) for effect in candidates]
+    limits = [f"--without {' '.join(question.without)}: these causes were not tried"] if question.without else []
+    limits += [*left_out(channels, believed), *quality]
+    if rings := problem.unseen_ringing:  # which the load cell hardly shows
+        candidates = [one for one in candidates if one.id not in RINGING or one.lagged == "load_force"]
+        limits.append(
+            f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no cause "
+            "is sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is given no "
+            f"law; record at {math.ceil(2.0 * rings)} Hz or more"
+        )
+    if HYDRAULIC not in problem.blocks:  # without pressures nothing tells the force cell's errors from forces
+        cell = {"load_cell_gain:hydraulic_force", "load_cell_bias:hydraulic_force"}
+        candidates = [one for one in candidates if one.label not in cell]
+    try:
+        version = metadata.version("hydro_diagnosis")
+    except metadata.PackageNotFoundError:
+        version = "0.1.0"
     facts = {
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
         "recordings": recording_entries([*question.recordings, *question.holdout]),
-        "data_quality": [*untried, *left_out(channels, believed), *quality, *_ringing(problem)],
+        "data_quality": limits,
         "baseline": {"bench": given.to_mapping(), "model": origin},
-        "versions": {"hydro_diagnosis": _version()},
+        "versions": {"hydro_diagnosis": version},
     }
     numbers = {name: None if lacks(given, name) else float(getattr(given, name)) for name in estimate}
     return Case(
         question=question,
         problem=problem,
-        candidates=_anchored(_told_from_ringing(_acting(unruled, believed, machine), problem), problem),
+        candidates=candidates,
         held=held,
         facts=facts,
         numbers=numbers,
@@ -181,36 +194,6 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
 
 RINGING = frozenset({"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"})
 """Causes that change how the mass rings on the oil, or how its ringing is read."""
-
-
-def _told_from_ringing(effects: list[Effect], problem: Problem) -> list[Effect]:
-    """Effects without those that the ringing mimics in rows that are too slow for it; the load cell hardly rings."""
-    if not problem.unseen_ringing:
-        return effects
-    return [effect for effect in effects if effect.id not in RINGING or effect.lagged == "load_force"]
-
-
-UNANCHORED = frozenset({"load_cell_gain:hydraulic_force", "load_cell_bias:hydraulic_force"})
-"""Errors of the force cell that nothing tells from forces where no pressures are recorded beside it."""
-
-
-def _anchored(effects: list[Effect], problem: Problem) -> list[Effect]:
-    return [one for one in effects if HYDRAULIC in problem.blocks or one.label not in UNANCHORED]
-
-
-def _ringing(problem: Problem) -> list[str]:
-    if not (rings := problem.unseen_ringing):
-        return []
-    return [
-        f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no cause is "
-        "sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is given no law; "
-        f"record at {math.ceil(2.0 * rings)} Hz or more"
-    ]
-
-
-def _acting(effects: Sequence[Effect], bench: Bench, machine: Machine | None) -> list[Effect]:
-    found = [effect.adapted(bench) for effect in effects if applies(effect, bench)]
-    return found if machine is None else [sized(effect, machine) for effect in found]
 
 
 def _machine(problem: Problem) -> Machine | None:
@@ -233,10 +216,3 @@ def _candidates(without: Sequence[str]) -> list[Effect]:
             close = get_close_matches(name, names, 1)
             raise InputError(f"without: {name!r} is not an effect" + (f", did you mean {close[0]!r}?" if close else ""))
     return [effect for effect in CANDIDATES if not {effect.id, effect.label} & set(without)]
-
-
-def _version() -> str:
-    try:
-        return metadata.version("hydro_diagnosis")
-    except metadata.PackageNotFoundError:
-        return "0.1.0"

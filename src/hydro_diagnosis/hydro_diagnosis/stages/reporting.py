@@ -17,7 +17,6 @@ from hydro_diagnosis.curve_reports import curve_reports
 from hydro_diagnosis.effects.base import HYDRAULIC, Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
-from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Layout, Problem
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
@@ -28,15 +27,6 @@ from hydro_diagnosis.significance import DECISIVE
 from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case
 from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
-
-SLOWEST = 5.0
-"""Hz: what repeats less often may be the reference's doing."""
-AROUND = 40
-"""Bins on either side of a line whose median is what it stands out of."""
-STANDS_OUT = 40.0
-"""Times that median: among 5000 bins of white noise it is exceeded once in 10^8."""
-SHARE = 0.3
-"""Least share of a channel's remainder that a spectral line must hold."""
 
 
 @dataclass(frozen=True)
@@ -77,75 +67,59 @@ def line_of(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> Line | 
 
 
 def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
-    """The line of one recording: most of the residual's power beyond the noise (1 a sample) within two bins."""
-    if len(time) < 8 * AROUND:
+    """The line of one recording: 30 % of the residual's power beyond the noise (1 a sample) or more within two bins.
+
+    It stands out 40 times of the median of 40 bins on either side, which 5000 bins of white noise do once in 10^8.
+    What repeats less often than at 5 Hz may be the reference's doing.
+    """
+    around, slowest = 40, 5.0
+    if len(time) < 8 * around:
         return None
     step = float(np.median(np.diff(time)))
     even = np.interp(np.arange(time[0], time[-1], step), time, residual)
     frequency, power = scipy.signal.periodogram(even, 1.0 / step, window="hann", scaling="spectrum")
     beyond = float(np.mean(even * even)) - 1.0
-    best = int(np.argmax(np.where(frequency > SLOWEST, power, 0.0)))
-    around = np.r_[power[max(best - AROUND, 1) : max(best - 2, 1)], power[best + 3 : best + AROUND]]
-    if beyond <= 0.0 or frequency[best] <= SLOWEST or power[best] < STANDS_OUT * np.median(around):
+    best = int(np.argmax(np.where(frequency > slowest, power, 0.0)))
+    floor = np.median(np.r_[power[max(best - around, 1) : max(best - 2, 1)], power[best + 3 : best + around]])
+    if beyond <= 0.0 or frequency[best] <= slowest or power[best] < 40.0 * floor:
         return None
     share = float(power[best - 2 : best + 3].sum()) / 1.5 / beyond  # Hann's window widens a line: 1.5 bins of noise
-    return Line(float(frequency[best]), min(share, 1.0)) if share > SHARE else None
-
-
-def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str | None:
-    """Return a sentence if a claimed dead time is one row: a current written a row before it acts looks the same."""
-    rows = {model.step * model.spacing for model in problem.models}
-    for effect in effects:
-        bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
-        if bounds and any(bounds[0] <= row <= bounds[1] for row in rows):
-            return (
-                "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
-                "the same; if this one does, move that column down by one row and diagnose again"
-            )
-    return None
+    return Line(float(frequency[best]), min(share, 1.0)) if share > 0.3 else None
 
 
 def describe(findings: StageResult) -> list[EffectReport]:
     """One entry per name that stands, the strongest evidence first."""
-    reports = [
-        _report(findings, claim, own)
-        for claim, own in by_claim(findings.assessment.fit.claims, findings.bounds)
-        if claim.effect.named and not claim.effect.estimated
-    ]
-    return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
-
-
-def _report(findings: StageResult, claim: Claim, bounds: Sequence[Interval]) -> EffectReport:
     problem, found, read = findings.problem, findings.assessment.fit, findings.by_curve
-    parameters = {
-        parameter.name: bound.estimate(parameter.unit)
-        for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
-        if parameter.reported
-    }
-    if read is not None and claim.effect.label in read.evidence:
-        evidence, look_alikes = dict(read.evidence[claim.effect.label]), list[LookAlike]()
-        rivals = [one for one in read.rivals if (claim.effect.id in OPERATORS) != (one.id == "force_offset")]
-        rivals = rivals if claim.effect.id in (*OPERATORS, "friction_coulomb") else []
-    else:
-        without = fit(problem, found.but(claim))
-        rivals, look_alikes = _rivals(findings.outcome, found, claim)
-        if claim.effect.id == "force_offset" and HYDRAULIC not in problem.blocks:
-            why = "a bias of the force cell explains these recordings as well: record the pressures beside it"
-            rivals = [Rival(id="load_cell_bias", delta_bic=0.0, distinguishable=False, why=why), *rivals]
-        evidence = {
-            "delta_bic": without.score - found.score,
-            "holdout_gain": holdout_gain(findings.holdout, without, found),
+    reports = []
+    for claim, bounds in by_claim(found.claims, findings.bounds):
+        effect = claim.effect
+        if not effect.named or effect.estimated:
+            continue
+        if read is not None and effect.label in read.evidence:
+            evidence, look_alikes = dict(read.evidence[effect.label]), list[LookAlike]()
+            rivals = [one for one in read.rivals if (effect.id in OPERATORS) != (one.id == "force_offset")]
+            rivals = rivals if effect.id in (*OPERATORS, "friction_coulomb") else []
+        else:
+            without = fit(problem, found.but(claim))
+            rivals, look_alikes = _rivals(findings.outcome, found, claim)
+            if effect.id == "force_offset" and HYDRAULIC not in problem.blocks:
+                why = "a bias of the force cell explains these recordings as well: record the pressures beside it"
+                rivals = [Rival(id="load_cell_bias", delta_bic=0.0, distinguishable=False, why=why), *rivals]
+            evidence = {
+                "delta_bic": without.score - found.score,
+                "holdout_gain": holdout_gain(findings.holdout, without, found),
+            }
+        estimates = {
+            parameter.name: bound.estimate(parameter.unit)
+            for parameter, bound in zip(effect.parameters, bounds, strict=True)
+            if parameter.reported
         }
-    return EffectReport(
-        id=claim.effect.id,
-        equation=claim.effect.equations[0],
-        options=dict(claim.effect.options),
-        sentence=claim.effect.sentence(claim.values),
-        parameters=parameters,
-        evidence=evidence,
-        rivals=rivals,
-        look_alikes=look_alikes,
-    )
+        reports.append(EffectReport(
+            id=effect.id, equation=effect.equations[0], options=dict(effect.options),
+            sentence=effect.sentence(claim.values), parameters=estimates, evidence=evidence, rivals=rivals,
+            look_alikes=look_alikes,
+        ))  # fmt: skip
+    return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
 def _rivals(outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
@@ -235,7 +209,15 @@ def _notes(
     found: StageResult, effects: Sequence[EffectReport], hidden: str, library: Sequence[Effect]
 ) -> tuple[str, ...]:
     """Return notes on limits of the verdict."""
-    assessment, cut_short, budget = found.assessment, "", found.problem.budget
+    assessment, cut_short, budget, early = found.assessment, "", found.problem.budget, ""
+    rows = {model.step * model.spacing for model in found.problem.models}
+    for effect in effects:
+        bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
+        if bounds and any(bounds[0] <= row <= bounds[1] for row in rows):
+            early = (
+                "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
+                "the same; if this one does, move that column down by one row and diagnose again"
+            )
     if budget.exhausted or (budget.beyond(SEARCH) and found.outcome.cut_short):
         cut_short = (
             f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: this is the best answer until "
@@ -244,7 +226,6 @@ def _notes(
     elif found.outcome.cut_short and assessment.remainder:
         cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
     sure = "" if assessment.remainder else confirmed(found.problem, assessment.fit, found.bounds, library, hidden)
-    early = current_is_early(found.problem, effects)
     lacking = found.by_curve.why if found.by_curve is not None else ""
     lacking = f"no friction is named: {lacking}" if lacking else ""
     return tuple(note for note in (early, hidden, cut_short, lacking, sure) if note)
