@@ -18,13 +18,16 @@ WORKER = "PYTEST_XDIST_WORKER"
 """Set by pytest-xdist in the processes that it starts."""
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """Take Ctrl-C and hang-ups as a terminal gives them, also where they are ignored: so would all that tests start.
 
     A shell's background job ignores the one, nohup the other; what has a handler here is by default in a new program.
     No live page is beside each run. Tests' own nodes stay on this machine and are found as soon as those of the
     executables. Each worker has a ROS domain of its own: nodes that one starts are not in the graphs of the other.
+    Where tests are shared out, linear algebra has one thread in each: at these sizes more only wait for one another.
     """
+    if config.getoption("numprocesses", default=None):  # before the workers start, which take it over
+        os.environ.setdefault("OMP_NUM_THREADS", "1")
     if WORKER in os.environ:
         domain = int(os.environ.get("ROS_DOMAIN_ID", "0")) + int(os.environ[WORKER].removeprefix("gw"))
         os.environ["ROS_DOMAIN_ID"] = str(domain)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated bench as a plant of `envs.vector_env`, and truths drawn at random about the emulator's default one.
+"""The emulated bench as a plant of `envs.vector_env`, what it tracks, and truths drawn about the default one.
 
 Many truth plants in one compiled loop; import registers them. Benchmarks alone may do this: no package may import the
 truth (emulator.md).
@@ -19,9 +19,15 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 
-from hydro_core.signals import SAMPLES_PER_STEP
-from hydro_policy.envs import vector_env
+from hydro_bridge.conformance.reference import FADE_TIME
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+from hydro_policy.compensation.estimator import Compensator
+from hydro_policy.compensation.residual import Residual
+from hydro_policy.envs import vector_env, vector_runs
 from hydro_policy.envs.vector_env import VectorBench
+from hydro_policy.task import recorded
+from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -116,6 +122,49 @@ def drawn_truths(count: int, seed: int) -> dict[str, dict[str, Any]]:
     """Contents of so many truth files, by their names."""
     generator = np.random.default_rng(seed)
     return {f"truth_{number:03d}": drawn(generator) for number in range(count)}
+
+
+def tracked(
+    fleet: VectorBench, cases: Sequence[Case], choose: vector_runs.Chooser, settings: EvaluationSettings,
+    compensator: Compensator | None = None, residual: Residual | None = None, *, seed: int = 0,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Run bench i of a fleet with case i; a row of figures for each, over whole periods behind settling.
+
+    rmse and true_rmse are of the measured force and of the load's own [N]; where the box tripped, the RMS of the
+    reference as it plays it.
+    """
+    sums, tripped = np.zeros((5, len(cases))), np.zeros(len(cases), bool)
+    before = fleet.samples["valve_current"][:, -1]
+    for step in vector_runs.run(fleet, cases, choose, settings, seed, compensator, residual):
+        wanted, current = step.samples["reference_force"], step.samples["valve_current"]
+        rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
+        before = current[:, -1].copy()
+        errors = wanted - step.samples["load_force"], wanted - fleet.rows.felt
+        for row, signal in enumerate((*errors, rate, wanted)):
+            sums[row] += np.sum(np.where(step.counted, signal, 0.0) ** 2, axis=1)
+        sums[4] += step.counted.sum(axis=1)
+        tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
+    rows = []
+    for case, figures, trip in zip(cases, np.sqrt(sums[:4] / sums[4]).T.tolist(), tripped.tolist(), strict=True):
+        rmse, felt, rate, whole = figures
+        if trip:
+            rmse = felt = whole = float(np.sqrt(np.mean(_played(case, settings) ** 2)))
+        rows.append({"reference": case.name, "rmse": rmse, "true_rmse": felt, "current_rate_rms": rate,
+                     "reference_rms": whole, "tripped": trip})  # fmt: skip
+    return rows
+
+
+def _played(case: Case, settings: EvaluationSettings) -> FloatArray:
+    """The reference [N] as a box plays it behind settling."""
+    if not case.pieces:
+        return reference_force(case.signal, np.arange(settings.settle, settings.length(case), SAMPLE_PERIOD))[0]
+    fade = SAMPLE_PERIOD * np.arange(recorded.SAMPLES)
+    rising = 3.0 * (fade / FADE_TIME) ** 2 - 2.0 * (fade / FADE_TIME) ** 3
+    parts, leaving = [], np.zeros(len(fade))
+    for signal in (case.signal, *case.pieces):
+        parts.append(leaving + rising * (reference_force(signal, fade)[0] - leaving))
+        leaving = reference_force(signal, FADE_TIME + fade)[0]
+    return np.concatenate(parts)[round(settings.settle / SAMPLE_PERIOD) :]
 
 
 def yielding(truths: Mapping[str, Mapping[str, Any]], seed: int) -> dict[str, dict[str, Any]]:

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
@@ -20,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from scipy.stats import trim_mean
 
 from benchmarks._model_based import (
     WEIGHTS,
@@ -32,15 +29,14 @@ from benchmarks._model_based import (
     known_bench,
     oracle,
 )
-from benchmarks._report import parser
-from benchmarks._truths import drawn_truths, truth_fleet
+from benchmarks._report import interquartile_mean, parser, results
+from benchmarks._truths import drawn_truths, tracked, truth_fleet
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, command
+from hydro_core.files.atomic import encode_json, write_whole
 from hydro_core.settings import SettingsError
-from hydro_core.signals import SAMPLE_PERIOD, Flag, FloatArray
+from hydro_core.signals import FloatArray
 from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
@@ -49,9 +45,7 @@ from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import actor_parameters
-from hydro_policy.task import recorded
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth
 from hydro_sim.excitation import parse_schedule
 from hydro_sim.model.bench import Bench
@@ -109,48 +103,8 @@ def measure(
     config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None,
     residual: Residual | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Run every case on this truth; one row of figures for each (see `outcome`)."""
-    fleet = truth_fleet([config] * len(cases))
-    sums, tripped = np.zeros((5, len(cases))), np.zeros(len(cases), bool)
-    before = fleet.samples["valve_current"][:, -1]
-    for step in vector_runs.run(fleet, cases, choose, SETTINGS, 0, compensator, residual):
-        wanted, current = step.samples["reference_force"], step.samples["valve_current"]
-        rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
-        before = current[:, -1].copy()
-        errors = wanted - step.samples["load_force"], wanted - fleet.rows.felt
-        for row, signal in enumerate((*errors, rate, wanted)):
-            sums[row] += np.sum(np.where(step.counted, signal, 0.0) ** 2, axis=1)
-        sums[4] += step.counted.sum(axis=1)
-        tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
-    figures = np.sqrt(sums[:4] / sums[4])
-    return [outcome(case, figures[:, k], bool(tripped[k])) for k, case in enumerate(cases)]
-
-
-def outcome(case: Case, figures: FloatArray, tripped: bool) -> dict[str, Any]:
-    """RMSE of the measured force and of the load's own [N], RMS of u' [A/s] and of the reference [N].
-
-    Where it tripped, both errors are the reference's RMS.
-    """
-    rmse, felt, rate, whole = map(float, figures)
-    if tripped:
-        rmse = felt = whole = float(np.sqrt(np.mean(played(case) ** 2)))
-    return {
-        "reference": case.name, "rmse": rmse, "true_rmse": felt, "current_rate_rms": rate, "reference_rms": whole,
-        "tripped": tripped,
-    }  # fmt: skip
-
-
-def played(case: Case) -> FloatArray:
-    """The reference [N] as a box plays it behind settling."""
-    if not case.pieces:
-        return reference_force(case.signal, np.arange(SETTINGS.settle, SETTINGS.length(case), SAMPLE_PERIOD))[0]
-    fade = SAMPLE_PERIOD * np.arange(recorded.SAMPLES)
-    rising = 3.0 * (fade / FADE_TIME) ** 2 - 2.0 * (fade / FADE_TIME) ** 3
-    parts, leaving = [], np.zeros(len(fade))
-    for signal in (case.signal, *case.pieces):
-        parts.append(leaving + rising * (reference_force(signal, fade)[0] - leaving))
-        leaving = reference_force(signal, FADE_TIME + fade)[0]
-    return np.concatenate(parts)[round(SETTINGS.settle / SAMPLE_PERIOD) :]
+    """Run every case on this truth; one row of figures for each (see `tracked`)."""
+    return tracked(truth_fleet([config] * len(cases)), cases, choose, SETTINGS, compensator, residual)
 
 
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
@@ -217,11 +171,6 @@ def policy_of(parameters: FloatArray, agent: InitialAgent) -> Policy:
     return policy
 
 
-def interquartile_mean(values: FloatArray) -> float:
-    """Mean of the middle half."""
-    return float(trim_mean(values, 0.25))
-
-
 def table(rows: Sequence[dict[str, Any]], cases: Sequence[Case]) -> Table:
     """Interquartile mean (worst) RMSE [N] over the truths by reference, a row for each controller."""
     sizes = {case.name: next(row["reference_rms"] for row in rows if row["reference"] == case.name) for case in cases}
@@ -274,10 +223,9 @@ def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]
     if not truths:
         raise SettingsError(f"{asked.truths} holds no truth files, *.yaml; --draw 40 writes some")
     kept = Path(asked.json or asked.truths / "controllers.json").with_suffix(".rows")
-    digest = hashlib.sha256(repr((cases, SETTINGS, code_version())).encode()).hexdigest()[:12]
-    keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] + digest for path in truths}
+    keys = {path: hashlib.sha256(path.read_bytes()).hexdigest()[:12] for path in truths}
     wanted = {f"{keys[path]} {name}": (load_truth(path), name, cases) for path in truths for name in asked.controllers}
-    found = jobs.run_all(run_one, wanted, kept=kept, **jobs.job_options(asked), label="runs", unit="run")
+    found = results(run_one, wanted, asked, (cases, SETTINGS, code_version()), kept, label="runs", unit="run")
     return [
         {"truth": path.stem, "controller": name, **row}
         for path in truths for name in asked.controllers for row in found[f"{keys[path]} {name}"]
@@ -287,7 +235,7 @@ def run(asked: argparse.Namespace, cases: Sequence[Case]) -> list[dict[str, Any]
 @command(ValueError, OSError)
 def main() -> None:
     """Measure, print, write."""
-    options = parser("controllers", __doc__)
+    options = parser("controllers", __doc__, parallel=True)
     options.epilog = "controllers:\n" + "\n".join(f"  {name:20}  {what}" for name, what in CONTROLLERS.items())
     options.add_argument("--truths", type=Path, required=True, metavar="FOLDER", help="truth files, *.yaml")
     options.add_argument("--draw", type=int, default=0, metavar="COUNT", help="write so many drawn truths there first")
@@ -299,7 +247,6 @@ def main() -> None:
         "--recorded", type=Path, nargs="+", default=[], metavar="FILE", help="recorded references, too: as `evaluate`"
     )
     options.add_argument("--picture", type=Path, metavar="FILE", help="bars of the controllers of README")
-    jobs.add_arguments(options)
     asked = options.parse_args()
     extra = replace(SETTINGS, fast=asked.fast, recorded=tuple(map(str, asked.recorded))).cases[len(SETTINGS.cases) :]
     cases = load_cases(asked.references) + extra
@@ -308,8 +255,8 @@ def main() -> None:
     if asked.picture:
         picture(rows, cases, asked.picture)
     if asked.json:
-        asked.json.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
+        write_whole(asked.json, encode_json({"rows": rows}))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

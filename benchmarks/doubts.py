@@ -31,8 +31,6 @@ from hydro_core.cli.console import Table, UserError, command, progress
 SWITCH = "HYDRO_WITHOUT_DOUBT"
 """Environment variable that names the doubt that every process of a benchmark leaves out."""
 NONE = "none"
-
-
 Change = Callable[[Any], Any]
 """From what stands in the diagnosis to what takes its place."""
 
@@ -55,93 +53,51 @@ def _without_inflation(uncertainty: Any) -> Any:
 
 _JUDGE, _SEARCH, _NAMING = "judge", "selection.search", "stages.naming"
 _INTERVALS, _NOISE, _PROBLEM = "estimation.intervals", "estimation.noise:SegmentNoise", "estimation.problem"
-DOUBTS: dict[str, tuple[str, dict[str, Change]]] = {
-    "searched": (
-        "search: a claim below its smallest size, or the error of its signal, is not taken",
-        {f"{_SEARCH}:all_significant": _answer(True)},
-    ),
-    "form errors": (
-        "search: a claim that explains no more than an error in the form of its kin, and what others explain beside it",
-        {f"{_SEARCH}:form_error": _answer(False)},
-    ),
-    "little": (
-        "search: two claims one after the other that remove little of what remains end it",
-        {f"{_SEARCH}:removes_little": _answer(False)},
-    ),
-    "nearly all": (
-        "judge: where names leave something, those that act there need 98 % of the squares",
-        {f"{_JUDGE}:NEARLY_ALL": _constant(0.0)},
-    ),
-    "insignificant": (
-        "judge, and `sure laws`: an interval that includes absence",
-        {f"{_INTERVALS}:_includes_neutral": _answer(False)},
-    ),
-    "smallest": ("judge: a size below the smallest that matters", {f"{_JUDGE}:is_significant": _answer(True)}),
-    "harmful": (
-        "judge: a name that makes what was held out worse",
-        {f"{_JUDGE}:_most_harmful": _answer(None)},
-    ),
-    "noisy signal": (
-        "interval: noise in the acceleration that a mass multiplies",
-        {f"{_PROBLEM}:mass_attenuation": _answer(0.0)},
-    ),
-    "missing rows": (
-        "noise and interval: what half of the rows change",
-        {
-            f"{_PROBLEM}:Problem._changes": lambda before: (
-                lambda self, claims: {key: 0.0 * one for key, one in before(self, claims).items()}
-            )
-        },
-    ),
-    "ringing": (
-        "laws: none where a mass rings too fast for the rows",
-        {f"{_PROBLEM}:Problem.unseen_ringing": _constant(0.0)},
-    ),
-    "reversals": (
-        "noise: the smoothed velocity is off where the piston turns round",
-        {f"{_NOISE}._kink": lambda before: lambda self, claims: np.zeros_like(self._model.v)},
-    ),
-    "standstill": (
-        "noise: the sign of friction near standstill, and the one above",
-        {f"{_NOISE}.friction": lambda before: lambda self, *_: self._model.kept(np.zeros_like(self._model.v))},
-    ),
-    "flows": ("noise: timing and noise of the valve's flow", {f"{_NOISE}._of_flows": _answer(None)}),
-    "sandwich": (
-        "interval: residuals that are neither independent nor Gaussian",
-        {f"{_INTERVALS}:_uncertainty": _without_inflation},
-    ),
-    "recurrence": (
-        "interval: blocks of residuals that resemble their neighbours",
-        {f"{_INTERVALS}:_recurrence": lambda before: lambda moves, blocks: np.ones(moves.shape[1])},
-    ),
-    "forms": (
-        "interval: another form of a law that fits as well",
-        {"effects.dynamics:Stribeck.other_forms": _constant(())},
-    ),
-    "sure laws": ("laws: an interval that includes absence", {f"{_NAMING}:all_exclude_neutral": _answer(True)}),
-    "names beside laws": (
-        "laws: a name beside them that makes what was held out worse",
-        {f"{_NAMING}:without_harmful_names": lambda before: lambda closed, holdout: closed},
-    ),
-    "harmless laws": (
-        "laws: an error of what was held out that becomes larger",
-        {"closure.admission:harmless": _answer(True)},
-    ),
-    "small laws": (
-        "laws: less than a twentieth of the gap of what was held out",
-        {"closure.admission:LEAST_SHARE": _constant(-np.inf)},
-    ),
-    "rough": (
-        "curves first: rough recordings are named by their curve",
-        {"curves:ForceCurve.rough": _constant(False)},
-    ),
-}
-"""By name: what it does; and what leaves it out, by `module:attribute` of hydro_diagnosis."""
+DOUBTS: dict[str, tuple[str, str, Change]] = {
+    "searched": ("search: a claim below its smallest size, or the error of its signal, is not taken",
+                 f"{_SEARCH}:all_significant", _answer(True)),
+    "form errors": ("search: a claim that explains no more than an error in the form of its kin, and what others "
+                    "explain beside it", f"{_SEARCH}:form_error", _answer(False)),
+    "little": ("search: two claims one after the other that remove little of what remains end it",
+               f"{_SEARCH}:removes_little", _answer(False)),
+    "nearly all": ("judge: where names leave something, those that act there need 98 % of the squares",
+                   f"{_JUDGE}:NEARLY_ALL", _constant(0.0)),
+    "insignificant": ("judge, and `sure laws`: an interval that includes absence",
+                      f"{_INTERVALS}:_includes_neutral", _answer(False)),
+    "smallest": ("judge: a size below the smallest that matters", f"{_JUDGE}:is_significant", _answer(True)),
+    "harmful": ("judge: a name that makes what was held out worse", f"{_JUDGE}:_most_harmful", _answer(None)),
+    "noisy signal": ("interval: noise in the acceleration that a mass multiplies",
+                     f"{_PROBLEM}:mass_attenuation", _answer(0.0)),
+    "missing rows": ("noise and interval: what half of the rows change", f"{_PROBLEM}:Problem._changes",
+                     lambda old: lambda self, claims: {key: 0.0 * one for key, one in old(self, claims).items()}),
+    "ringing": ("laws: none where a mass rings too fast for the rows",
+                f"{_PROBLEM}:Problem.unseen_ringing", _constant(0.0)),
+    "reversals": ("noise: the smoothed velocity is off where the piston turns round",
+                  f"{_NOISE}._kink", lambda old: lambda self, claims: np.zeros_like(self._model.v)),
+    "standstill": ("noise: the sign of friction near standstill, and the one above", f"{_NOISE}.friction",
+                   lambda old: lambda self, *_: self._model.kept(np.zeros_like(self._model.v))),
+    "flows": ("noise: timing and noise of the valve's flow", f"{_NOISE}._of_flows", _answer(None)),
+    "sandwich": ("interval: residuals that are neither independent nor Gaussian",
+                 f"{_INTERVALS}:_uncertainty", _without_inflation),
+    "recurrence": ("interval: blocks of residuals that resemble their neighbours", f"{_INTERVALS}:_recurrence",
+                   lambda old: lambda moves, blocks: np.ones(moves.shape[1])),
+    "forms": ("interval: another form of a law that fits as well",
+              "effects.dynamics:Stribeck.other_forms", _constant(())),
+    "sure laws": ("laws: an interval that includes absence", f"{_NAMING}:all_exclude_neutral", _answer(True)),
+    "names beside laws": ("laws: a name beside them that makes what was held out worse",
+                          f"{_NAMING}:without_harmful_names", lambda old: lambda closed, holdout: closed),
+    "harmless laws": ("laws: an error of what was held out that becomes larger",
+                      "closure.admission:harmless", _answer(True)),
+    "small laws": ("laws: less than a twentieth of the gap of what was held out",
+                   "closure.admission:LEAST_SHARE", _constant(-np.inf)),
+    "rough": ("curves first: rough recordings are named by their curve", "curves:ForceCurve.rough", _constant(False)),
+}  # fmt: skip
+"""By name: what it does; where it is in hydro_diagnosis, `module:attribute`; what leaves it out."""
 
 
 def leave_out(names: str) -> None:
     """Leave a doubt, or several joined by `+`, out of every diagnosis of this process."""
-    for place, change in [item for name in names.split("+") for item in DOUBTS[name][1].items()]:
+    for _, place, change in (DOUBTS[name] for name in names.split("+")):
         module, _, attribute = place.partition(":")
         *owners, last = attribute.split(".")
         owner: Any = import_module(f"hydro_diagnosis.{module}")
@@ -235,7 +191,7 @@ def main() -> None:
     options.add_argument("--rigs", nargs="*", default=(), metavar="RIG", help="of them; default: all that are there")
     options.add_argument("--conditions", nargs="*", default=("100 Hz", "200 Hz", "1 kHz, 5 % lost"), metavar="NAME",
                          help="of benchmarks.logging_rates (default: three)")  # fmt: skip
-    each = "; ".join(f"{name}: {words}" for name, (words, _) in DOUBTS.items()).replace("%", "%%")
+    each = "; ".join(f"{name}: {words}" for name, (words, *_) in DOUBTS.items()).replace("%", "%%")
     options.add_argument(
         "--only", nargs="+", default=list(DOUBTS), metavar="DOUBT", help=f"or several joined by +: {each}"
     )

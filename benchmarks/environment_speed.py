@@ -7,7 +7,6 @@ A step is 10 ms of one bench: ten samples of box and plant. Gymnasium comes with
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -55,8 +54,7 @@ def main() -> None:
     options = parser("environment_speed", __doc__)
     options.add_argument("--steps", type=int, default=3000, metavar="N", help="of all benches in a turn (%(default)s)")
     asked = options.parse_args()
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     steps = {("make", 1): gymnasium_step(1, "make")}
     for count in (1, 8, 64):
         steps[("inner environment", count)] = fleet(count)
@@ -71,11 +69,8 @@ def main() -> None:
                 step()
             if turn:  # the first compiles
                 seconds[key].append((time.perf_counter() - begin) / (calls * key[1]))
-    columns = {
-        "environment": "",
-        "benches": "side by side",
-        "steps_per_second": f"of all benches, median of {ROUNDS} turns",
-    }
+    columns = {"environment": "", "benches": "side by side",
+               "steps_per_second": f"of all benches, median of {ROUNDS} turns"}  # fmt: skip
     table = Table(columns, title="Environment steps per second, one core, no learner")
     for (name, count), spent in sorted(seconds.items(), key=lambda entry: (entry[0][1], entry[0][0])):
         table.add(environment=name, benches=count, steps_per_second=round(1.0 / float(np.median(spent))))
@@ -83,4 +78,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

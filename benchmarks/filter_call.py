@@ -8,14 +8,13 @@ each one's best call shows whether a slow one was the sample's doing.
 
 from __future__ import annotations
 
-import sys
 import time
 
 import numpy as np
 
 from benchmarks._report import parser
 from hydro_bridge.ros.node import request_realtime
-from hydro_core.cli.console import Table, progress
+from hydro_core.cli.console import Table, command, progress
 from hydro_core.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings
@@ -69,16 +68,16 @@ def ticks(contraction_filter: LoopFilter, samples: list[Sample], count: int) -> 
     return clock, corrected
 
 
-def main(arguments: list[str] | None = None) -> int:
+@command()
+def main() -> None:
     """Measure, print, write."""
     options = parser("filter_call", __doc__)
     options.add_argument("--samples", type=int, default=20_000, help="of the comparison, default 20000")
     options.add_argument("--ticks", type=int, default=100_000, help="of the deadline's count, default 100000")
     options.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, as the node does")
-    asked = options.parse_args(arguments)
+    asked = options.parse_args()
     bench = Bench.nominal()
-    choice = FilterChoice(bench=bench)
-    learned = choice.make(LoopFilterSettings())
+    learned = FilterChoice(bench=bench).make(LoopFilterSettings())
     samples = runs(bench, learned, asked.samples)
     scheduling = request_realtime(realtime=asked.realtime)
     columns = {"filter": "", "p50": "us per call", "p99": "", "p99.9": "", "max": ""}
@@ -92,8 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     table.show(asked.json)
     late = int((clock > DEADLINE).sum())
     print(f"{corrected / asked.ticks:.0%} of the ticks corrected; {late} took more than {1e3 * DEADLINE:g} ms")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

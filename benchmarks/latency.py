@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -66,19 +65,17 @@ class Driver:
                 raise UserError(otherwise)
             self.executor.spin_once(timeout_sec=0.1)
 
-    def arm(self, timeout: float = 30.0) -> None:
+    def arm(self) -> None:
         """Arm once the box answers."""
-        deadline = time.monotonic() + timeout
-        answer = ""
+        deadline, answer = time.monotonic() + 30.0, "no plant"
         while time.monotonic() < deadline:
-            future = self._commander.arm(True)
-            if future is not None:
+            if (future := self._commander.arm(True)) is not None:
                 self.executor.spin_until_future_complete(future, timeout_sec=2.0)
                 if future.done() and future.result().success:
                     return
                 answer = future.result().message if future.done() else "no answer"
             self.run(0.5)
-        raise UserError(f"the plant could not be armed: {answer or 'no plant'}")
+        raise UserError(f"the plant could not be armed: {answer}")
 
     def run(self, seconds: float) -> None:
         """Publish gains at 100 Hz for a while."""
@@ -126,17 +123,13 @@ def start(
     """Start the graph one after the other; the percentiles in the diagnostics begin with a graph that is whole."""
     port = folder / "box"
     line = ["--port", str(port), "--realtime"]
-    plant = {
-        "filter": ("hydro_filter", [*metric, "--realtime"]),
-        "bridge": ("hydro_bridge", line),
-    }
+    plant = {"filter": ("hydro_filter", [*metric, "--realtime"]), "bridge": ("hydro_bridge", line)}
     if together:
         plant = {"filtered_plant": ("hydro_filter", ["bridge", f"--filter={shlex.join(metric)}", *line])}
     commands = {
-        "emulator": ("hydro_sim", ["--link", str(port), "--pace", "real"]),
-        **plant,
+        "emulator": ("hydro_sim", ["--link", str(port), "--pace", "real"]), **plant,
         "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
-    }
+    }  # fmt: skip
     running: dict[str, Companion] = {}
     for name, (package, arguments) in commands.items():
         running[name] = stack.enter_context(Companion(package, name, arguments))
@@ -203,4 +196,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -12,7 +12,6 @@ RMS. Needs 4 s a bench, and half a minute to compile.
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import inspect
 import subprocess
@@ -25,9 +24,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks._report import parser
+from benchmarks._report import interquartile_mean, parser
 from benchmarks._truths import drawn_truths, yielding
-from benchmarks.controllers import SETTINGS, interquartile_mean, measure
+from benchmarks.controllers import SETTINGS, measure
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import Table, command, progress
 from hydro_core.settings import SettingsError, from_mapping
@@ -109,7 +108,7 @@ def table(rows: dict[str, list[Row]]) -> Table:
         made.add(
             law=name, **{c: f"{m:.2f} ({w:.1f})" for c, m, w in zip(cases, means, rmse.max(axis=0), strict=True)},
             mean=f"{np.mean(means):.2f}", ratio=f"{interquartile_mean(ratio):.3f} ({ratio.max():.2f})",
-            **{"u' RMS": f"{interquartile_mean(np.array([row['current_rate_rms'] for row in own])):.3f}"},
+            **{"u' RMS": f"{interquartile_mean([row['current_rate_rms'] for row in own]):.3f}"},
             trips=str(sum(row["tripped"] for row in own)),
         )  # fmt: skip
     return made
@@ -126,8 +125,9 @@ def changed(words: list[str]) -> CompensatorSettings:
     return from_mapping(CompensatorSettings, values, "--set")
 
 
-def parse() -> argparse.Namespace:
-    """Options."""
+@command(ValueError, OSError)
+def main() -> None:
+    """Run both, print, write."""
     options = parser("law_settings", __doc__)
     options.add_argument("--draw", type=int, default=8, metavar="COUNT", help="drawn benches; default: %(default)s")
     options.add_argument("--seed", type=int, default=5501, help="of the draw; default: %(default)s")
@@ -135,13 +135,7 @@ def parse() -> argparse.Namespace:
     options.add_argument("--without", nargs="+", default=[], choices=TERMS, metavar="TERM", help="of a_0 to c_2")
     options.add_argument("--yielding", action="store_true", help="benches whose loads yield, with hysteresis")
     options.add_argument("--commit", metavar="COMMIT", help="the variant is the law of that commit")
-    return options.parse_args()
-
-
-@command(ValueError, OSError)
-def main() -> None:
-    """Run both, print, write."""
-    asked = parse()
+    asked = options.parse_args()
     told = asked.commit or " ".join([*asked.set, *(f"without {name}" for name in asked.without)])
     if not told or (asked.commit and (asked.set or asked.without)):
         raise SettingsError("say what the variant is: --set and --without, or --commit")
@@ -152,4 +146,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

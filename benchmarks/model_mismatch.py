@@ -56,6 +56,7 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
 }
 """What the learned bench (20 kN/m, 16 MPa) becomes."""
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide" / "policy.safetensors"))
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 CHANGE, SETTLED, SECONDS = 2500, 1000, 6.5
 """Samples until the change, and from there to the error's begin; s of a run."""
 WIDE = GuardSettings(
@@ -75,10 +76,8 @@ COLUMNS = {
 }
 
 
-def play(
-    plant: Plant, controller: Controller, reference: ReferenceSignal, corrector: LoopFilter | None
-) -> tuple[StateArray, FloatArray]:
-    """Samples, shape (n,), and each one's `CorrectionStatus`, shape (n,), until the box trips.
+def play(plant: Plant, controller: Controller, corrector: LoopFilter | None) -> tuple[StateArray, FloatArray]:
+    """Samples of a sine, shape (n,), and each one's `CorrectionStatus`, shape (n,), until the box trips.
 
     Under MISMATCH the gains are `FALLBACK`, as trainer and evaluate have it.
     """
@@ -86,7 +85,7 @@ def play(
     controller.reset()
     if corrector is not None:
         corrector.reset()
-    graph.reference(reference)
+    graph.reference(SINE)
     records, statuses = [], []
     for k in range(round(SECONDS / SAMPLE_PERIOD)):
         graph.arm(k > 0)
@@ -119,7 +118,7 @@ def outcome(states: StateArray, statuses: FloatArray) -> dict[str, Any]:
     }
 
 
-def changes(names: list[str], reference: ReferenceSignal) -> Table:
+def changes(names: list[str]) -> Table:
     """The second table."""
     table, watched = Table(COLUMNS, title="A bench that changes while it runs"), default_filter()
     policy = policy_controller(SHIPPED)
@@ -129,28 +128,16 @@ def changes(names: list[str], reference: ReferenceSignal) -> Table:
     for name in progress(names, label="changes", unit="bench"):
         plant = ChangingPlant([modified_truth({}), modified_truth(CHANGES[name])], [CHANGE])
         for asking, corrector in runs:
-            found = outcome(*play(plant, asking, reference, corrector))
+            found = outcome(*play(plant, asking, corrector))
             table.add(bench=name, gains=asking.name, filter="yes" if corrector else "no", **found)
     return table
 
 
 GAINS = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")
 """Cases of `validate`, in turn: K_p from -40 to 300."""
+WAVEFORMS = (Waveform.SINE, Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP, Waveform.HOLD)
+"""Of the references, in turn: within +-350 N and 3 Hz."""
 BENCHES = 48
-
-
-def references(rng: np.random.Generator, count: int) -> list[ReferenceSignal]:
-    """Sines, multisines, steps and holds within +-350 N and 3 Hz."""
-    kinds = (Waveform.SINE, Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP, Waveform.HOLD)
-    return [
-        ReferenceSignal(
-            waveform=kinds[i % len(kinds)], amplitude=float(rng.uniform(10.0, 300.0)),
-            offset=float(rng.uniform(-50.0, 50.0)), frequency=float(rng.uniform(0.2, 3.0)),
-        )
-        for i in range(count)
-    ]  # fmt: skip
-
-
 ALARM = 50.0
 """HYDRO_ALARM of firmware/hydro/monitor.h."""
 
@@ -160,26 +147,27 @@ def alarms(minutes: float, seed: int) -> Table:
     columns = {"plant": "", "minutes": "of bench time", "alarms": "samples", "tripped": "benches"}
     sums = dict.fromkeys(EQUATIONS, "largest sum; 50 is told")
     table = Table(columns | sums, title="Nothing is wrong: false alarms")
-    for plant in ("emulator", "sim"):
-        table.add(plant=plant, **run(plant, minutes, seed))
+    fleets = {"emulator": truth_fleet([profile("default")] * BENCHES),
+              "sim": VectorBench([Bench.nominal()] * BENCHES, [make_plant() for _ in range(BENCHES)])}  # fmt: skip
+    for plant, fleet in fleets.items():
+        table.add(plant=plant, **run(plant, fleet, minutes, seed))
     return table
 
 
-def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
-    """So many minutes of bench time, over `BENCHES` benches with a noise, a reference and gains of their own."""
+def run(plant: str, fleet: VectorBench, minutes: float, seed: int) -> dict[str, float]:
+    """So many minutes of bench time, over benches with a noise, a reference and gains of their own."""
     rng, bench = np.random.default_rng(seed), Bench.nominal()
-    fleet = (
-        truth_fleet([profile("default")] * BENCHES)
-        if plant == "emulator"
-        else VectorBench([bench] * BENCHES, [make_plant() for _ in range(BENCHES)])
-    )
     fleet.filters = fleet_filter("learned", bench, BENCHES)
     steps = max(round(60.0 * minutes / BENCHES / (SAMPLES_PER_STEP * SAMPLE_PERIOD)), 1)
     gains = np.stack(
         [CASES[GAINS[i % len(GAINS)]].draw_gains(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)]
     )
     changes = gains - (fleet.config.base_kp, fleet.config.base_ki)
-    for i, signal in enumerate(references(rng, BENCHES)):
+    for i in range(BENCHES):
+        amplitude, offset, frequency = rng.uniform((10.0, -50.0, 0.2), (300.0, 50.0, 3.0)).tolist()
+        signal = ReferenceSignal(
+            waveform=WAVEFORMS[i % len(WAVEFORMS)], amplitude=amplitude, offset=offset, frequency=frequency
+        )
         fleet.begin(i, signal, seed * BENCHES + i)
     loop = default_filter(bench).parts["loop"]
     watched = [(new_memories(), new_monitors()) for _ in range(BENCHES)]
@@ -189,9 +177,8 @@ def run(plant: str, minutes: float, seed: int) -> dict[str, float]:
         samples = fleet.step(changes[:, k])
         x = np.stack([samples[name] for name in PLANT_FIELDS], axis=-1)
         for i, (memory, monitor) in enumerate(watched):
-            sums = run_monitor(loop, make_samples(x[i], current=samples["valve_current"][i]), memory, monitor).max(
-                axis=-1
-            )
+            seen = make_samples(x[i], current=samples["valve_current"][i])
+            sums = run_monitor(loop, seen, memory, monitor).max(axis=-1)
             highest = np.maximum(highest, sums.max(axis=0))
             alarms += int((sums > ALARM).any(axis=-1).sum())
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
@@ -207,14 +194,9 @@ def main() -> None:
     options.add_argument("what", nargs="?", default="changes", choices=("alarms", "changes"), help="default changes")
     options.add_argument("--minutes", type=float, default=60.0, help="of alarms, each plant, default 60")
     options.add_argument("--seed", type=int, default=1, help="of alarms: noise, references and gains, default 1")
-    options.add_argument(
-        "--bench", nargs="+", default=list(CHANGES), choices=list(CHANGES), help="changes, default all"
-    )
-    options.add_argument("--amplitude", type=float, default=300.0, help="N, of changes, default 300")
-    options.add_argument("--frequency", type=float, default=1.0, help="Hz, of changes, default 1")
+    options.add_argument("--bench", nargs="+", default=list(CHANGES), choices=CHANGES, help="changes, default all")
     asked = options.parse_args()
-    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=asked.amplitude, frequency=asked.frequency)
-    (alarms(asked.minutes, asked.seed) if asked.what == "alarms" else changes(asked.bench, signal)).show(asked.json)
+    (alarms(asked.minutes, asked.seed) if asked.what == "alarms" else changes(asked.bench)).show(asked.json)
 
 
 if __name__ == "__main__":

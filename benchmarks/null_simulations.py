@@ -11,8 +11,6 @@ trials are saved, and the same command resumes from them; those of another versi
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
 from math import exp
 from pathlib import Path
 
@@ -22,9 +20,8 @@ from scipy.signal import lfilter
 from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
-from benchmarks._report import parser
+from benchmarks._report import parser, results
 from benchmarks.prove.blind import ENGINE
-from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, bounded_number, command
 from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_diagnosis.bench_numbers import completed
@@ -39,13 +36,13 @@ from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_sim.model.bench import Bench
 
-Trial = tuple[float, float | None, str]
-"""Scale of the sensors' noise; evidence of the best claim [BIC], below 0 where it does not pay its price, None if no
-claim is large enough; the claim."""
 
+def trial(bench: Bench, seed: int) -> tuple[float, float | None, str]:
+    """Record the bench as believed under two drawn references, gains and one noise, and search.
 
-def trial(bench: Bench, seed: int) -> Trial:
-    """Record the bench as believed under two drawn references, gains and one noise, and search."""
+    Returns the scale of the sensors' noise; the evidence of the best claim [BIC], below 0 where it does not pay its
+    price, None if no claim is large enough; the claim.
+    """
     rng = np.random.default_rng(seed)
     noise = float(np.exp(rng.uniform(np.log(0.1), np.log(4.0))))
     segments: list[Segment] = []
@@ -64,12 +61,6 @@ def trial(bench: Bench, seed: int) -> Trial:
         search = Search(Problem(segments, bench), [one.adapted(bench) for one in CANDIDATES], settings)
         search.run()
     return (noise, -search.steps[0].score, search.steps[0].label) if search.steps else (noise, None, "none")
-
-
-def false_claims(trials: Sequence[Trial], threshold: float) -> tuple[int, float]:
-    """Trials past the threshold, and the 95 % upper limit of their rate (Clopper and Pearson 1934)."""
-    false = sum(found is not None and found > threshold for _, found, _ in trials)
-    return false, float(beta.ppf(0.95, false + 1, len(trials) - false)) if false < len(trials) else 1.0
 
 
 FRICTION = {"friction_coulomb": {"force": 10.0}, "friction_viscous": {"coefficient": 40.0},
@@ -143,10 +134,9 @@ def print_coverage(runs: int) -> None:
 @command(ValueError, OSError)
 def main() -> None:
     """Search, print the statistics of the threshold."""
-    options = parser("null_simulations", __doc__)
+    options = parser("null_simulations", __doc__, parallel=True)
     options.add_argument("--runs", type=bounded_number(1), default=200, help="pairs of recordings (default: 200)")
     options.add_argument("--seed", type=int, default=0, help="of references, gains and noise")
-    jobs.add_arguments(options)
     options.add_argument("--write", type=Path, metavar="FILE", help="keep the trials there and go on from them")
     options.add_argument("--coverage", action="store_true", help="of intervals, on --runs recordings of each kind")
     chosen = options.parse_args()
@@ -154,17 +144,17 @@ def main() -> None:
         print_coverage(chosen.runs)
         return
     bench = Bench.nominal()
-    version = hashlib.sha256(repr((bench.to_mapping(), ENGINE)).encode()).hexdigest()[:12]
-    pairs = {f"{version}-{seed}": (bench, seed) for seed in range(chosen.seed, chosen.seed + chosen.runs)}
-    found = jobs.run_all(trial, pairs, **jobs.job_options(chosen), kept=chosen.write, label="searching", unit="pair")
-    trials = list(found.values())
+    pairs = {str(seed): (bench, seed) for seed in range(chosen.seed, chosen.seed + chosen.runs)}
+    version = bench.to_mapping(), ENGINE
+    trials = results(trial, pairs, chosen, version, chosen.write, label="searching", unit="pair").values()
     table = Table({"noise": "scale of the sensors' noise", "evidence": "of the best claim, BIC", "claim": ""})
-    for noise, found, claim in trials:
-        if found is not None:
-            table.add(noise=noise, evidence=found, claim=claim)
+    for noise, evidence, claim in trials:
+        if evidence is not None:
+            table.add(noise=noise, evidence=evidence, claim=claim)
     table.show(chosen.json)
     threshold = SearchSettings().threshold
-    false, limit = false_claims(trials, threshold)
+    false = sum(row["evidence"] > threshold for row in table.rows)
+    limit = beta.ppf(0.95, false + 1, len(trials) - false) if false < len(trials) else 1.0  # Clopper and Pearson 1934
     print(f"{len(trials)} pairs of recordings: the threshold in use, {threshold:g}, was passed {false} times; false "
           f"claims: under {limit:.2%} (95 %)")  # fmt: skip
 

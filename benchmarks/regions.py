@@ -8,9 +8,9 @@ the same gains the share of samples inside.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
+from hydro_core.cli.console import command, make_parser
 from hydro_filter.region.facts import containment_share
 from hydro_filter.region.statement import TOLERANCES
 from hydro_filter.training.region_learning import RegionTarget, certify_region, simulate_states
@@ -19,9 +19,10 @@ from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
 
 
+@command()
 def main() -> None:
     """Entry point."""
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options = make_parser("python -m benchmarks.regions", __doc__)
     options.add_argument("--model", metavar="FILE", help="bench file; the shipped learned bench by default")
     options.add_argument("--law", choices=("paper", "compensated"), default="paper")
     options.add_argument("--gains", type=float, nargs="+", default=[89.0, 90.0], metavar="KP", help="table of K_p, 1/s")

@@ -18,7 +18,6 @@ Interquartile means over all pairs, with 95 % bootstrap intervals over the truth
 from __future__ import annotations
 
 import argparse
-import hashlib
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
@@ -28,19 +27,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
-from benchmarks._report import parser
-from benchmarks._truths import drawn_truths, truth_fleet, yielding
-from benchmarks.controllers import interquartile_mean
+from benchmarks._report import interquartile_mean, parser, results
+from benchmarks._truths import drawn_truths, tracked, truth_fleet, yielding
 from hydro_bridge.bags.writer import code_version
-from hydro_core.cli import jobs
-from hydro_core.cli.console import Table, progress
+from hydro_core.cli.console import Table, command, progress
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, STRUCTURE, Network, Residual
 from hydro_policy.envs import vector_runs
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
 from hydro_sim.box.firmware import reference_force
@@ -84,11 +81,10 @@ SCORED = 6000
 """Samples of the reference whose RMS the shares are of."""
 SKIPPED = 100
 """Policy steps at the begin of a run on which nothing is trained."""
-CONTROLLERS = ("compensated", "learned")
-CONTROLLED = ("compensated", "with the residual")
-"""Columns of the tables for `CONTROLLERS`."""
-Scores = dict[str, list[float]]
-"""Of a controller on each of `REFERENCES`: rmse [N], rate (RMS of u', A/s), tripped (0 or 1)."""
+SETTINGS = EvaluationSettings(settle=2.0, measure=6.0)
+LAW = vector_runs.fixed(np.array(BASE))
+CONTROLLERS = {"compensated": "compensated", "learned": "with the residual"}
+"""With their columns of the tables."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +93,6 @@ class Run:
 
     error: FloatArray
     """N, shape (n, samples)."""
-    current: FloatArray
-    """A, shape (n, samples)."""
-    counted: npt.NDArray[np.bool_]
-    """Whole periods behind settling, shape (n, samples)."""
     tripped: FloatArray
     """Shape (n,)."""
     inputs: FloatArray
@@ -109,44 +101,36 @@ class Run:
     """Corrections that turned out to be needed in the steps of `inputs`, shape (n, steps, OUTPUTS)."""
 
 
-def run(
-    configs: Sequence[TruthConfig],
-    signals: Sequence[ReferenceSignal],
-    residual: Residual | None,
-    seed: int,
-    delays: Sequence[int] = (LATENCY,),
-    settle: float = 2.0,
-    later: TruthConfig | None = None,
-) -> Run:
-    """Run bench i with reference i under the compensated law, with the residual or without one.
-
-    `delays`: samples from a decision to where it acts, by turns; `settle` [s] at the begin do not count. `later`: what
-    each bench is from `CHANGE` on.
-    """
-    count, settings = len(configs), EvaluationSettings(settle=settle, measure=6.0)
+def fleet_of(configs: Sequence[TruthConfig], delays: Sequence[int] = (LATENCY,)) -> VectorBench:
+    """Emulated benches; `delays`: samples from a decision to where it acts, by turns."""
     fleet = truth_fleet(configs)
-    fleet.links["gain_delay"] = np.resize(delays, count)
+    fleet.links["gain_delay"] = np.resize(delays, len(configs))
+    return fleet
+
+
+def run(
+    fleet: VectorBench, signals: Sequence[ReferenceSignal], residual: Residual | None, seed: int,
+    later: TruthConfig | None = None,
+) -> Run:  # fmt: skip
+    """Run bench i with reference i under the compensated law; `later`: what each bench is from `CHANGE` on."""
     cases = [Case(str(number), signal) for number, signal in enumerate(signals)]
-    seen: list[tuple[npt.NDArray[Any], ...]] = []
+    errors: list[FloatArray] = []
     asked: list[tuple[FloatArray, FloatArray]] = []
-    tripped = np.zeros(count, bool)
-    runs = vector_runs.run(
-        fleet, cases, vector_runs.fixed(np.array(BASE)), settings, seed, Compensator(count), residual
-    )
+    tripped = np.zeros(len(cases), bool)
+    runs = vector_runs.run(fleet, cases, LAW, SETTINGS, seed, Compensator(len(cases)), residual)
     for number, step in enumerate(runs):
         if later is not None and number == CHANGE:
             fleet.rows.parameters[:] = TruthPlant(later).parameters[0]
         tripped |= np.any(step.samples["flags"] & Flag.TRIPPED, axis=1)
-        error = step.samples["reference_force"] - step.samples["load_force"]
-        seen.append((error, step.samples["valve_current"].copy(), step.counted))
+        errors.append(step.samples["reference_force"] - step.samples["load_force"])
         if residual is not None:
             asked.append((residual.inputs.astype(np.float32), residual.needed.astype(np.float32)))
-    error, current, counted = (np.concatenate(one, axis=1) for one in zip(*seen, strict=True))
+    error = np.concatenate(errors, axis=1)
     if residual is None:
-        return Run(error, current, counted, tripped, np.empty(0), np.empty(0))
+        return Run(error, tripped, np.empty(0), np.empty(0))
     inputs, needed = (np.stack(one, axis=1) for one in zip(*asked, strict=True))
     pairs = np.stack((needed[:, DELAY:-1], needed[:, DELAY + 1 :]), axis=2)
-    return Run(error, current, counted, tripped, inputs[:, : pairs.shape[1]], pairs)
+    return Run(error, tripped, inputs[:, : pairs.shape[1]], pairs)
 
 
 def drawn_signals(count: int, generator: np.random.Generator) -> list[ReferenceSignal]:
@@ -210,89 +194,60 @@ def train(path: Path, steps: int, seed: int, rounds: int = 5, *, yields: bool = 
         contents[::EVERY] = [{"profile": "default"}] * len(contents[::EVERY])
         configs = [truth_from_mapping(content) for content in contents]
         signals = drawn_signals(len(configs), generator)
-        runs.append(run(configs, signals, Residual(len(configs), network), seed + number, (4, 5, 6)))
+        runs.append(run(fleet_of(configs, (4, 5, 6)), signals, Residual(len(configs), network), seed + number))
         network = fitted(runs, steps, seed)
-        save(path, network, seed)
+        tensors = {"mean": network.mean, "spread": network.spread}
+        for layer, (weight, bias) in enumerate(network.layers):
+            tensors |= {f"weight_{layer}": weight, f"bias_{layer}": bias}
+        small = {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
+        command = shlex.join(["python", "-m", "benchmarks.residual", *sys.argv[1:]])
+        weights.save(path, small, {"structure": STRUCTURE, "training": {"command": command, "seed": seed}})
 
 
-def save(path: Path, network: Network, seed: int) -> None:
-    """Write a network as weights."""
-    tensors = {"mean": network.mean, "spread": network.spread}
-    for number, (weight, bias) in enumerate(network.layers):
-        tensors |= {f"weight_{number}": weight, f"bias_{number}": bias}
-    small = {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
-    command = shlex.join(["python", "-m", "benchmarks.residual", *sys.argv[1:]])
-    weights.save(path, small, {"structure": STRUCTURE, "training": {"command": command, "seed": seed}})
-
-
-def scores(found: Run) -> tuple[FloatArray, FloatArray]:
-    """RMSE [N] and RMS of u' [A/s], shape (n,)."""
-
-    def rms(signal: FloatArray, counted: npt.NDArray[np.bool_]) -> FloatArray:
-        return np.asarray(np.sqrt(np.sum(np.where(counted, signal, 0.0) ** 2, axis=1) / counted.sum(axis=1)))
-
-    rates = np.diff(found.current, axis=1) / SAMPLE_PERIOD
-    return rms(found.error, found.counted), rms(rates, found.counted[:, 1:])
-
-
-def reference_rms(samples: int) -> FloatArray:
-    """RMS [N] of each of `REFERENCES` over so many samples."""
-    times = np.arange(samples) * SAMPLE_PERIOD
-    return np.array([np.sqrt(np.mean(reference_force(signal, times)[0] ** 2)) for signal in REFERENCES.values()])
-
-
-def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | None, settle: float) -> Scores:
-    """RMSE [N], RMS of u' [A/s] and whether it tripped, of a controller of `CONTROLLERS` on each of `REFERENCES`.
-
-    A run that tripped has the error of a force that stands.
-    """
-    configs, signals = [config] * len(REFERENCES), list(REFERENCES.values())
-    residual = Residual(len(configs), Network.load(weights_file)) if controller == "learned" else None
-    found = run(configs, signals, residual, seed, settle=settle)
-    rmse, rate = scores(found)
-    rmse = np.where(found.tripped > 0.0, reference_rms(found.error.shape[1]), rmse)
-    return {"rmse": rmse.tolist(), "rate": rate.tolist(), "tripped": found.tripped.astype(float).tolist()}
+def score(config: TruthConfig, controller: str, seed: int, weights_file: Path | None) -> list[dict[str, Any]]:
+    """Rows of `tracked` of a controller of `CONTROLLERS` on each of `REFERENCES`."""
+    cases = [Case(name, signal) for name, signal in REFERENCES.items()]
+    residual = Residual(len(cases), Network.load(weights_file)) if controller == "learned" else None
+    return tracked(fleet_of([config] * len(cases)), cases, LAW, SETTINGS, Compensator(len(cases)), residual, seed=seed)
 
 
 def compare(asked: argparse.Namespace) -> None:
     """Score a network on truths of a seed."""
-    used = b"" if asked.weights is None else asked.weights.read_bytes()
-    version = hashlib.sha256(repr((used, asked.settle, code_version())).encode()).hexdigest()[:12]
-    jobs_of = {
-        f"{version} {asked.seed} {truth} {name}":
-            (truth_from_mapping(content), name, asked.seed, asked.weights, asked.settle)
+    wanted = {
+        f"{asked.seed} {truth} {name}": (truth_from_mapping(content), name, asked.seed, asked.weights)
         for truth, content in drawn_truths(asked.truths, asked.seed).items() for name in CONTROLLERS
     }  # fmt: skip
-    kept = asked.json.with_suffix(".rows") if asked.json else None
-    found = list(jobs.run_all(score, jobs_of, kept=kept, label="runs", unit="run", **jobs.job_options(asked)).values())
+    version = b"" if asked.weights is None else asked.weights.read_bytes(), code_version()
+    found = list(results(score, wanted, asked, version, label="runs", unit="run").values())
     rows = [found[k : k + len(CONTROLLERS)] for k in range(0, len(found), len(CONTROLLERS))]
-    table(rows, f"Learned residual, {len(rows)} truths of seed {asked.seed}, after {asked.settle:g} s").show(asked.json)
+    table(rows, f"Learned residual, {len(rows)} truths of seed {asked.seed}, after 2 s").show(asked.json)
 
 
-def table(rows: Sequence[Sequence[Scores]], title: str) -> Table:
-    """Interquartile means over the truths; `rows`: of each truth the scores of the controllers in their order."""
-    rmse, rate, tripped = (np.array([[one[key] for one in own] for own in rows]) for key in ("rmse", "rate", "tripped"))
+def table(rows: Sequence[Sequence[Sequence[Mapping[str, Any]]]], title: str) -> Table:
+    """Interquartile means over the truths; `rows`: of each truth those of the controllers in their order."""
+    rmse, rate, tripped = (
+        np.array([[[row[key] for row in run] for run in own] for own in rows])
+        for key in ("rmse", "current_rate_rms", "tripped")
+    )
     law, learned = rmse[:, 0], rmse[:, 1]
     ratio, worse = learned / law, learned > 1.1 * law + 0.3
-    share = 100.0 * rmse / reference_rms(SCORED)
+    times = np.arange(SCORED) * SAMPLE_PERIOD
+    sizes = [np.sqrt(np.mean(reference_force(signal, times)[0] ** 2)) for signal in REFERENCES.values()]
+    share = 100.0 * rmse / sizes
     unit = "RMSE, N, % of the reference's RMS"
-    columns = {"reference": "", **dict.fromkeys(CONTROLLED, unit), "ratio": "of the two",
+    columns = {"reference": "", **dict.fromkeys(CONTROLLERS.values(), unit), "ratio": "of the two",
                "low": "95 % interval of the ratio", "high": "", "largest": "ratio", "worse": "above 1.1 times + 0.3 N",
                "trips": "with the residual (without)", "u' ratio": "RMS of u' over the law's"}  # fmt: skip
     made = Table(columns, title=title)
     picks = np.random.default_rng(0).integers(len(rows), size=(1000, len(rows)))
 
-    def spread(values: FloatArray) -> tuple[float, float]:
-        low, high = np.percentile([interquartile_mean(values[pick].ravel()) for pick in picks], (2.5, 97.5))
-        return float(low), float(high)
-
     for name, chosen in (*((name, [k]) for k, name in enumerate(REFERENCES)), ("all", list(range(len(REFERENCES))))):
         own = ratio[:, chosen]
-        low, high = spread(own)
+        low, high = np.percentile([interquartile_mean(own[pick].ravel()) for pick in picks], (2.5, 97.5)).tolist()
         means = ([interquartile_mean(one[:, k, chosen].ravel()) for one in (rmse, share)] for k in (0, 1))
         made.add(
             reference=name,
-            **dict(zip(CONTROLLED, (f"{error:.2f}, {part:.2f} %" for error, part in means), strict=True)),
+            **dict(zip(CONTROLLERS.values(), (f"{error:.2f}, {part:.2f} %" for error, part in means), strict=True)),
             ratio=interquartile_mean(own.ravel()), low=low, high=high, largest=float(own.max()),
             worse=f"{int(worse[:, chosen].sum())} of {own.size}",
             trips=f"{tripped[:, 1, chosen].sum():g} ({tripped[:, 0, chosen].sum():g})",
@@ -312,7 +267,7 @@ def changed(weights_file: Path | None, seed: int) -> Table:
     for name, effects in CHANGES.items():
         later = truth_from_mapping({"profile": "default", "effects": effects})
         residuals = (None, Residual(len(signals), Network.load(weights_file)))
-        law, learned = (run(configs, signals, residual, seed, later=later) for residual in residuals)
+        law, learned = (run(fleet_of(configs), signals, residual, seed, later) for residual in residuals)
         for window, (first, last) in windows.items():
             parts = (one.error[:, first * SAMPLES_PER_STEP : last * SAMPLES_PER_STEP] for one in (law, learned))
             rmse = [np.sqrt(np.mean(part**2, axis=1)) for part in parts]
@@ -325,9 +280,10 @@ def changed(weights_file: Path | None, seed: int) -> Table:
     return made
 
 
-def main(arguments: list[str] | None = None) -> None:
+@command(OSError)
+def main() -> None:
     """Score, or train."""
-    options = parser("residual", __doc__)
+    options = parser("residual", __doc__, parallel=True)
     options.add_argument("--truths", type=int, default=40, metavar="COUNT", help="benches, default %(default)s")
     options.add_argument("--seed", type=int, default=4242, metavar="S", help="of the benches, default %(default)s")
     options.add_argument("--weights", type=Path, metavar="FILE", help="of the network (default: the shipped one)")
@@ -339,9 +295,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     options.add_argument("--yielding", action="store_true", help="train on loads that yield, too: every second bench")
     options.add_argument("--changes", action="store_true", help="the default truth that changes in mid-run, instead")
-    options.add_argument("--settle", type=float, default=2.0, metavar="S", help="not scored, default %(default)s s")
-    jobs.add_arguments(options)
-    asked = options.parse_args(arguments)
+    asked = options.parse_args()
     if asked.train:
         train(asked.train, asked.steps, asked.seed, yields=asked.yielding)
     elif asked.changes:

@@ -10,29 +10,23 @@ after 500 steps; `peers` is what stable-baselines3 has in their place. Needs gym
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import trim_mean
 
-from benchmarks._report import parser
-from hydro_core.cli.console import Table, progress
+from benchmarks._report import interquartile_mean, parser, results
+from benchmarks.sac_peers import EXAM, FREQUENCIES
+from hydro_bridge.bags.writer import code_version
+from hydro_core.cli.console import Table, command
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.sac import ReplayBuffer, Sac
 from hydro_policy.sac.settings import SacSettings
 
 REWARD_SCALE = 0.02
-FREQUENCIES, EXAM = (0.5, 1.0, 1.5, 2.0), 500
 EPISODE = 1800
-
-
-def nothing(sac: Sac) -> None:
-    """Leave the initial weights."""
 
 
 def last_actor_layer(factor: float) -> Callable[[Sac], None]:
@@ -55,32 +49,19 @@ def log_std(value: float) -> Callable[[Sac], None]:
     return change
 
 
-def normal_weights(gain: float) -> Callable[[Sac], None]:
-    """Draw weights of deviation gain / sqrt(fan_in) (1: LeCun, sqrt(2): He), biases zero."""
+def no_biases(gain: float | None = None) -> Callable[[Sac], None]:
+    """Let biases begin at zero; draw weights of deviation gain / sqrt(fan_in) (1: LeCun, sqrt(2): He)."""
 
     def change(sac: Sac) -> None:
         rng = np.random.default_rng((sac.settings.seed, 1))
         for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
             for weights, biases in sac.layers[name]:
-                deviation = gain / math.sqrt(weights.shape[1])
-                adam.parameters[weights], adam.parameters[biases] = rng.normal(0.0, deviation, weights.shape), 0.0
+                if gain is not None:
+                    adam.parameters[weights] = rng.normal(0.0, gain / math.sqrt(weights.shape[1]), weights.shape)
+                adam.parameters[biases] = 0.0
         sac.agent.targets[:] = sac.agent.critics.parameters
 
     return change
-
-
-def he_and_small_actor(sac: Sac) -> None:
-    """Let networks begin by He et al., but the actor's mean near zero and its sigma near one."""
-    normal_weights(math.sqrt(2.0))(sac)
-    last_actor_layer(0.01)(sac)
-
-
-def zero_biases(sac: Sac) -> None:
-    """Let all biases begin at zero."""
-    for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
-        for _, biases in sac.layers[name]:
-            adam.parameters[biases] = 0.0
-    sac.agent.targets[:] = sac.agent.critics.parameters
 
 
 def zero_critics(sac: Sac) -> None:
@@ -100,11 +81,13 @@ class Variant:
     """Steps before learning starts."""
     updates: int = 1
     """Per step."""
-    initial: Callable[[Sac], None] = nothing
+    initial: tuple[Callable[[Sac], None], ...] = ()
+    """Changes of the initial weights."""
     sac: dict[str, Any] = field(default_factory=dict)
     """Fields of `SacSettings`."""
 
 
+HE = no_biases(math.sqrt(2.0))
 VARIANTS = {
     "base": Variant(),
     "uniform_warmup": Variant(uniform=True),
@@ -115,15 +98,15 @@ VARIANTS = {
     "uniform_1800": Variant(uniform=True, starts=1800),
     "uniform_3600": Variant(uniform=True, starts=3600),
     "uniform_1800_entropy_-1": Variant(uniform=True, starts=1800, sac={"target_entropy": -1.0}),
-    "last_actor_layer_0.01": Variant(initial=last_actor_layer(0.01)),
-    "log_std_-1": Variant(initial=log_std(-1.0)),
-    "log_std_-2": Variant(initial=log_std(-2.0)),
-    "zero_biases": Variant(initial=zero_biases),
-    "lecun": Variant(initial=normal_weights(1.0)),
-    "he": Variant(initial=normal_weights(math.sqrt(2.0))),
-    "he_uniform_warmup": Variant(initial=normal_weights(math.sqrt(2.0)), uniform=True),
-    "he_small_actor": Variant(initial=he_and_small_actor),
-    "zero_critics": Variant(initial=zero_critics),
+    "last_actor_layer_0.01": Variant(initial=(last_actor_layer(0.01),)),
+    "log_std_-1": Variant(initial=(log_std(-1.0),)),
+    "log_std_-2": Variant(initial=(log_std(-2.0),)),
+    "zero_biases": Variant(initial=(no_biases(),)),
+    "lecun": Variant(initial=(no_biases(1.0),)),
+    "he": Variant(initial=(HE,)),
+    "he_uniform_warmup": Variant(initial=(HE,), uniform=True),
+    "he_small_actor": Variant(initial=(HE, last_actor_layer(0.01))),
+    "zero_critics": Variant(initial=(zero_critics,)),
     "alpha_0.05": Variant(sac={"initial_entropy_coefficient": 0.05}),
     "alpha_0.5": Variant(sac={"initial_entropy_coefficient": 0.5}),
     "alpha_fixed": Variant(sac={"entropy_learning_rate": 0.0}),
@@ -160,16 +143,18 @@ class Actors:
         return hidden[:, 0, :2], np.clip(hidden[:, 0, 2:], *self._bounds)
 
 
-def train(variant: Variant, seeds: Sequence[int], steps: int) -> FloatArray:
-    """Return the final return of each seed."""
+def train(name: str, seeds: Sequence[int], steps: int) -> list[float]:
+    """Return the final return of each seed under one of `VARIANTS`."""
     from hydro_policy.env import ForceControlVector
 
+    variant = VARIANTS[name]
     agents = [
         Sac(13, 2, SacSettings(**({"reward_scale": REWARD_SCALE, "seed": seed} | variant.sac)))  # type: ignore[arg-type]
         for seed in seeds
     ]
     for sac in agents:
-        variant.initial(sac)
+        for change in variant.initial:
+            change(sac)
     replays, actors = [ReplayBuffer(13, 2, steps + 100) for _ in agents], Actors(agents)
     rng = np.random.default_rng((seeds[0], 2))
     environment = ForceControlVector(len(seeds), bench="shipped", max_episode_steps=EPISODE, autoreset_mode="Disabled")
@@ -191,7 +176,7 @@ def train(variant: Variant, seeds: Sequence[int], steps: int) -> FloatArray:
         now, over = following, terminated | truncated
         if over.any():
             now, _ = environment.reset(options={"reset_mask": over})
-    return examine(actors, len(seeds))
+    return examine(actors, len(seeds)).tolist()
 
 
 def examine(actors: Actors, count: int) -> FloatArray:
@@ -212,38 +197,35 @@ def examine(actors: Actors, count: int) -> FloatArray:
     return total
 
 
-def main() -> int:
+@command()
+def main() -> None:
     """Run."""
-    asked = parser("sac_ablation", __doc__)
-    asked.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
-    asked.add_argument("--seeds", type=int, nargs="+", default=list(range(100, 120)), metavar="N", help="100 to 119")
-    asked.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
-    options = asked.parse_args()
+    options = parser("sac_ablation", __doc__, parallel=True)
+    options.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")
+    options.add_argument("--seeds", type=int, nargs="+", default=list(range(100, 120)), metavar="N", help="100 to 119")
+    options.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
+    asked = options.parse_args()
     columns = {
         "variant": "",
-        "middle": f"interquartile mean of the final returns of {len(options.seeds)} seeds (`sac_peers`)",
+        "middle": f"interquartile mean of the final returns of {len(asked.seeds)} seeds (`sac_peers`)",
         "median": "", "worst": "", "best": "",
         "poor": "seeds below the untrained mean action, -4970",
         "returns": "of each seed",
     }  # fmt: skip
-    table = Table(columns, title=f"Soft Actor-Critic after {options.steps} steps")
-    if options.json and options.json.exists():
-        table.rows = json.loads(options.json.read_text())["rows"]
-    done = {row["variant"] for row in table.rows}
-    for name in progress([name for name in options.variants if name not in done], unit="variant", every=30.0):
-        returns = train(VARIANTS[name], options.seeds, options.steps)
+    runs = {name: (name, asked.seeds, asked.steps) for name in asked.variants}
+    version = asked.seeds, asked.steps, code_version()
+    table = Table(columns, title=f"Soft Actor-Critic after {asked.steps} steps")
+    for name, returns in results(train, runs, asked, version, label="ablation", unit="variant").items():
         table.add(
-            variant=name, middle=round(float(trim_mean(returns, 0.25))), median=round(float(np.median(returns))),
-            worst=round(returns.min()), best=round(returns.max()), poor=int((returns < -4970).sum()),
-            returns=[round(each) for each in returns],
+            variant=name, middle=round(float(interquartile_mean(returns))), median=round(float(np.median(returns))),
+            worst=round(min(returns)), best=round(max(returns)), poor=sum(one < -4970 for one in returns),
+            returns=[round(one) for one in returns],
         )  # fmt: skip
-        print({key: value for key, value in table.rows[-1].items() if key != "returns"}, flush=True)
-        if options.json:
-            table.write_json(options.json)
+    if asked.json:
+        table.write_json(asked.json)
     table.rows = [{**row, "returns": len(row["returns"])} for row in table.rows]
     table.show()
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

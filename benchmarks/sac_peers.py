@@ -11,7 +11,6 @@ each library offers. Peers: `make bench-peers`. Returns over seeds, which go on 
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import sys
 import time
@@ -24,10 +23,11 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import numpy as np
 import torch
-from scipy.stats import bootstrap, trim_mean
+from scipy.stats import bootstrap
 
-from benchmarks._report import parser
-from hydro_core.cli.console import Table, progress
+from benchmarks._report import interquartile_mean, parser, results
+from hydro_bridge.bags.writer import code_version
+from hydro_core.cli.console import Table, command, progress
 
 PEERS = ("gymnasium", "stable_baselines3", "skrl", "sbx")
 LEARNERS = ("ours", "stable-baselines3", "skrl", "SBX")
@@ -37,43 +37,38 @@ ROUNDS, UPDATES = 7, 256
 RETURN = "of the mean action, 4 sines of 300 N, 5 s each, reward / 50"
 
 
-def main() -> int:
+@command()
+def main() -> None:
     """Run."""
-    asked = parser("sac_peers", __doc__)
-    asked.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
-    asked.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
-    asked.add_argument("--seeds", type=int, nargs="+", default=[0], metavar="N", help="trainings of each learner (0)")
-    asked.add_argument(
-        "--returns-only", action="store_true", help="no timing; keep the rows in the --json file and add what lacks"
-    )
-    asked.add_argument("--learners", nargs="+", choices=LEARNERS, default=LEARNERS, help="with --returns-only")
-    options = asked.parse_args()
+    options = parser("sac_peers", __doc__, parallel=True)
+    options.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
+    options.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
+    options.add_argument("--seeds", type=int, nargs="+", default=[0], metavar="N", help="trainings of each learner (0)")
+    options.add_argument("--returns-only", action="store_true", help="no timing; trainings are jobs, and are kept")
+    options.add_argument("--learners", nargs="+", choices=LEARNERS, default=LEARNERS, help="with --returns-only")
+    asked = options.parse_args()
     missing = [name for name in PEERS if importlib.util.find_spec(name) is None]
     if missing:
         print(f"{', '.join(missing)} not installed here: `make bench-peers` compares with the peers", file=sys.stderr)
-        return 0
+        return
+    if asked.returns_only:
+        compare_returns(asked)
+        return
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
-    if options.returns_only:
-        compare_returns(options)
-        return 0
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     columns = {
-        "batch": "transitions per update",
-        "seed": "",
-        "learner": "",
+        "batch": "transitions per update", "seed": "", "learner": "",
         "updates_per_second": f"median of {ROUNDS} turns of {UPDATES} updates",
         "ours_over_it": "our updates per second over its",
-        "steps_per_second": f"environment steps per second of a training of {options.steps} steps, an update each",
+        "steps_per_second": f"environment steps per second of a training of {asked.steps} steps, an update each",
         "final_return": RETURN,
-    }
+    }  # fmt: skip
     table = Table(columns, title="Soft Actor-Critic: 13 observations, 2 actions, 2 x 32 ReLU, one core")
-    for batch in options.batch:
-        for seed in options.seeds:
-            compare(table, batch, options.steps, seed)
-    table.show(options.json)
-    return 0
+    for batch in asked.batch:
+        for seed in asked.seeds:
+            compare(table, batch, asked.steps, seed)
+    table.show(asked.json)
 
 
 def makers(batch: int, seed: int) -> dict[str, Callable[[], Any]]:
@@ -114,33 +109,37 @@ def compare(table: Table, batch: int, steps: int, seed: int) -> None:
         )  # fmt: skip
 
 
-def compare_returns(options: Any) -> None:
-    """Train each learner on each seed, then compare their returns."""
+def final_return(batch: int, steps: int, seed: int, name: str) -> float:
+    """Train one learner and examine it."""
     from benchmarks._sac_learners import force_control
 
+    warnings.filterwarnings("ignore")
+    torch.set_num_threads(1)
+    learner = makers(batch, seed)[name]()
+    learner.train(force_control(seed), steps)
+    return examine(learner)
+
+
+def compare_returns(asked: Any) -> None:
+    """Train each learner on each seed, then compare their returns."""
+    runs = [(b, asked.steps, s, name) for b in asked.batch for s in asked.seeds for name in asked.learners]
+    wanted = {" ".join(map(str, run)): run for run in runs}
+    found = results(final_return, wanted, asked, code_version(), label="returns", unit="training")
+    returns = dict(zip(runs, found.values(), strict=True))
     table = Table({"batch": "", "steps": "", "seed": "", "learner": "", "final_return": RETURN})
-    if options.json and options.json.exists():
-        table.rows = json.loads(options.json.read_text())["rows"]
-    done = {(row["batch"], row["steps"], row["seed"], row["learner"]) for row in table.rows}
-    wanted = [(b, options.steps, s, name) for b in options.batch for s in options.seeds for name in options.learners]
-    for batch, steps, seed, name in progress([key for key in wanted if key not in done], unit="training", every=30.0):
-        learner = makers(batch, seed)[name]()
-        learner.train(force_control(seed), steps)
-        table.add(batch=batch, steps=steps, seed=seed, learner=name, final_return=examine(learner))
-        if options.json:
-            table.write_json(options.json)
-    for batch in options.batch:
+    for (batch, steps, seed, name), value in returns.items():
+        table.add(batch=batch, steps=steps, seed=seed, learner=name, final_return=value)
+    if asked.json:
+        table.write_json(asked.json)
+    for batch in asked.batch:
         print(f"batch {batch}")
-        by_seed = [
-            {r["learner"]: r["final_return"] for r in table.rows if (r["batch"], r["seed"]) == (batch, seed)}
-            for seed in options.seeds
-        ]
-        summarise(by_seed, options.seeds)
+        by_seed = [{name: returns[batch, asked.steps, s, name] for name in asked.learners} for s in asked.seeds]
+        summarise(by_seed, asked.seeds)
 
 
 def summarise(by_seed: list[dict[str, float]], seeds: list[int]) -> None:
     """Print returns per seed, and per learner the interquartile mean and in how many seeds it was worst of all."""
-    names = [name for name in LEARNERS if all(name in row for row in by_seed)]
+    names = list(by_seed[0])
     each = Table({"seed": "", **dict.fromkeys(names, "")}, title=f"final return, {RETURN}")
     for seed, row in zip(seeds, by_seed, strict=True):
         each.add(seed=seed, **{name: round(row[name]) for name in names})
@@ -156,18 +155,13 @@ def summarise(by_seed: list[dict[str, float]], seeds: list[int]) -> None:
         values = np.array([row[name] for row in by_seed])
         low = high = float("nan")
         if len(values) > 1:
-            low, high = bootstrap((values,), _middle, method="percentile", rng=0).confidence_interval
+            low, high = bootstrap((values,), interquartile_mean, method="percentile", rng=0).confidence_interval
         table.add(
-            learner=name, mean=round(float(_middle(values))), low=low, high=high,
+            learner=name, mean=round(float(interquartile_mean(values))), low=low, high=high,
             worst=sum(min(row, key=row.__getitem__) == name for row in by_seed),
             best=sum(max(row, key=row.__getitem__) == name for row in by_seed),
         )  # fmt: skip
     table.show()
-
-
-def _middle(values: Any, axis: int = -1) -> Any:
-    """Interquartile mean."""
-    return trim_mean(values, 0.25, axis=axis)
 
 
 def updates_per_second(learners: dict[str, Any]) -> dict[str, float]:
@@ -199,4 +193,4 @@ def examine(learner: Any) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -122,10 +122,9 @@ def about(kind: str, begins: list[int], results: list[Mapping[str, Any]]) -> dic
                            "false_per_year": sum(false) / at_risk}  # fmt: skip
     after = [[day - b for day in one["alarms"] if day >= b] for b, one in zip(begins, results, strict=True)]
     late = [one[0] for one in after if one]
-    errors = [abs(one["dated"][0][0] - b) for b, one in zip(begins, results, strict=True) if one["dated"]]
-    held = [
-        one["dated"][0][1] <= b <= one["dated"][0][2] for b, one in zip(begins, results, strict=True) if one["dated"]
-    ]
+    dated = [(b, *one["dated"][0]) for b, one in zip(begins, results, strict=True) if one["dated"]]
+    errors = [abs(when - b) for b, when, _, _ in dated]
+    held = [first <= b <= last for b, _, first, last in dated]
     row |= {"found": None if calm else len(late), "days": _median(late, calm), "date_error": _median(errors, calm),
             "date_held": None if calm or not held else 100.0 * float(np.mean(held))}  # fmt: skip
     limits = [
@@ -172,11 +171,10 @@ def simulated(benches: int, seed: int, every: int, **where: Any) -> Table:
 @command(ValueError, OSError)
 def main() -> None:
     """Draw, look, print the table."""
-    options = parser("trends", __doc__)
+    options = parser("trends", __doc__, parallel=True)
     options.add_argument("--benches", type=int, default=12, help="of each kind (default: 12)")
     options.add_argument("--every", type=int, default=3, metavar="DAYS", help="between looks (default: 3)")
     options.add_argument("--seed", type=int, default=1)
-    jobs.add_arguments(options)
     asked = options.parse_args()
     simulated(asked.benches, asked.seed, asked.every, **jobs.job_options(asked)).show(asked.json)
 

@@ -18,16 +18,8 @@ from random import Random
 
 from cobs import cobs
 
-from hydro_bridge.serial.protocol import (
-    MAX_ENCODED,
-    BoxInfo,
-    Frame,
-    LawState,
-    decode,
-    encode_command,
-    encode_hello,
-    encode_state,
-)
+from hydro_bridge.serial import protocol
+from hydro_bridge.serial.protocol import MAX_ENCODED, BoxInfo, Frame, LawState
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.cli.console import progress
 from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
@@ -95,29 +87,25 @@ def make_frame(sequence: int, random: Random) -> bytes:
     if kind < 0.6:
         numbers = [random.gauss(0, 1e4) for _ in range(14)]
         acting = LawState(Law.COMPENSATED, *numbers[:2], (1.0, *numbers[2:5]), *numbers[5:7])
-        return encode_state(sequence, time_us, numbers, random.getrandbits(8), sequence, (sequence, 1), acting)
+        return protocol.encode_state(sequence, time_us, numbers, random.getrandbits(8), sequence, (sequence, 1), acting)
     if kind < 0.98:
-        numbers = [random.gauss(0, 100) for _ in range(7)]
+        delta_kp, delta_ki, delta_u, amplitude, offset, frequency, phase = (random.gauss(0, 100) for _ in range(7))
         signal = ReferenceSignal(
             waveform=random.choice(tuple(Waveform)),
-            amplitude=numbers[3],
-            offset=numbers[4],
-            frequency=numbers[5],
-            phase=numbers[6],
+            amplitude=amplitude,
+            offset=offset,
+            frequency=frequency,
+            phase=phase,
         )
         command = Command(
-            arm=random.random() < 0.5,
-            delta_kp=numbers[0],
-            delta_ki=numbers[1],
-            delta_u=numbers[2],
-            reference=signal,
-            corrects=random.getrandbits(32),
-            filter_fresh=random.random() < 0.5,
-            law=random.choice(tuple(Law)),
-            coefficients=(1.0, *numbers[:3]),
-        )
-        return encode_command(sequence, time_us, command)
-    return encode_hello(sequence, time_us, BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None)
+            arm=random.random() < 0.5, delta_kp=delta_kp, delta_ki=delta_ki, delta_u=delta_u, reference=signal,
+            corrects=random.getrandbits(32), filter_fresh=random.random() < 0.5, law=random.choice(tuple(Law)),
+            coefficients=(1.0, delta_kp, delta_ki, delta_u),
+        )  # fmt: skip
+        return protocol.encode_command(sequence, time_us, command)
+    return protocol.encode_hello(
+        sequence, time_us, BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None
+    )
 
 
 def hostile_batch(first: int, count: int, random: Random) -> tuple[bytes, dict[int, tuple[str, Frame]]]:
@@ -127,7 +115,7 @@ def hostile_batch(first: int, count: int, random: Random) -> tuple[bytes, dict[i
     names = tuple(DAMAGES)
     for sequence in range(first, first + count):
         damage, wire = random.choice(names), make_frame(sequence, random)
-        sent[sequence] = (damage, decode(wire[1:-1]))
+        sent[sequence] = (damage, protocol.decode(wire[1:-1]))
         wires.append((damage, DAMAGES[damage][0](wire, random)))
     for place in range(count - 1):
         if wires[place][0] == "reordered":

@@ -9,10 +9,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import pytest
 
@@ -65,11 +66,16 @@ def until(process: subprocess.Popen[str], words: str, lines: int = 2000) -> list
 
 
 @pytest.fixture(scope="module")
-def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Emulator and bridge, launched; a recorder, run. Gives the recording."""
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Future[Any]]]:
+    """Emulator and bridge, launched; a recorder, run. Gives the recording, and a call of a service that nobody offers.
+
+    That is looked for for ten seconds, meanwhile.
+    """
     folder = tmp_path_factory.mktemp("graph")
     port, bag = str(folder / "port"), folder / "bag"
     with own_domain(), ExitStack() as stack:
+        call = ("service", "call", "/colour", "std_srvs/srv/Trigger")
+        refusal = stack.enter_context(ThreadPoolExecutor()).submit(ran, *ROS2, *call, timeout=90)
         emulator = stack.enter_context(
             running("launch", "hydro_sim", "emulator.launch.py", f"port:={port}", "pace:=real")
         )
@@ -81,32 +87,30 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         for process in (emulator, bridge, recorder):  # read on, so that none is ever held up by what it prints
             Thread(target=process.stdout.readlines, daemon=True).start()
         ros2("topic", "echo", "/hydro/state", "--once")
-        yield bag
+        yield bag, refusal
 
 
-def test_a_message_is_shown_as_yaml_and_a_latched_one_though_it_was_said_before(graph: Path) -> None:
+def test_a_message_is_shown_as_yaml_and_a_latched_one_though_it_was_said_before(graph: object) -> None:
     state = yaml.safe_load(ros2("topic", "echo", "/hydro/state", "--once").removesuffix("---\n"))
     assert state["header"]["frame_id"] == "bench" and isinstance(state["load_force"], float) and not state["flags"] & 1
     assert yaml.safe_load(ros2("topic", "echo", "/hydro/box", "--once").removesuffix("---\n"))["plant"] == "bridge"
     assert abs(state["header"]["stamp"]["sec"] - time.time()) < 60.0
 
 
-def test_services_are_listed_and_called(graph: Path) -> None:
+def test_services_are_listed_and_called(graph: tuple[Path, Future[Any]]) -> None:
     call = ("service", "call", "/hydro/arm", "std_srvs/srv/SetBool")
-    with ThreadPoolExecutor() as at_once:  # it is looked for for ten seconds
-        refusal = at_once.submit(ran, *ROS2, "service", "call", "/colour", "std_srvs/srv/Trigger", timeout=90)
-        assert "/bridge\n" in ros2("node", "list") and "/hydro/state\n" in ros2("topic", "list")
-        assert "/hydro/arm [std_srvs/srv/SetBool]\n" in ros2("service", "list", "-t")
-        said = ros2(*call, "{data: false}")
-        assert "requester: making request: std_srvs.srv.SetBool_Request(data=False)\n" in said
-        assert "response:\nstd_srvs.srv.SetBool_Response(success=True, message='disarmed')\n" in said
-        assert "success=False" in ros2(*call, "{data: true}"), "nobody arms by this service, by whatever tool"
-        answer = refusal.result()
-        assert answer.returncode == 2 and "nobody offers the service /colour" in answer.stderr
+    assert "/bridge\n" in ros2("node", "list") and "/hydro/state\n" in ros2("topic", "list")
+    assert "/hydro/arm [std_srvs/srv/SetBool]\n" in ros2("service", "list", "-t")
+    said = ros2(*call, "{data: false}")
+    assert "requester: making request: std_srvs.srv.SetBool_Request(data=False)\n" in said
+    assert "response:\nstd_srvs.srv.SetBool_Response(success=True, message='disarmed')\n" in said
+    assert "success=False" in ros2(*call, "{data: true}"), "nobody arms by this service, by whatever tool"
+    answer = graph[1].result()
+    assert answer.returncode == 2 and "nobody offers the service /colour" in answer.stderr
 
 
-def test_a_recording_is_told_of_while_it_grows(graph: Path) -> None:
-    said = ros2("bag", "info", str(graph))
+def test_a_recording_is_told_of_while_it_grows(graph: tuple[Path, Future[Any]]) -> None:
+    said = ros2("bag", "info", str(graph[0]))
     assert re.search(r"^Files: +bag_0\.mcap$", said, re.M)
     assert re.search(r"^Duration: +[\d.]+s$", said, re.M)
     found = re.search(r"Topic: /hydro/state \| Type: hydro_msgs/msg/BenchState \| Count: (\d+) \|", said)

@@ -24,13 +24,14 @@ from benchmarks._report import parser
 from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded
 from benchmarks.beyond_the_table.kinds import HALVES, NAMES
 from benchmarks.beyond_the_table.score import scored, table
-from hydro_core.cli.console import UserError, bounded_number, command, progress, writable_folder
+from hydro_core.cli import jobs
+from hydro_core.cli.console import UserError, bounded_number, command, writable_folder
 
 
 @command()
 def main() -> None:
     """Run what is asked for and print the table."""
-    options = parser("beyond_the_table", __doc__)
+    options = parser("beyond_the_table", __doc__, parallel=True)
     options.add_argument("--cases", type=bounded_number(1), default=10, metavar="N", help="how many (default: 10)")
     options.add_argument(
         "--seed", type=bounded_number(0), default=1, metavar="S", help="that they are drawn from (default: 1)"
@@ -43,11 +44,9 @@ def main() -> None:
     cases = drawn(asked.half, asked.cases, asked.seed, asked.kinds)
     if not cases:
         raise UserError(f"none of {', '.join(asked.kinds)} is of the half {asked.half}")
-    rows = []
-    for case in (bar := progress(cases, label="beyond the table", unit="case")):
-        bar.set_postfix_str(case.name)
-        rows.append(scored(case, carried_out(case, asked.out / str(asked.seed) / case.name)))
-    table(rows).show(asked.json)
+    wanted = {case.name: (case, asked.out / str(asked.seed) / case.name) for case in cases}
+    found = jobs.run_all(carried_out, wanted, **jobs.job_options(asked), label="beyond the table", unit="case")
+    table([scored(case, found[case.name]) for case in cases]).show(asked.json)
 
 
 def carried_out(case: Case, folder: Path, *, seconds: float = SECONDS) -> dict[str, Any]:

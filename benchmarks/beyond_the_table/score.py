@@ -7,8 +7,8 @@ law depends on, the powers of the signals that multiply, and a state, unless it 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from benchmarks.beyond_the_table.cases import Case
 from benchmarks.beyond_the_table.kinds import Kind
 from hydro_core.cli.console import Table
 from hydro_sim.model.grammar import LAWS
-from hydro_sim.model.laws import REVERSING, Law
+from hydro_sim.model.laws import REVERSING
 
 COLUMNS = {
     "case": "kind and round; clean: nothing is missing",
@@ -96,9 +96,8 @@ def _place(report: Mapping[str, Any]) -> str:
     return str(max(places, key=lambda place: place["share"])["equation"]) if places else ""
 
 
-def table(rows: Iterable[Mapping[str, Any]]) -> Table:
+def table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Rows for people; the summary is its title."""
-    rows = list(rows)
     made = Table(COLUMNS, title=summary(rows))
     for row in rows:
         shares = {key: round(row[key], 3) for key in ("gap", "names", "all", "left")}
@@ -106,9 +105,8 @@ def table(rows: Iterable[Mapping[str, Any]]) -> Table:
     return made
 
 
-def summary(rows: Iterable[Mapping[str, Any]]) -> str:
+def summary(rows: Sequence[Mapping[str, Any]]) -> str:
     """Issue 18's figures in one line."""
-    rows = list(rows)
     clean = [row for row in rows if row["case"].startswith("clean_")]
     outside = [row for row in rows if not row["case"].startswith("clean_")]
     beside = [row for row in outside if row["beside"] and "dB" not in row["beside"]]
@@ -132,32 +130,21 @@ def summary(rows: Iterable[Mapping[str, Any]]) -> str:
     return "; ".join(parts)
 
 
-class Form(NamedTuple):
-    """What a law depends on, the total power of the signals in it (a sign counts none), and whether it has a state."""
-
-    variables: frozenset[str]
-    degree: float
-    memory: bool = False
-
-
-def _form(law: Law) -> Form:
-    signals = {law.where if one == "force" else one for one in law.uses}
-    return Form(frozenset(signals), law.degree, law.element is not None and law.element.signal != "time")
-
-
-FORMS = {law.text: _form(law) for law in LAWS}
-"""By the text of a law."""
-
-
 def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
-    """Whether an entry of `closures` is a law that depends on what it should, with the right power, or with memory."""
+    """Whether an entry of `closures` is a law that depends on what it should, with the right power, or with memory.
+
+    The power is that of the signals in the law (a sign counts none); a state that hangs on time alone is no memory.
+    """
     if closure["form"] != "law" or closure["equation"] not in places(kind):
         return False
     text = closure["expression"].partition(" * ")[2].replace(f", {REVERSING}", "")
-    form = next((form for known, form in FORMS.items() if text == known or text.startswith(f"{known}, ")), None)
-    if form is None or form.variables != frozenset(kind.variables.split()) or form.memory != kind.memory:
+    law = next((law for law in LAWS if text == law.text or text.startswith(f"{law.text}, ")), None)
+    if law is None:
         return False
-    return kind.degree is None or form.degree == kind.degree
+    variables = {law.where if one == "force" else one for one in law.uses}
+    memory = law.element is not None and law.element.signal != "time"
+    right = variables == set(kind.variables.split()) and memory == kind.memory
+    return right and (kind.degree is None or law.degree == kind.degree)
 
 
 def places(kind: Kind) -> frozenset[str]:

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import _report
+from benchmarks._report import parser
 from benchmarks.hybrid_simulation.criteria import CRITERIA
 from benchmarks.hybrid_simulation.entries import ENTRIES
 from benchmarks.hybrid_simulation.motions import MOTIONS, ORIGIN, ground_motion
 from benchmarks.hybrid_simulation.plant import MASS, SPECIMENS, YIELDING, Actuator, drawn
 from benchmarks.hybrid_simulation.simulation import reference_response, run, scores
-from hydro_core.cli.console import Table, bounded_number, command, progress, writable_file
+from hydro_core.cli.console import Table, bounded_number, command, progress
 from hydro_core.files.atomic import encode_json, write_whole
 
 INTENSITY = {"linear": 0.4, "yielding": 0.5}
@@ -39,7 +39,7 @@ COLUMNS = {
 @command()
 def main() -> None:
     """Run what is asked for and print the table."""
-    options = _report.parser("hybrid_simulation", __doc__)
+    options = parser("hybrid_simulation", __doc__)
     options.add_argument("--data", type=Path, default=Path("runs/hybrid_simulation"), metavar="FOLDER",
                          help=f"holds the motions' .mat files, from {ORIGIN} (default: %(default)s)")  # fmt: skip
     options.add_argument("--plants", type=bounded_number(0), default=0, metavar="N",
@@ -52,8 +52,6 @@ def main() -> None:
     options.add_argument("--entries", nargs="+", choices=ENTRIES, default=list(ENTRIES), metavar="ENTRY",
                          help=f"{', '.join(ENTRIES)} (default: all)")  # fmt: skip
     asked = options.parse_args()
-    if asked.json:
-        writable_file(str(asked.json))
     rows = measured(asked.data, asked.entries, asked.buildings, asked.motions, asked.plants, asked.seed)
     print(table(rows).text())
     if asked.json:

@@ -47,25 +47,19 @@ def main() -> None:
     if unknown := set(asked.seeds or ()) - set(seeds):
         raise ValueError(f"--seeds {min(unknown)}: the seeds of this size are 0 to {len(seeds) - 1}")
     if not asked.show:
-        _run(store, asked.only or list(TABLES), asked.seeds or list(seeds))
+        import torch
+        from threadpoolctl import threadpool_limits
+
+        torch.set_num_threads(1)
+        threadpool_limits(1, "blas")
+        for seed in asked.seeds or seeds:
+            for module, function in (TABLES[name].split(".") for name in asked.only or TABLES):
+                getattr(import_module(f"benchmarks.paper.{module}"), function)(store, seed)
     report.write(store, asked.report, asked.json)
     if asked.ship:
         for one in (store, store.own):
             print(f"wrote {one.ship(RESULTS)}", file=sys.stderr)
 
 
-def _run(store: Store, names: list[str], seeds: list[int]) -> None:
-    """The pieces of these tables and seeds that are not there yet, on one thread of torch and BLAS."""
-    import torch
-    from threadpoolctl import threadpool_limits
-
-    torch.set_num_threads(1)
-    threadpool_limits(1, "blas")
-    runs = [TABLES[name].split(".") for name in names]
-    for seed in seeds:
-        for module, function in runs:
-            getattr(import_module(f"benchmarks.paper.{module}"), function)(store, seed)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

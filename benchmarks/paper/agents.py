@@ -37,7 +37,6 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.training_plan import TrainingPlan, training
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.plant import Plant
 from tests.offline_graph import InlineLearner, OfflineGraph
 
 EXAMS = 8
@@ -83,21 +82,17 @@ def run(store: Store, seed: int) -> None:
 def run_own(store: Store, seed: int) -> None:
     """On the bench with the paper's row III: III, fixed gains behind the paper's filter, II and I."""
     own = store.own
-    for kp in OWN_GAINS:
-        own.piece(f"unfiltered-{kp:g}-{seed}", partial(_rmse, own, FixedGains(kp, PAPER_GAINS[1]), seed))
-    for kp in OWN_GAINS:
-        own.piece(f"filtered-{kp:g}-{seed}", partial(_filtered, own, kp, seed))
+    for filtered in (False, True):
+        for kp in OWN_GAINS:
+            name = f"{'' if filtered else 'un'}filtered-{kp:g}-{seed}"
+            own.piece(name, partial(_fixed, own, kp, seed, filtered))
     for who, make in (("II", _second), ("I", _first)):
         own.piece(f"rmse-default-paper-{who}-{seed}", partial(make, own, "paper", seed))
 
 
-def _filtered(store: Store, kp: float, seed: int) -> Result:
-    return _rmse(store, FixedGains(kp, PAPER_GAINS[1]), seed, corrector(store, "paper-short", seed))
-
-
-def bench(store: Store) -> TruthPlant:
-    """The plant of this store."""
-    return TruthPlant(truth(store.bench))
+def _fixed(store: Store, kp: float, seed: int, filtered: bool) -> Result:
+    made = corrector(store, "paper-short", seed) if filtered else None
+    return _rmse(store, FixedGains(kp, PAPER_GAINS[1]), seed, made)
 
 
 def run_chatter(store: Store, seed: int) -> None:
@@ -107,26 +102,26 @@ def run_chatter(store: Store, seed: int) -> None:
 
 
 def simulated(store: Store, authority: str, seed: int) -> InitialAgent:
-    """II: the agent that `pretrain` makes; made again if its run is gone, gone on with if it is not finished."""
-    name = f"II-{authority}-{seed}"
-    folder = store.folder / name
-    store.piece(name, lambda: _pretrained(store, authority, seed), folder.with_suffix(".curve"))
-    return load_initial_agent(folder)
+    """II: the agent that `pretrain` makes; made again if its run is gone, gone on with if it is not finished.
 
-
-def _pretrained(store: Store, authority: str, seed: int) -> Result:
-    """A run of `pretrain`; what is there of a run of another length, or of one without a checkpoint, is begun again."""
+    What is there of a run of another length, or of one without a checkpoint, is begun again.
+    """
     folder, episodes = store.folder / f"II-{authority}-{seed}", store.size.simulated_episodes
     table, run = folder.with_suffix(".curve"), RunDirectory(folder)
-    words = ["--resume", str(folder)]
-    if not (run.latest.is_dir() and run.load_settings().episodes == episodes):
-        shutil.rmtree(folder, ignore_errors=True)
-        steps = str(PRINTED["training_agent"]["steps"])
-        words = ["--out", str(folder), "--configuration", authority, "--seed", str(seed), "--steps", steps]
-        words += ["--episodes", str(episodes), *(["--model", str(OWN_BENCH)] if store.bench == "own" else [])]
-    command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words, "--json", str(table)]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    return {"curve": json.loads(table.read_text(encoding="utf-8"))["rows"]}
+
+    def pretrained() -> Result:
+        words = ["--resume", str(folder)]
+        if not (run.latest.is_dir() and run.load_settings().episodes == episodes):
+            shutil.rmtree(folder, ignore_errors=True)
+            steps = str(PRINTED["training_agent"]["steps"])
+            words = ["--out", str(folder), "--configuration", authority, "--seed", str(seed), "--steps", steps]
+            words += ["--episodes", str(episodes), *(["--model", str(OWN_BENCH)] if store.bench == "own" else [])]
+        command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words, "--json", str(table)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return {"curve": json.loads(table.read_text(encoding="utf-8"))["rows"]}
+
+    store.piece(folder.name, pretrained, table)
+    return load_initial_agent(folder)
 
 
 def _second(store: Store, authority: str, seed: int) -> Result:
@@ -136,7 +131,7 @@ def _second(store: Store, authority: str, seed: int) -> Result:
 
 def _first(store: Store, authority: str, seed: int) -> Result:
     start, episodes = simulated(store, authority, seed), store.size.bench_episodes
-    session, graph = train(bench(store), start, episodes, max(episodes // EXAMS, 1), seed)
+    session, graph = train(store, start, episodes, max(episodes // EXAMS, 1), seed)
     came = actor_parameters(start.agent)
     plan, progress = session.plan, session.plan.progress
     best, last = (came if found is None else found for found in (plan.best, plan.good))
@@ -147,9 +142,9 @@ def _first(store: Store, authority: str, seed: int) -> Result:
 
 
 def train(
-    plant: Plant, start: InitialAgent, episodes: int, every: int, seed: int, corrector: Corrector | None = None
+    store: Store, start: InitialAgent, episodes: int, every: int, seed: int, corrector: Corrector | None = None
 ) -> tuple[TrialRunner[TrainingPlan], Listening]:
-    """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice.
+    """Episodes on the store's bench as `trainer` does them, examined every so many (0: never), each sine twice.
 
     A run that trips again and again ends after a minute for each episode, and ten more where there are examinations.
     """
@@ -157,6 +152,7 @@ def train(
     settings = replace(settings, exam=replace(settings.exam, every=every, repeats=2))
     reach = settings.task.gains
     guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
+    plant = TruthPlant(truth(store.bench))
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
     watch = PlantSupervisor(graph, True, [learner_requirement(lambda: learner.ready)])
@@ -172,7 +168,7 @@ def _controller(start: InitialAgent, parameters: Any) -> PolicyController:
 def _rmse(store: Store, controller: Controller, seed: int, corrector: Corrector | None = None) -> Result:
     """Force RMSE [N] at the paper's sines, each from rest; NaN: stopped."""
     guard = GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0)
-    plant, found = bench(store), []
+    plant, found = TruthPlant(truth(store.bench)), []
     for frequency in PRINTED["rmse"]["frequencies"]:
         graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed, corrector=corrector)
         plan = Comparison(replace(EVALUATION, frequencies=(float(frequency),)), [controller])
@@ -185,5 +181,5 @@ def _rmse(store: Store, controller: Controller, seed: int, corrector: Corrector 
 def _chatter(store: Store, chosen: str, seed: int) -> Result:
     start = simulated(store, "paper", seed)
     made = None if chosen == "none" else corrector(store, chosen, seed)
-    session, graph = train(bench(store), start, CHATTER_EPISODES, 0, seed, made)
+    session, graph = train(store, start, CHATTER_EPISODES, 0, seed, made)
     return {"chatter": graph.chatter, "trips": graph.trips, "episodes": session.plan.progress.episode}

@@ -80,13 +80,17 @@ class NetworkMetric:
 
 
 class ForceLaw:
-    """Slope K = du/dx of the law that the box runs on the nominal bench."""
+    """The law that the box runs on the nominal bench."""
 
     def __init__(self) -> None:
         self.loop, self.current_max = make_loop(load_model(), Bench.nominal()).record, Bench.nominal().valve_current_max
 
+    def clipped(self, current: float) -> float:
+        """A current within the valve's limit [A]."""
+        return min(max(current, -self.current_max), self.current_max)
+
     def gradient(self, sample: Sample) -> FloatArray:
-        """K [A per unit of each state], shape (8,)."""
+        """K = du/dx [A per unit of each state], shape (8,)."""
         signals = {"nominal": sample.nominal_current, "k_p": sample.proportional_gain}
         return law_gradient(self.loop, make_samples(sample.state[None], **signals))
 
@@ -111,9 +115,7 @@ class PaperFilter:
         """Return a [1/A/s] and b [1/s] at a sample."""
         v, scale = np.zeros(STATES), self.model.scale
         v[LOAD_FORCE] = (sample.state[LOAD_FORCE] - sample.reference_force) / scale[LOAD_FORCE]
-        limit = self.law.current_max
-        current = min(max(sample.nominal_current, -limit), limit)
-        state_matrix, input_vector, rate = self.model.linearized(sample.state, current)
+        state_matrix, input_vector, rate = self.model.linearized(sample.state, self.law.clipped(sample.nominal_current))
         metric, metric_rate = self.metric.along(sample.state, rate)
         moved = scale * v
         closed = state_matrix @ moved + input_vector * float(self.law.gradient(sample) @ moved)
@@ -132,8 +134,7 @@ class PaperFilter:
         if not all(map(isfinite, (*sample.state, sample.nominal_current))):
             return Correction(0.0, nan, nan, CorrectionStatus.NAN)
         a, b = self.certificate(sample)
-        limit = self.law.current_max
-        applied = min(max(sample.nominal_current, -limit), limit)
+        limit, applied = self.law.current_max, self.law.clipped(sample.nominal_current)
         change, status = solve_qp(a, b, -limit - applied, limit - applied)
         delta_u = change + (applied - sample.nominal_current) if change else 0.0
         return Correction(delta_u, -b, a * change - b, CorrectionStatus(status))
@@ -251,26 +252,25 @@ def material(model: NetworkModel, rollouts: int, seed: int) -> tuple[Samples, Sa
         labels["neither" if rollout.label == NEITHER else "stable" if rollout.label == STABLE else "unstable"] += 1
         if rollout.label != NEITHER and len(rollout.states) > SETTLED + 2 * TABLE["horizon"]:
             used[rollout.label] += 1
-            parts[used[rollout.label] % HELD_OUT == 2].append(windows(rollout, model, bench, seed + index))
+            parts[used[rollout.label] % HELD_OUT == 2].append(windows(rollout, model, seed + index))
     training, held_out = (Samples(*(torch.cat(field) for field in zip(*part, strict=True))) for part in parts)
     return training, held_out, labels
 
 
-def windows(rollout: Rollout, model: NetworkModel, bench: Bench, seed: int) -> Samples:
+def windows(rollout: Rollout, model: NetworkModel, seed: int) -> Samples:
     """Windows at random places of a rollout."""
     starts = np.random.default_rng(seed).integers(SETTLED, len(rollout.states) - TABLE["horizon"], WINDOWS)
     places = starts[:, np.newaxis] + np.arange(TABLE["horizon"])
-    law, limit = ForceLaw(), bench.valve_current_max
-    seen = {int(k): _normalized(Sample.from_record(rollout.states[k]), model, law, limit) for k in np.unique(places)}
+    law = ForceLaw()
+    seen = {int(k): _normalized(Sample.from_record(rollout.states[k]), model, law) for k in np.unique(places)}
     rows = np.array([[seen[int(k)] for k in row] for row in places])
     z, rate, v, closed = (torch.from_numpy(rows[:, :, n]) for n in range(4))
     return Samples(z, rate, v, closed, torch.full((WINDOWS, 1), rollout.label == STABLE))
 
 
-def _normalized(sample: Sample, model: NetworkModel, law: ForceLaw, limit: float) -> FloatArray:
-    """z, z', v and (A + B K) v of a sample, shape (4, 8); `limit`: of the valve's current [A]."""
-    current = min(max(sample.nominal_current, -limit), limit)
-    state_matrix, input_vector, rate = model.linearized(sample.state, current)
+def _normalized(sample: Sample, model: NetworkModel, law: ForceLaw) -> FloatArray:
+    """z, z', v and (A + B K) v of a sample, shape (4, 8)."""
+    state_matrix, input_vector, rate = model.linearized(sample.state, law.clipped(sample.nominal_current))
     v = np.zeros(STATES)
     v[LOAD_FORCE] = sample.state[LOAD_FORCE] - sample.reference_force
     closed = state_matrix @ v + input_vector * float(law.gradient(sample) @ v)

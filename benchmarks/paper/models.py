@@ -75,28 +75,27 @@ def held_out(bench: str) -> list[ScoredRun]:
     return [ScoredRun(run=run, truth=truth[run.first : run.first + len(run)]) for run in runs]
 
 
-def weights(store: Store, loss: str, seed: int) -> Path:
-    """Where a trained network lies."""
-    return store.folder / f"network-{loss}-{seed}.npz"
-
-
 def run(store: Store, seed: int) -> None:
     """The networks of a seed, and both other models."""
     store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal()), store.bench))
-    store.piece("model-ours", lambda: judged(_ours(store.bench), store.bench))
+    store.piece("model-ours", partial(_ours, store.bench))
     for loss in LOSSES:
         store.piece(f"model-{loss}-{seed}", partial(_trained, store, loss, seed))
 
 
-def _ours(bench: str) -> BenchPrediction:
-    return BenchPrediction(load_model(), [one.run for one in held_out(bench)])
+def _ours(bench: str) -> Result:
+    return judged(BenchPrediction(load_model(), [one.run for one in held_out(bench)]), bench)
 
 
 def network(store: Store, loss: str, seed: int) -> NetworkModel:
     """A trained network, made again if its weights are gone."""
-    file = weights(store, loss, seed)
-    store.piece(f"model-{loss}-{seed}", lambda: _trained(store, loss, seed), file)
+    file = _file(store, loss, seed)
+    store.piece(f"model-{loss}-{seed}", partial(_trained, store, loss, seed), file)
     return NetworkModel.load(file)
+
+
+def _file(store: Store, loss: str, seed: int) -> Path:
+    return store.folder / f"network-{loss}-{seed}.npz"
 
 
 def _trained(store: Store, loss: str, seed: int) -> Result:
@@ -107,7 +106,7 @@ def _trained(store: Store, loss: str, seed: int) -> Result:
         model, data(store.bench), batch=table["batch"], seed=seed, epochs=store.size.model_epochs,
         learning_rate=table["learning_rate"], **{"horizon": table["horizon"], **SETTINGS[loss]},
     )  # fmt: skip
-    model.save(weights(store, loss, seed))
+    model.save(_file(store, loss, seed))
     return {**judged(model, store.bench), **told}
 
 
@@ -233,7 +232,7 @@ def train(
 ) -> dict[str, int]:  # fmt: skip
     """Train in place; keep the weights of the best validation. Returns the epochs done and the best one."""
     training, validation = _Windows(model, data.training, horizon), _Windows(model, data.validation, 70)
-    held_out = validation.at(validation.starts(0))
+    z_seen, v_seen, seen = validation.at(validation.starts(0))
     optimizer = torch.optim.Adam(model.layers.parameters(), lr=learning_rate)
     turn = torch.optim.lr_scheduler.LambdaLR(
         optimizer, lambda epoch: 0.02 + 0.98 * math.cos(0.5 * math.pi * epoch / epochs) ** 2
@@ -243,7 +242,9 @@ def train(
         generator = np.random.default_rng([seed, epoch])
         starts = generator.permutation(training.starts(int(generator.integers(STRIDE))))
         for part in np.array_split(starts, -(-len(starts) // batch)):
-            value = loss(model, *training.at(part), printed=printed)
+            z, v, targets = training.at(part)
+            errors = model.rolled(z, v) - targets
+            value = (errors.sum(1) ** 2).mean() if printed else (errors**2).mean()
             optimizer.zero_grad()
             value.backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(model.layers.parameters(), 1.0)
@@ -251,7 +252,7 @@ def train(
         turn.step()
         if epoch % VALIDATE_EVERY == 0 or epoch == epochs:
             with torch.no_grad():
-                error = float(loss(model, *held_out)) ** 0.5
+                error = float(((model.rolled(z_seen, v_seen) - seen) ** 2).mean()) ** 0.5
             if error < 0.999 * best:
                 best, best_epoch = error, epoch
                 kept = torch.nn.utils.parameters_to_vector(model.layers.parameters()).detach().clone()
@@ -259,12 +260,6 @@ def train(
             break
     torch.nn.utils.vector_to_parameters(kept, model.layers.parameters())
     return {"epochs": epoch, "best_epoch": best_epoch}
-
-
-def loss(model: NetworkModel, z: Tensor, v: Tensor, targets: Tensor, *, printed: bool = False) -> Tensor:
-    """Of windows against normalized targets, shape (n, H, 8)."""
-    errors = model.rolled(z, v) - targets
-    return (errors.sum(1) ** 2).mean() if printed else (errors**2).mean()
 
 
 class _Windows:

@@ -21,12 +21,13 @@ from typing import Any
 import numpy as np
 import yaml
 
+from benchmarks._report import parser
 from benchmarks.prove.cases import PARTS, Case, draw, draw_parts
 from benchmarks.prove.scores import Result, confusion, failures, standards
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli import jobs
-from hydro_core.cli.console import Table, UserError, add_json_argument, bounded_number, command, writable_folder
+from hydro_core.cli.console import Table, UserError, bounded_number, command, writable_folder
 from hydro_core.files.atomic import write_whole
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import figure
@@ -66,11 +67,9 @@ SEALED, BLIND = "sealed", "blind"
 """Folders of a proof: answers; input and output of the diagnosis."""
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    options = argparse.ArgumentParser(
-        prog="python -m benchmarks.prove", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def run(words: Sequence[str]) -> None:
+    """Prove."""
+    options = parser("prove", __doc__, parallel=True)
     options.add_argument("--cases", type=bounded_number(1, 100_000), default=20, metavar="N",
                          help="benches (default: 20; a proof: 224)")  # fmt: skip
     options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
@@ -78,22 +77,23 @@ def parser() -> argparse.ArgumentParser:
         "--seed", type=bounded_number(0), required=True, metavar="S", help="of everything that is drawn"
     )
     options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
-    jobs.add_arguments(options)
-    add_json_argument(options)
-    return options
-
-
-def run(arguments: Sequence[str]) -> None:
-    """Prove."""
-    chosen = parser().parse_args(arguments)
-    from benchmarks.prove.blind import ANSWER
+    chosen = options.parse_args(words)
+    from benchmarks.prove.blind import ANSWER, waiting
+    from benchmarks.prove.recording import record
 
     cases = _drawn(chosen)
     folder = writable_folder(chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}").absolute()
     digest = seal(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
-    _record(cases, folder / BLIND, **jobs.job_options(chosen))
-    _diagnose(folder / BLIND, **jobs.job_options(chosen))
+    (folder / BLIND).mkdir(parents=True, exist_ok=True)
+    believed = folder / BLIND / "bench.yaml"
+    if not believed.exists():
+        believed.write_text(yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False), encoding="utf-8")
+    where = jobs.job_options(chosen)
+    record(cases, folder / BLIND, **where)
+    left = waiting(folder / BLIND)
+    slices = {left[at].name: (left[at : at + SLICE],) for at in range(0, len(left), SLICE)}
+    jobs.run_all(_blindly, slices, **where, label="diagnosing", unit="slice")
     answers = unseal(folder / SEALED, digest)
     print("opened: the answers are those that were sealed")
     said = [json.loads((folder / BLIND / case.name / ANSWER).read_text()) for case in answers]
@@ -117,28 +117,8 @@ def _drawn(chosen: argparse.Namespace) -> list[Case]:
     return draw_parts({kind: int(count) for kind, count in parts.items()}, chosen.seed)
 
 
-def _record(cases: Sequence[Case], folder: Path, **where: Any) -> None:
-    """Record all cases."""
-    from benchmarks.prove.recording import record
-
-    folder.mkdir(parents=True, exist_ok=True)
-    if not (folder / "bench.yaml").exists():
-        believed = yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False)
-        (folder / "bench.yaml").write_text(believed, encoding="utf-8")
-    record(cases, folder, **where)
-
-
 SLICE = 4
 """Cases that one process diagnoses: a blindfold is not taken off again."""
-
-
-def _diagnose(folder: Path, **where: Any) -> None:
-    """Have all cases diagnosed in processes of their own that this version of the diagnosis has not answered."""
-    from benchmarks.prove.blind import waiting
-
-    left = waiting(folder)
-    slices = {left[at].name: (left[at : at + SLICE],) for at in range(0, len(left), SLICE)}
-    jobs.run_all(_blindly, slices, **where, label="diagnosing", unit="slice")
 
 
 def _blindly(cases: Sequence[Path]) -> None:
@@ -148,7 +128,7 @@ def _blindly(cases: Sequence[Path]) -> None:
         raise UserError(done.stderr.strip() or f"the diagnosis ended with status {done.returncode}")
 
 
-def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
+def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: Path | None) -> None:
     """Print the table; write proof.json, the picture and proof.html."""
     about = {**about, "engine": ", ".join(sorted({str(result.answer["engine"]) for result in results}))}
     table, failed = standards(results), failures(results)
@@ -220,18 +200,14 @@ def draw_confusion(matrix: dict[str, dict[str, int]], path: Path) -> None:
     with figure(path, size=size) as (_, (axis,)):
         axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
         axis.grid(visible=False)
-        axis.set_xticks(range(len(columns)), [_words(name) for name in columns], rotation=90, fontsize=7)
-        axis.set_yticks(range(len(rows)), [_words(name) for name in rows], fontsize=7)
+        axis.set_xticks(range(len(columns)), [name.replace("_", " ") for name in columns], rotation=90, fontsize=7)
+        axis.set_yticks(range(len(rows)), [name.replace("_", " ") for name in rows], fontsize=7)
         for i, row in enumerate(rows):
             for j, column in enumerate(columns):
                 if matrix[row].get(column):
                     axis.text(j, i, matrix[row][column], ha="center", va="center", fontsize=6,
                               color="white" if share[i, j] > 0.6 else "black")  # fmt: skip
         axis.set(xlabel="said", ylabel="concealed, alone")
-
-
-def _words(name: Any) -> str:
-    return str(name).replace("_", " ")
 
 
 if __name__ == "__main__":

@@ -225,91 +225,54 @@ def standards(results: Sequence[Result]) -> Table:
     for result in results:
         kinds[result.case.kind].append(result)
     placed = [result for result in results if result.case.kind not in ("clean", "faint")]
-    _share(table, "single concealed effect named exactly, nothing else", 0.98, kinds["single"], lambda r: r.exact)
-    _share(table, "two effects: both named, nothing else", 0.95, kinds["pair"], lambda r: r.exact)
-    _share(table, "three effects: all named, nothing else", 0.90, kinds["triple"], lambda r: r.exact)
-    _share(table, "same cause, other form: cause named, nothing else", 0.90, kinds["form"], lambda r: r.exact)
-    _share(table, "wrong value in the bench file named", 0.90, kinds["value"], lambda r: r.exact)
-    _share(table, "nothing missing: any claim", -0.01, kinds["clean"], lambda r: not r.exact)
-    _share(table, "outside the table: unknown or partly, right equation", 0.90, kinds["outside"],
-           lambda r: r.admitted and r.located)  # fmt: skip
-    _share(table, "outside the table: wrong name", -0.05, kinds["outside"], lambda r: bool(r.claimed))
-    _share(table, "right equation", 0.99, placed, lambda r: r.located)
-    _numbers(table, results)
-    _fits(table, [result for result in placed if result.case.kind != "outside"])
-    _forecasts(table, results)
-    _times(table, results)
-    _share(table, "faint (a fifth to all of the smallest single): named", None, kinds["faint"], lambda r: r.exact)
-    _share(table, "faint: wrong name", None, kinds["faint"], lambda r: bool(r.spurious))
-    _share(table, "refused: recordings that cannot be diagnosed", None, results, lambda r: r.refused)
+
+    def share(standard: str, goal: float | None, of: Sequence[Result], test: Callable[[Result], bool]) -> None:
+        """Add a row with a share; a negative goal is an upper limit."""
+        if of:
+            hits, count = sum(map(test, of)), len(of)
+            words = "" if goal is None else f">= {goal:.0%}" if goal > 0 else f"<= {-goal:.0%}"
+            met = None if goal is None else hits / count >= goal if goal > 0 else hits / count <= -goal
+            row(standard, words, f"{hits}/{count} = {hits / count:.1%}", count, met, wilson(hits, count))
+
+    def row(standard: str, goal: str, reached: str, count: int, met: bool | None, interval: str = "") -> None:
+        said = "" if met is None else "yes" if met else "no"
+        table.add(standard=standard, goal=goal, reached=reached, count=count, wilson=interval, met=said)
+
+    share("single concealed effect named exactly, nothing else", 0.98, kinds["single"], lambda r: r.exact)
+    share("two effects: both named, nothing else", 0.95, kinds["pair"], lambda r: r.exact)
+    share("three effects: all named, nothing else", 0.90, kinds["triple"], lambda r: r.exact)
+    share("same cause, other form: cause named, nothing else", 0.90, kinds["form"], lambda r: r.exact)
+    share("wrong value in the bench file named", 0.90, kinds["value"], lambda r: r.exact)
+    share("nothing missing: any claim", -0.01, kinds["clean"], lambda r: not r.exact)
+    share("outside the table: unknown or partly, right equation", 0.90, kinds["outside"],
+          lambda r: r.admitted and r.located)  # fmt: skip
+    share("outside the table: wrong name", -0.05, kinds["outside"], lambda r: bool(r.claimed))
+    share("right equation", 0.99, placed, lambda r: r.located)
+    own_form = ("single", "value", "pair", "triple")
+    if estimates := [one for result in results if result.case.kind in own_form for one in result.estimates]:
+        count, hits = len(estimates), sum(one.inside for one in estimates)
+        middle, tail = np.percentile([one.error for one in estimates], [50, 95])
+        row("parameter error, median", "<= 0.5%", f"{middle:.2%}", count, middle <= 0.005)
+        row("parameter error, 95th percentile", "<= 3%", f"{tail:.2%}", count, tail <= 0.03)
+        row("95 % intervals that hold the truth", "92% to 98%", f"{hits / count:.1%}", count,
+            0.92 <= hits / count <= 0.98, wilson(hits, count))  # fmt: skip
+    if over := [r.held_out for r in placed if r.case.kind != "outside" and r.held_out is not None]:
+        middle, tail = np.percentile(over, [50, 95], method="higher")  # some may diverge
+        row("held-out error over noise floor, median", "<= 1.03", f"{middle:.3f}", len(over), middle <= 1.03)
+        row("held-out error over noise floor, 95th percentile", "<= 1.3", f"{tail:.3f}", len(over), tail <= 1.3)
+    if errors := [result.forecast_errors for result in results if result.forecast_errors is not None]:
+        for percent, name, goal in ((50, "median", 0.10), (95, "95th percentile", 0.25)):
+            after, before = np.percentile(errors, percent, axis=0, method="higher")
+            row(f"forecast of the RMSE in closed loop, error, {name}", f"<= {goal:.0%}",
+                f"{after:.1%} (bench file: {before:.1%})", len(errors), after <= goal)  # fmt: skip
+    wall, cpu = ([float(result.answer[key]) for result in results] for key in ("wall", "cpu"))
+    for name, most, of in (("median", 10, np.median), ("longest", 60, max)):
+        row(f"time per case, {name}", f"<= {most} s", f"{of(wall):.1f} s ({of(cpu):.1f} s CPU)", len(wall),
+            of(wall) <= most)  # fmt: skip
+    share("faint (a fifth to all of the smallest single): named", None, kinds["faint"], lambda r: r.exact)
+    share("faint: wrong name", None, kinds["faint"], lambda r: bool(r.spurious))
+    share("refused: recordings that cannot be diagnosed", None, results, lambda r: r.refused)
     return table
-
-
-def _share(
-    table: Table, standard: str, goal: float | None, results: Sequence[Result], test: Callable[[Result], bool]
-) -> None:
-    """A row with a share; a negative goal is an upper limit."""
-    if not results:
-        return
-    hits, count = sum(map(test, results)), len(results)
-    share = hits / count
-    words = "" if goal is None else f">= {goal:.0%}" if goal > 0 else f"<= {-goal:.0%}"
-    met = "" if goal is None else _said(share >= goal if goal > 0 else share <= -goal)
-    table.add(standard=standard, goal=words, reached=f"{hits}/{count} = {share:.1%}", count=count,
-              wilson=wilson(hits, count), met=met)  # fmt: skip
-
-
-def _figure(table: Table, standard: str, goal: str, reached: str, count: int, met: bool) -> None:
-    table.add(standard=standard, goal=goal, reached=reached, count=count, wilson="", met=_said(met))
-
-
-def _said(met: bool) -> str:
-    return "yes" if met else "no"
-
-
-def _numbers(table: Table, results: Sequence[Result]) -> None:
-    """Errors and coverage of the numbers of what was named, where the form is the library's own."""
-    kinds = ("single", "value", "pair", "triple")
-    estimates = [one for result in results if result.case.kind in kinds for one in result.estimates]
-    if not estimates:
-        return
-    middle, tail = np.percentile([one.error for one in estimates], [50, 95])
-    _figure(table, "parameter error, median", "<= 0.5%", f"{middle:.2%}", len(estimates), middle <= 0.005)
-    _figure(table, "parameter error, 95th percentile", "<= 3%", f"{tail:.2%}", len(estimates), tail <= 0.03)
-    hits = sum(one.inside for one in estimates)
-    share = hits / len(estimates)
-    table.add(standard="95 % intervals that hold the truth", goal="92% to 98%", reached=f"{share:.1%}",
-              count=len(estimates), wilson=wilson(hits, len(estimates)), met=_said(0.92 <= share <= 0.98))  # fmt: skip
-
-
-def _fits(table: Table, results: Sequence[Result]) -> None:
-    """Held-out errors over the noise floor."""
-    over = [result.held_out for result in results if result.held_out is not None]
-    if not over:
-        return
-    middle, tail = np.percentile(over, [50, 95], method="higher")  # some may diverge
-    _figure(table, "held-out error over noise floor, median", "<= 1.03", f"{middle:.3f}", len(over), middle <= 1.03)
-    _figure(table, "held-out error over noise floor, 95th percentile", "<= 1.3", f"{tail:.3f}", len(over), tail <= 1.3)
-
-
-def _forecasts(table: Table, results: Sequence[Result]) -> None:
-    """Errors of the RMSE that the corrected bench forecasts for control, beside those of the bench file."""
-    errors = [result.forecast_errors for result in results if result.forecast_errors is not None]
-    if not errors:
-        return
-    for share, name, goal in ((50, "median", 0.10), (95, "95th percentile", 0.25)):
-        after, before = np.percentile(errors, share, axis=0, method="higher")
-        _figure(table, f"forecast of the RMSE in closed loop, error, {name}", f"<= {goal:.0%}",
-                f"{after:.1%} (bench file: {before:.1%})", len(errors), bool(after <= goal))  # fmt: skip
-
-
-def _times(table: Table, results: Sequence[Result]) -> None:
-    wall = [float(result.answer["wall"]) for result in results]
-    cpu = [float(result.answer["cpu"]) for result in results]
-    _figure(table, "time per case, median", "<= 10 s", f"{np.median(wall):.1f} s ({np.median(cpu):.1f} s CPU)",
-            len(wall), float(np.median(wall)) <= 10.0)  # fmt: skip
-    _figure(table, "time per case, longest", "<= 60 s", f"{max(wall):.1f} s ({max(cpu):.1f} s CPU)", len(wall),
-            max(wall) <= 60.0)  # fmt: skip
 
 
 def confusion(results: Sequence[Result]) -> dict[str, dict[str, int]]:

@@ -11,7 +11,6 @@ Files lie in DATA/RIG/NAME. EMPS has to be put there by hand (nonlinearbenchmark
 from __future__ import annotations
 
 import hashlib
-import json
 import tempfile
 import time
 import urllib.error
@@ -27,8 +26,9 @@ import pandas as pd
 import yaml
 from scipy.io import loadmat
 
-from benchmarks import _report
+from benchmarks._report import parser
 from hydro_core.cli.console import Table, UserError, command, progress
+from hydro_core.files.atomic import encode_json, write_whole
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.report_json import EffectReport
 
@@ -203,7 +203,7 @@ def ready(name: str, folder: Path, *, fetch: bool) -> bool:
 @command()
 def main() -> None:
     """Diagnose the rigs whose recordings are there and print the table."""
-    options = _report.parser("real_recordings", __doc__)
+    options = parser("real_recordings", __doc__)
     options.add_argument("rigs", nargs="*", metavar="RIG", help=f"default all: {', '.join(RIGS)}")
     options.add_argument("--data", type=Path, default=Path("runs/real_recordings"), metavar="FOLDER",
                          help="recordings (default: runs/real_recordings)")  # fmt: skip
@@ -218,27 +218,21 @@ def main() -> None:
             continue
         score = carried_out(name, chosen.data / name)
         scores.append(asdict(score))
-        add(table, score)
+        right = [one[-1] for one in score.curve]
+        shares = [f"{100 * one['named']:.0f} ({100 * one['all']:.0f})" for one in score.accounted.values()]
+        table.add(
+            rig=score.rig, verdict=score.verdict + ("" if score.allowed else " !"),
+            claims=", ".join([*score.claims, *score.laws]) or "-", agree=len(score.agree),
+            contradict=len(score.contradict), open=len(score.open), missed=len(score.missed),
+            curve=f"{sum(right)}/{len(right)}" if right else "-", accounted=", ".join(shares) or "-",
+            left=max(score.left.values(), default=float("nan")), cpu=score.cpu, work=score.work,
+        )  # fmt: skip
         if chosen.json:
-            chosen.json.write_text(json.dumps({"scores": scores}, indent=2) + "\n")
+            write_whole(chosen.json, encode_json({"scores": scores}))
     print(table.text())
     for one in scores:
         for text in (*one["contradict"], *([one["note"]] if one["note"] else [])):
             print(f"{one['rig']}: {text}")
-
-
-def add(table: Table, score: Score) -> None:
-    """A row of the table."""
-    right = [one[-1] for one in score.curve]
-    table.add(
-        rig=score.rig, verdict=score.verdict + ("" if score.allowed else " !"),
-        claims=", ".join([*score.claims, *score.laws]) or "-", agree=len(score.agree), contradict=len(score.contradict),
-        open=len(score.open), missed=len(score.missed),
-        curve=f"{sum(right)}/{len(right)}" if right else "-",
-        accounted=", ".join(f"{100 * one['named']:.0f} ({100 * one['all']:.0f})" for one in score.accounted.values())
-        or "-",
-        left=max(score.left.values(), default=float("nan")), cpu=score.cpu, work=score.work,
-    )  # fmt: skip
 
 
 if __name__ == "__main__":

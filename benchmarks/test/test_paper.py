@@ -95,7 +95,7 @@ def test_the_metrics_rate_is_its_difference_along_the_motion(model: NetworkModel
 def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> None:
     made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
     paper = PaperFilter(metric_of(made, model), model)
-    rows = metric._normalized(sample, model, paper.law, paper.law.current_max)
+    rows = metric._normalized(sample, model, paper.law)
     z, rate, v, closed = (torch.from_numpy(row)[None, None] for row in rows)
     grown, _ = metric.growth(made, metric.Samples(z, rate, v, closed, torch.tensor([[True]])))
     assert -paper.certificate(sample)[1] == pytest.approx(float(grown.detach()), rel=1e-9)

@@ -40,19 +40,16 @@ COLUMNS = {
 def rows(outcomes: list[Outcome]) -> Table:
     """The outcomes by cause, in the order of the list of faults."""
     table = Table(COLUMNS, title="Faults")
-    for cause in (fault.cause for fault in FAULTS):
-        own = [outcome for outcome in outcomes if outcome.cause == cause]
-        if own:
+    for fault in FAULTS:
+        if own := [outcome for outcome in outcomes if outcome.cause == fault.cause]:
             safe = [1e3 * outcome.safe_after for outcome in own if outcome.safe_after is not None]
             back = [outcome.back_after for outcome in own if outcome.back_after is not None]
             table.add(
-                cause=cause,
-                times=len(own),
-                safe_ms=f"{max(safe):.0f}" if safe else "",
+                cause=fault.cause, times=len(own), safe_ms=f"{max(safe):.0f}" if safe else "",
                 force_N=f"{max(outcome.force for outcome in own):.0f}",
                 current_mA=f"{1e3 * max(outcome.current for outcome in own):.1f}",
                 back_s=f"{max(back):.0f}" if back else "",
-            )
+            )  # fmt: skip
     return table
 
 

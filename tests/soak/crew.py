@@ -14,7 +14,6 @@ from pathlib import Path
 
 from hydro_bridge.ros.companion import Companion
 from tests.graph_probe import SHORT, _children, _command_line
-from tests.soak.wire import resident
 
 _MARK = "HYDRO_SOAK"
 LEARNER = "learner"
@@ -105,7 +104,9 @@ class Crew:
                 known = self.memory.setdefault(f"{name} {pid}", Memory(now))
                 with suppress(OSError, StopIteration):  # it ends just now
                     if now - known.since > _SETTLED:
-                        known.last = resident(pid)
+                        status = Path(f"/proc/{pid}/status").read_text().splitlines()
+                        resident = next(line for line in status if line.startswith("VmRSS"))
+                        known.last = float(resident.split()[1]) / 1024.0
                         known.first = known.first or known.last
                         known.seconds = now - known.since - _SETTLED
 

@@ -111,21 +111,12 @@ class Wire:
         process = own.Process(target=carry, args=(other, folder / "box", folder / "port", self.trace, seed))
         process.start()
         stack.callback(process.kill)
-
-    def order(self, order: str) -> None:
-        """Tell it what to do."""
-        self._pipe.send(order)
+        self.order = self._pipe.send
 
     def report(self) -> dict[str, Any]:
         """What has passed."""
         self.order("report")
         return dict(self._pipe.recv())
-
-
-def resident(pid: int) -> float:
-    """Memory of a process [MiB]."""
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return next(float(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024.0
 
 
 _SHOWN = [STATE_FIELDS.index(name) for name in ("load_force", "valve_current", "proportional_gain")]
@@ -222,24 +213,6 @@ def _frame(piece: bytes) -> object:
         return None
 
 
-def obey(line: Line, order: str, pipe: Connection) -> None:
-    """Carry out one order."""
-    word, _, number = order.partition(" ")
-    if word == "report":
-        pipe.send(line.report())
-    elif word == "hostile":
-        line.rate = float(number)
-    elif word == "mute":
-        line.muted_until = time.monotonic() + float(number)
-    elif word == "unplug":
-        line.unplug(float(number))
-    elif word == "replay":
-        line.up.replay(int(number))
-        line.down.replay(int(number))
-    else:
-        raise ValueError(order)
-
-
 def carry(pipe: Connection, box: Path, bridge: Path, trace: Path, seed: int) -> None:
     """Carry until it is killed; a Ctrl-C of the terminal is none to this process."""
     os.setsid()
@@ -247,5 +220,18 @@ def carry(pipe: Connection, box: Path, bridge: Path, trace: Path, seed: int) -> 
     request_realtime()
     while True:
         line.step()
-        if pipe.poll():
-            obey(line, pipe.recv(), pipe)
+        if not pipe.poll():
+            continue
+        word, *numbers = pipe.recv().split()
+        match word, *map(float, numbers):
+            case ("report",):
+                pipe.send(line.report())
+            case "hostile", rate:
+                line.rate = rate
+            case "mute", seconds:
+                line.muted_until = time.monotonic() + seconds
+            case "unplug", seconds:
+                line.unplug(seconds)
+            case "replay", count:
+                line.up.replay(int(count))
+                line.down.replay(int(count))
