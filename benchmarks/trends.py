@@ -97,8 +97,7 @@ def watched(kind: str, worn: str, begin: int, seed: int, every: int) -> dict[str
     for series in drawn(kind, worn, begin, seed):
         known = 0
         for day in range(every, DAYS, every):
-            seen = series.until(day)
-            found = course(*seen.arrays)
+            found = course(*(one[series.time <= day] for one in series.arrays))
             if found is None:
                 continue
             if found.findings > known:

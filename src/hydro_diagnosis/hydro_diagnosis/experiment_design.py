@@ -21,7 +21,7 @@ from hydro_core.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.closure.evidence import has_identified_shapes
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
@@ -147,7 +147,7 @@ def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> 
     fits = {
         k: fit(problem, found.but(claim))
         for k, claim in enumerate(found.claims)
-        if isinstance(claim.effect, Closure) and isinstance(claim.effect.law, Law)
+        if is_closure(claim.effect) and isinstance(claim.effect.law, Law)
     }
     if not fits:
         return None
@@ -179,5 +179,5 @@ def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Sc
 
 
 def _name(claim: Claim) -> str:
-    assert isinstance(claim.effect, Closure)
+    assert is_closure(claim.effect)
     return f"{claim.effect.law.form} ({claim.effect.law.equation})"

@@ -15,7 +15,7 @@ import numpy as np
 
 from hydro_diagnosis.closure.selection import ClosureFit
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.effects.closure import Closure, is_closure
 from hydro_diagnosis.estimation.fit import by_claim, fit, holdout_gain
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
@@ -31,7 +31,7 @@ def without_harmful_names(closed: ClosureFit, holdout: Problem) -> ClosureFit:
     """The model without names that make the held-out residual larger, the worst first; as it is if nothing remains."""
     problem = closed.problem
     while problem.noticeable(closed.fit.residual):
-        names = [claim for claim in closed.fit.removable if not isinstance(claim.effect, Closure)]
+        names = [claim for claim in closed.fit.removable if not is_closure(claim.effect)]
         fewer = [fit(problem, closed.fit.but(claim)) for claim in names]
         gains = [holdout_gain(holdout, one, closed.fit) for one in fewer]
         if not gains or min(gains) >= -HARMFUL_SHARE:
@@ -114,7 +114,7 @@ def _with_named(held: dict[str, Any], named: Mapping[str, Any]) -> dict[str, Any
 def reports(found: Admitted, bounds: Sequence[Interval]) -> list[ClosureReport]:
     """One entry per term; `bounds`: of the parameters of all claims, in their order."""
     claims = by_claim(found.closed.fit.claims, bounds)
-    return [_report(one, one.effect, own, found) for one, own in claims if isinstance(one.effect, Closure)]
+    return [_report(one, one.effect, own, found) for one, own in claims if is_closure(one.effect)]
 
 
 def _report(claim: Claim, effect: Closure, bounds: Sequence[Interval], found: Admitted) -> ClosureReport:

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import FORM_ERROR, SHORTEST, Fit, fit, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
@@ -157,7 +157,7 @@ def without_idle_terms(problem: Problem, found: Fit, names_stay: bool = False) -
 def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
     if without.score - found.score < THRESHOLD or within_form_error(problem, without, found):
         return False
-    if not isinstance(claim.effect, Closure):
+    if not is_closure(claim.effect):
         return True
     if not has_identified_shapes(problem, found, claim) or equals_ruled_out(problem, found, claim):
         return False
@@ -176,7 +176,7 @@ def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
     """
     if problem.noticeable(before.residual) and not problem.noticeable(after.residual):
         return False
-    named = tuple(claim for claim in before.claims if not isinstance(claim.effect, Closure))
+    named = tuple(claim for claim in before.claims if not is_closure(claim.effect))
     if len(named) == len(before.claims):
         return False
     channel = problem.layout.channel

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from hydro_diagnosis.closure.evidence import cross_validated
 from hydro_diagnosis.curves import splines
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.effects.closure import Closure, closure, is_closure
 from hydro_diagnosis.estimation.fit import SHORTEST, Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, COLUMN, FOLDS, Problem
 from hydro_diagnosis.model.responses import Responses
@@ -185,7 +185,7 @@ class Screen:
         best, gain = None, 0.0
         for term, across in zip(self._terms, cross, strict=True):
             effect = term.columns[0].effect
-            if isinstance(effect, Closure) and isinstance(effect.law, Table) and effect.label not in without:
+            if is_closure(effect) and isinstance(effect.law, Table) and effect.label not in without:
                 whole = np.block([[own, across], [across.swapaxes(-1, -2), term.square]])
                 gained = before - cross_validated(whole[..., None], weight, self._count, size)[0]
                 if gained > gain:

@@ -25,7 +25,7 @@ from hydro_diagnosis.closure.evidence import (
 )
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim, Effect
-from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.effects.closure import closure, is_closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.fit import screen as screen_names
 from hydro_diagnosis.estimation.problem import Problem
@@ -86,7 +86,7 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
 
 
 def _terms(found: Fit) -> int:
-    return sum(isinstance(claim.effect, Closure) for claim in found.claims)
+    return sum(is_closure(claim.effect) for claim in found.claims)
 
 
 def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]) -> ClosureFit:
@@ -153,7 +153,7 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
     """The fit with a reversal velocity as a parameter of one law, the newest by default, where that pays."""
     claim = found.claims[place]
     effect = claim.effect
-    if not (isinstance(effect, Closure) and isinstance(effect.law, Law) and effect.law.depends_on_direction):
+    if not (is_closure(effect) and isinstance(effect.law, Law) and effect.law.depends_on_direction):
         return found
     if REVERSAL_VELOCITY in effect.law.numbers:
         return found
@@ -181,7 +181,7 @@ def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
 
     def parts(one: Fit) -> tuple[int, int, float]:
         effect = (last if last and one is fits[0] else one.claims[-1]).effect
-        if not isinstance(effect, Closure):
+        if not is_closure(effect):
             return 0, 0, one.score
         return len(effect.parameters), len(effect.law.uses), one.score
 
@@ -193,7 +193,7 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
     for claim in found.removable if len(found.claims) > 1 else ():
         if problem.budget.exhausted:
             break
-        law = isinstance(claim.effect, Closure)
+        law = is_closure(claim.effect)
         if not law and not names:
             continue
         rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -253,6 +253,11 @@ class PlaceClosure(Closure):
             if "position" not in self.law.uses:
                 break
         return signal
+
+
+def is_closure(effect: Effect) -> TypeGuard[Closure]:
+    """Return whether an effect is a term without a name: no grown effect."""
+    return isinstance(effect, Closure) and effect.name is None
 
 
 def closure(

@@ -17,7 +17,7 @@ import yaml
 from hydro_core.files.atomic import write_whole
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, acting
-from hydro_diagnosis.effects.closure import Closure, from_mapping
+from hydro_diagnosis.effects.closure import from_mapping, is_closure
 from hydro_sim.model.bench import Bench
 
 HEADER = """\
@@ -36,7 +36,7 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
     before = list(claims_of(bench))
     effects: list[Mapping[str, Any]] = list(bench.effects)
     for claim in claims:
-        if isinstance(claim.effect, Closure):
+        if is_closure(claim.effect):
             bench = replace(bench, closures=(*bench.closures, claim.effect.to_closure(claim.values)))
             continue
         hooks = [hook for hook in ("modulus", "openings") if claim.effect.acts_in(hook)]

@@ -15,7 +15,7 @@ from hydro_diagnosis import stage_bar
 from hydro_diagnosis.curve_claims import OPERATORS
 from hydro_diagnosis.curve_reports import curve_reports
 from hydro_diagnosis.effects.base import HYDRAULIC, Claim, Effect, FloatArray
-from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Layout, Problem
 from hydro_diagnosis.forecast import forecasts
@@ -125,7 +125,7 @@ def describe(findings: StageResult) -> list[EffectReport]:
 def _rivals(outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
     """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
     rivals, look_alikes = [], []
-    if any(isinstance(one.effect, Closure) for one in found.claims):
+    if any(is_closure(one.effect) for one in found.claims):
         return [], []  # rivals were fitted without the closure: no fair comparison
     seen = {cause(claim.effect)}
     for other in outcome.rivals.get(claim.effect.label, []):
