@@ -98,6 +98,11 @@ class Result(NamedTuple):
     """M_c [1/s] with it."""
     status: CorrectionStatus
 
+    @classmethod
+    def uncorrected(cls, status: CorrectionStatus) -> Result:
+        """Return no correction, and no certificate that was evaluated."""
+        return cls(0.0, math.nan, math.nan, status)
+
 
 STATUSES = tuple(CorrectionStatus)
 NO_CERTIFICATE = {
@@ -165,7 +170,7 @@ class LoopFilter:
         """Decide the correction of a sample that is `age` [s] old."""
         if self._unknown[sample.compensated]:
             self.reset_history()
-            return Result(0.0, math.nan, math.nan, CorrectionStatus.BYPASSED)
+            return Result.uncorrected(CorrectionStatus.BYPASSED)
         law, (_, parts) = sample.law_inputs, self._certificates[0]
         for c_1, address in self._certificates[1:]:
             if abs(law[2] - law[3] * c_1) <= C1_TOLERANCE * law[3]:
@@ -181,11 +186,11 @@ class LoopFilter:
         if self.settings.bypass:
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
         if status == CorrectionStatus.NAN:
-            return Result(0.0, math.nan, math.nan, CorrectionStatus.NAN)
+            return Result.uncorrected(CorrectionStatus.NAN)
         if self.monitor["broken"][0]:  # a certificate of another bench says nothing
-            return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
+            return Result.uncorrected(CorrectionStatus.MISMATCH)
         if not abs(age) <= self.settings.state_age_max:
-            return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
+            return Result.uncorrected(CorrectionStatus.STALE)
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
         return Result(delta_u, before, after, STATUSES[status])

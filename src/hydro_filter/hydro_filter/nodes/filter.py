@@ -36,7 +36,6 @@ import threading
 import time
 from collections import Counter
 from dataclasses import dataclass, field
-from math import nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,10 +102,6 @@ FILE_POLL_PERIOD = 1.0
 """s between checks of the files; changed files are read once they are unchanged for as long."""
 
 _PLANT = slice(2, 2 + len(PLANT_FIELDS))  # of a state's record, behind stamp and sequence
-
-BYPASSED = Result(0.0, nan, nan, CorrectionStatus.BYPASSED)
-STALE = Result(0.0, nan, nan, CorrectionStatus.STALE)
-MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
 
 
 @dataclass
@@ -387,10 +382,10 @@ class FilterNode(Node):
                 made.reset_history()
             age, law, armed = self._age(message), self._law_near(message.sequence), message.flags & Flag.ARMED
             if law is not None and self._bypass_reason(law):
-                result = BYPASSED
+                result = Result.uncorrected(CorrectionStatus.BYPASSED)
             elif law is not None and law.sequence != message.sequence and armed:
                 made.reset_history()
-                result = STALE
+                result = Result.uncorrected(CorrectionStatus.STALE)
             else:
                 sample = make_sample(message, law)
                 if message.sequence % SAMPLES_PER_STEP == 0:
@@ -436,7 +431,7 @@ class FilterNode(Node):
             self._mismatch = ""  # nothing is known of it
             return result
         if self._foreign and result.status is not CorrectionStatus.NAN:
-            result = MISMATCHED
+            result = Result.uncorrected(CorrectionStatus.MISMATCH)
         if (result.status is CorrectionStatus.MISMATCH) == bool(self._mismatch):
             return result
         seen = self._loaded.filter.mismatch

@@ -15,6 +15,11 @@ from hydro_filter.certificate import solve_qp
 AGREEMENT = 1e-6
 """Distance between both solutions, relative to the bounds, up to which they agree; OSQP's own tolerance is 1e-9."""
 
+SETTINGS = {
+    "verbose": False, "eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 500, "check_termination": 5,
+    "adaptive_rho": False, "rho": 1.0, "scaling": 0, "polishing": False,
+}  # fmt: skip
+
 
 class Osqp:
     """OSQP solver of the filter's QP, warm-started unless the last status was not `solved`.
@@ -30,22 +35,8 @@ class Osqp:
         self._lower = np.array([-np.inf, -1.0])
         self._upper = np.array([0.0, 1.0])
         self._solver = osqp.OSQP()
-        self._solver.setup(
-            csc_matrix([[1.0]]),
-            np.zeros(1),
-            csc_matrix(self._rows[:, np.newaxis]),
-            self._lower,
-            self._upper,
-            verbose=False,
-            eps_abs=1e-9,
-            eps_rel=1e-9,
-            max_iter=500,
-            check_termination=5,
-            adaptive_rho=False,
-            rho=1.0,
-            scaling=0,
-            polishing=False,
-        )
+        rows = csc_matrix(self._rows[:, np.newaxis])
+        self._solver.setup(csc_matrix([[1.0]]), np.zeros(1), rows, self._lower, self._upper, **SETTINGS)
 
     def compare(self, a: float, b: float, low: float, high: float) -> None:
         """Solve the QP of `certificate.solve_qp` and count whether both agree; skipped where du = 0 solves it."""
@@ -69,13 +60,9 @@ class Osqp:
         try:
             self._solver.update(Ax=self._rows, l=self._lower, u=self._upper)
             result = self._solver.solve(raise_error=False)
+            if result.info.status_val == osqp.SolverStatus.OSQP_SOLVED:
+                return float(result.x[0]) * span
         except (RuntimeError, ValueError):
-            self._restart()
-            return math.nan
-        if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
-            self._restart()
-            return math.nan
-        return float(result.x[0]) * span
-
-    def _restart(self) -> None:
+            pass
         self._solver.warm_start(x=np.zeros(1), y=np.zeros(2))
+        return math.nan

@@ -11,7 +11,6 @@ import argparse
 import sys
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -44,15 +43,12 @@ def main() -> None:
     lines = list(product(options.plants, options.cases, FILTERS))
     runs = {line: [f"{', '.join(line)}, seed {seed}" for seed in range(options.seeds)] for line in lines}
     tasks = {name: (make_task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
-    table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
-    done: dict[str, Outcome] = {}
-    rows: dict[tuple[str, str, str], dict[str, Any]] = {}
+    table, done = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run"), dict[str, Outcome]()
     for name, result in jobs.run(evaluate_task, tasks, **jobs.job_options(options), label="runs", unit="run"):
         done[name] = result
-        line = next(line for line in lines if name in runs[line])
-        if all(one in done for one in runs[line]):
-            rows[line] = table_row(*line, [done[one] for one in runs[line]])
-            table.rows = [rows[line] for line in lines if line in rows]
+        whole = [line for line in lines if done.keys() >= set(runs[line])]
+        if len(whole) > len(table.rows):
+            table.rows = [table_row(*line, [done[one] for one in runs[line]]) for line in whole]
             if options.json:
                 table.write_json(options.json)  # what is done stays, whatever comes
     table.show(options.json)
