@@ -20,6 +20,7 @@ from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
 from hydro_diagnosis.report.plots import svg
+from hydro_diagnosis.report_json import EffectReport
 from hydro_diagnosis.significance import SURE
 from hydro_diagnosis.twin import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
@@ -163,8 +164,13 @@ def write_files(found: Diagnosis, folder: Path) -> None:
 def rendered(found: Diagnosis) -> str:
     """Return the page."""
     report, comparison = found.report, compare(found)
-    claims = {one.effect.id + str(dict(one.effect.options)): one for one in found.assessment.fit.claims}
-    pictures = [plots.effect_plot(found, claims[one.id + str(one.options)]) for one in report.effects]
+
+    def picture(effect: EffectReport) -> str:
+        claims = found.assessment.fit.claims
+        place = (effect.id, effect.options)
+        return plots.effect_plot(
+            found, next(one for one in claims if (one.effect.id, dict(one.effect.options)) == place)
+        )
 
     def row(name: str, error: Mapping[str, Any], values: Sequence[float | None]) -> dict[str, Any]:
         unit, factor = {"m": ("µm", 1e6), "Pa": ("kPa", 1e-3), "N": ("N", 1.0)}[error["unit"]]
@@ -194,7 +200,7 @@ def rendered(found: Diagnosis) -> str:
             for name in report.not_checked
         ],
         differences=sentences(report.simulated or ()),
-        effects=list(zip(report.effects, pictures, strict=True)),
+        effects=[(effect, picture(effect)) for effect in report.effects],
         comparison=comparison,
         held_out=held_out,
         equations=equations,

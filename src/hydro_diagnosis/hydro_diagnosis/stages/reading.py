@@ -68,8 +68,9 @@ def baseline(
             return learned_bench.read(model), f"learned {Path(model).name}"
         if bench is None or isinstance(bench, Bench):
             return bench or Bench.nominal(), "analytic"
-        read_by = completed if isinstance(bench, Mapping) else read_bench
-        return read_by(bench, frozenset(estimated)), "analytic"  # type: ignore[arg-type]
+        if isinstance(bench, Mapping):
+            return completed(bench, frozenset(estimated)), "analytic"
+        return read_bench(bench, frozenset(estimated)), "analytic"
     except ValueError as error:
         raise InputError(str(error)) from None
 
