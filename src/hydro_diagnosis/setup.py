@@ -20,7 +20,6 @@ setup(
     install_requires=[
         "hydro_sim",
         "h5py",
-        "jinja2",
         "msgspec",
         "npTDMS",
         "numpy",

@@ -77,7 +77,7 @@ def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(
 
 
 def test_a_plant_whose_thread_fails_ends_its_node_with_the_error(failing, tmp_path: Path) -> None:
-    words = {"module": "hydro_sim.simulation.realtime", "name": "Simulation", "method": "_stamp"}
+    words = {"module": "hydro_sim.simulation.realtime", "name": "Simulation", "method": "_show"}
     with failing(**words) as (process, probe):
         probe.wait(lambda: len(probe.states) > 100, 60.0)
         (tmp_path / "fail").touch()
