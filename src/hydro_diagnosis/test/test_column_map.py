@@ -71,6 +71,8 @@ def test_every_form_of_a_map_gives_the_same_fields(form: str, tmp_path: Path) ->
         ("time=clock,load_force=vir**2", "cannot be read from '\\*\\*2' on"),
         ("load_force=vir", "no column is the time"),
         ({"time": {"column": "clock", "factor": 2}}, "'factor' is unknown; there are column, unit, scale"),
+        ({"time": "clock", "load_force": {"column": "vir", "scale": None}}, "scale None is not a number"),
+        ({"time": "clock", "load_force": {"column": "vir", "delay": True}}, "delay True is not a number"),
     ],
 )
 def test_wrong_map_is_one_sentence_that_helps(given: object, said: str, tmp_path: Path) -> None:

@@ -125,6 +125,9 @@ def _of_words(field: str, words: Mapping[str, Any]) -> _Parts:
     if unknown or "column" not in words:
         said = f"{unknown[0]!r} is unknown" if unknown else "'column' is missing"
         raise InputError(f"columns: {field}: {said}; there are column, unit, scale, offset, delay")
+    for word in ("scale", "offset", "delay"):
+        if words.get(word, 0.0) is None or isinstance(words.get(word), bool):
+            raise InputError(f"columns: {field}: {word} {words[word]!r} is not a number")
     steps = [(sign, _number(words[word])) for sign, word in (("*", "scale"), ("+", "offset")) if word in words]
     delay = _number(words.get("delay", 0.0))
     if not isinstance(delay, float) or not isfinite(delay):
