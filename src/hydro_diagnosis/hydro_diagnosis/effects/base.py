@@ -209,8 +209,7 @@ class Effect:
 
     def settled(self, bench: Bench, values: Values) -> Bench:
         """The bench file with this effect written into its numbers, exact where no earlier effect meets its hooks."""
-        if self.id in _FACTORS and "ratio" in values:
-            number = _FACTORS[self.id]
+        if number := self.physics.scales:
             return changed(bench, **{number: getattr(bench, number) * values["ratio"]})
         return self.correct(bench, values)
 
@@ -280,10 +279,6 @@ class Effect:
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         """True signal from a reading, as far as the sensor can be inverted."""
         return reading
-
-
-_FACTORS = {"bulk_modulus": "bulk_modulus", "valve_gain": "valve_nominal_flow"}
-"""Numbers of the bench file to which an effect that is no correction amounts."""
 
 
 @cache

@@ -82,16 +82,40 @@ class LearnerSupervisor:
         """Whether the plant waits for it: what is read and saved comes after all updates that are due."""
         self._start()
 
-    alive = property(lambda self: bool(self._process.is_alive()), doc="Whether the learner process runs.")
-    pid = property(lambda self: self._process.pid, doc="Process id of the learner.")
-    ready = property(lambda self: bool(self._status["ready"]), doc="Whether this process has published weights.")
-    updates = property(lambda self: int(self._status["updates"]), doc="Gradient updates so far.")
-    checkpoints = property(lambda self: int(self._status["checkpoints"]), doc="Checkpoints written since the start.")
-    entropy_coefficient = property(lambda self: float(self._status["alpha"]), doc="alpha, the temperature.")
-    losses = property(
-        lambda self: Losses(*(float(self._status[name]) for name in Losses._fields)),
-        doc="Losses of the last updates; NaN before the first.",
-    )
+    @property
+    def alive(self) -> bool:
+        """Whether the learner process runs."""
+        return self._process.is_alive()
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the learner."""
+        return self._process.pid
+
+    @property
+    def ready(self) -> bool:
+        """Whether the present learner process has published weights."""
+        return bool(self._status["ready"])
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+        return int(self._status["updates"])
+
+    @property
+    def checkpoints(self) -> int:
+        """Checkpoints written since the start."""
+        return int(self._status["checkpoints"])
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """Entropy coefficient alpha."""
+        return float(self._status["alpha"])
+
+    @property
+    def losses(self) -> Losses:
+        """Losses of the last updates; NaN before the first."""
+        return Losses(*(float(self._status[name]) for name in Losses._fields))
 
     def new_weights(self) -> FloatArray | None:
         """Return the actor's flat parameters if they are newer than at the last call, else None.

@@ -173,6 +173,8 @@ class Effect:
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
+    scales: ClassVar[str] = ""
+    """Number of the bench file that times its `ratio` is the same, if it acts in another place; empty if none."""
     says: ClassVar[str] = ""
     """`sentence`, with the parameters by name in the units of `display_unit`, and the `effect`; `size` of the first
     parameter, and whether that is `more` or less than nothing."""

@@ -100,6 +100,7 @@ class BulkModulus(Effect):
     equations = _CHAMBERS
     family = "oil"
     says = "The bulk modulus is {ratio:.4g} times what the bench file says, at every pressure."
+    scales = "bulk_modulus"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=fit(0.9, smallest=0.004, low=0.2, high=5.0))
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:

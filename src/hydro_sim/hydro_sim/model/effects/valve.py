@@ -136,6 +136,7 @@ class ValveGain(_Valve):
 
     id = "valve_gain"
     says = "The valve passes {ratio:.4g} times the flow that the bench file says."
+    scales = "valve_nominal_flow"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=_RATIO)
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
