@@ -79,7 +79,7 @@ class InlineLearner:
     def restart_if_dead(self) -> None:
         """Do nothing: there is no process to restart."""
 
-    def snapshot(self, *, exact: bool = False) -> bytes:
+    def snapshot(self) -> bytes:
         """See `LearnerSupervisor.snapshot`; the present state."""
         return dump(self._learner.sac)
 
@@ -97,7 +97,7 @@ class InlineLearner:
         """See `LearnerSupervisor.roll_back`; takes effect at once."""
         self._learner.roll_back()
 
-    def save(self, trainer: dict[str, Any], best: bool = False, *, exact: bool = False) -> bool:
+    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Keep nothing."""
         return True
 

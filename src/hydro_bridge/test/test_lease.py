@@ -93,6 +93,15 @@ def test_what_a_person_disarmed_only_a_person_arms(lease: Lease) -> None:
     assert lease.may_arm(lease.claim, 0, "") == "", "the bar was the other's"
 
 
+def test_a_holder_that_disarms_by_its_claim_from_before_its_silence_may_arm(lease: Lease) -> None:
+    lease.take("trainer", 0, 0.0)
+    old = lease.claim
+    assert lease.lapse(SILENCE + 0.1)
+    lease.take("trainer", old, SILENCE + 0.2)
+    lease.disarmed(old)  # asked for before the answer to the line above came
+    assert lease.claim != old and lease.may_arm(lease.claim, lease.epoch, "trainer") == ""
+
+
 def test_corrections_do_not_renew_the_lease(lease: Lease) -> None:
     lease.take("trainer", 0, 0.0)
     assert lease.admits("correction", lease.epoch, SILENCE, renews=False)

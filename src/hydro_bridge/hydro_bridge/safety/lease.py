@@ -126,6 +126,9 @@ class Lease:
         self._barred = 0
 
     def disarmed(self, claim: int) -> None:
-        """Bar the holder from arming until a person has, unless `claim`, who asked for the disarming, is its own."""
-        if claim != self.claim:
+        """Bar the holder from arming until a person has, if a person asked for the disarming: with `claim` 0.
+
+        A claim that is over is a node's, often the holder's own from before its silence, and bars nobody.
+        """
+        if not claim:
             self._barred = self.claim

@@ -17,6 +17,7 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, Waveform, to_matrix
@@ -109,6 +110,7 @@ def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
     return ranges | {"velocity_error": (-late, late)}
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # the matrices are small: more threads only wait for one another
 def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool = True) -> CertifiedRegion | None:
     """Return the certified region of the largest provable amplitude; None: none is proved."""
     ours, law = bench_numbers(model, bench)
