@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force RMSE of policies and fixed gains on sines of 300 N and more, on whichever plant publishes /hydro/state.
+"""Force RMSE of policies and fixed gains on sines, of 300 N on the nominal bench, on whichever plant publishes states.
 
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --fixed 15 5
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --grid --multisine --steps --repeats 5
