@@ -45,6 +45,11 @@ def test_a_right_bench_passes() -> None:
     creeping = REST.copy()
     creeping["load_force"] += 0.4 * creeping["time"]
     assert checks.creep(creeping) - checks.creep(REST) == pytest.approx(0.4)
+    assert checks.drift_warning(creeping, 300.0) == ""
+    creeping["load_force"] += 6.0 * creeping["time"]
+    assert "crept by 6.4 N/s: null the valve" in checks.drift_warning(creeping, 300.0)
+    creeping["load_force"] = 800.0 + REST["load_force"]
+    assert "stood at 800 N" in checks.drift_warning(creeping, 300.0)
     assert min(checks.channel_correlations(MOTION[1000:], BENCH).values()) > checks.FOLLOWS
 
 

@@ -331,11 +331,14 @@ def test_a_broken_box_fails_where_it_is_broken(broken: Callable[[str], InStep], 
 
 
 class Unconnected(Machine):
-    """A bench whose valve stays closed."""
+    """A bench whose valve does not follow its current."""
+
+    current = 0.0
+    """A, that it follows."""
 
     def tick(self) -> np.void:
         sample = self.box.tick(self.plant.measurement(), self.time)
-        truth.advance_sample(*self.plant.records, self.plant.work, self.plant.noise.row(), 0.0)
+        truth.advance_sample(*self.plant.records, self.plant.work, self.plant.noise.row(), self.current)
         self.samples += 1
         return sample
 
@@ -347,6 +350,14 @@ def test_a_box_whose_valve_is_not_connected_passes_all_but_the_sign(memory: Any)
     found = outcomes(InStep(machine, BoxLink(memory, machine.box, LinkFaults()), memory))
     assert FAIL not in {outcome for outcome, _ in found.values()}
     assert found["law.sign"][0] == NOT_JUDGED and "not connected" in found["law.sign"][1]
+
+
+def test_a_bench_that_drifts_to_its_stop_passes_no_case_that_it_did_not_play(memory: Any) -> None:
+    machine = Unconnected(profile("nominal"))
+    machine.current = 2e-3
+    found = only(InStep(machine, BoxLink(memory, machine.box, LinkFaults()), memory), "law.sign", "reference.sine")
+    assert [result.outcome for result in found] == [FAIL, FAIL]
+    assert all("it tripped at" in result.found and "limit of 700 N" in result.found for result in found)
 
 
 def test_each_case_fails_on_a_box_that_is_broken_there() -> None:

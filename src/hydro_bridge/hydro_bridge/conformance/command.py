@@ -16,7 +16,13 @@ from typing import Any
 import msgspec
 import yaml
 
-from hydro_bridge.conformance.checks import CHECKS, InconclusiveError, NotReportedError, ViolationError
+from hydro_bridge.conformance.checks import (
+    CHECKS,
+    InconclusiveError,
+    NotReportedError,
+    ViolationError,
+    state_value,
+)
 from hydro_bridge.conformance.host import (
     READ_INTERVAL_MAX,
     VERBS,
@@ -31,6 +37,7 @@ from hydro_bridge.serial.port import Port, PortSettings, describe_non_port
 from hydro_core.cli.console import Table, add_json_argument, command, make_parser, progress
 from hydro_core.errors import UserError
 from hydro_core.files import bench_file
+from hydro_core.signals import Flag
 
 NOMINAL_FORCE_GAIN = 10.53e6
 """g of the nominal bench [N/s/A]: a correction of 0.2 mA moves the force there by up to g 0.2 mA / K_p, 140 N."""
@@ -139,6 +146,8 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
         close_session(host)
     except NoStateError as error:
         silent = str(error)
+    if case.moving and (tripped := _force_limit_trip(host)):
+        return FAIL, tripped
     try:  # only now: while this host computes, the box would receive no command
         for seen, words in checked:
             for name, parameters in words.items():
@@ -151,6 +160,18 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
         return NOT_JUDGED, str(undecided)
     notes = [note for seen, _ in checked for note in seen.notes]
     return (FAIL, silent) if silent else (PASS, "; ".join(notes))
+
+
+def _force_limit_trip(host: Host) -> str:
+    """Return why the box tripped by its force limit, which no case provokes; empty: it has not."""
+    wanted, armed = Flag.TRIPPED | Flag.FORCE_LIMIT, 0
+    for state in host.states:
+        if state.flags & wanted == wanted:
+            limit = f"beyond its limit of {host.details.load_force_limit:g} N, {armed} samples after it was armed"
+            drift = "does a null shift of the valve drive the piston?"
+            return f"it tripped at {state_value(state, 'load_force'):.0f} N, {limit}: the rest was not tried; {drift}"
+        armed += bool(state.flags & Flag.ARMED)
+    return ""
 
 
 _LATE = 3

@@ -57,9 +57,23 @@ def sensor_noise(states: StateArray, bench: Bench) -> tuple[dict[str, float], fl
     return noise, off
 
 
+_MINUTE = 60.0  # s, within which a closed valve shall not move the force by the amplitude
+
+
 def creep(states: StateArray) -> float:
     """Return how fast the load force moves at rest, behind a closed valve [N/s]."""
     return float(np.polyfit(states["time"] - states["time"][0], states["load_force"], 1)[0])
+
+
+def drift_warning(states: StateArray, amplitude: float) -> str:
+    """Return what to say of a piston that does not stay where it can be moved by `amplitude` [N]; empty: it does."""
+    force, rate = float(np.median(states["load_force"])), creep(states)
+    if abs(force) <= amplitude and _MINUTE * abs(rate) <= amplitude:
+        return ""
+    return (
+        f"disarmed, the load force stood at {force:.3g} N and crept by {rate:.2g} N/s: null the valve, or each arming "
+        "moves the piston back first, by up to the rated current"
+    )
 
 
 def channel_correlations(states: StateArray, bench: Bench) -> dict[str, float]:

@@ -135,6 +135,8 @@ class Record:
         title = f"Force RMSE [N], sines of {self.amplitude:.0f} N"
         table = Table({"controller": "", **dict.fromkeys(cases, ""), "trips": "stopped runs"}, title=title)
         for key, entry in self.comparison.items():
+            if not (entry["rmse"] or entry["trips"]):
+                continue
             told = f"{key}: {entry['name']}" + (", adopted" if key == self.adopted else "")
             cells = {case: entry["rmse"].get(case, "-") for case in cases}
             table.add(controller=told, **cells, trips=entry["trips"])

@@ -65,8 +65,8 @@ WATCH = (
     "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
 )
 PAPER_ONLY = (
-    "the box runs the paper's force law only, and a bench that is not known yet moves under the compensated law: add it "
-    "to the box (protocol.md), or go on by hand (your_own_bench.md, section 6)"
+    "the box runs the paper's force law only, and a bench that is not known yet moves under the compensated law: add "
+    "that to the box (protocol.md), or go on by hand (your_own_bench.md, section 6)"
 )
 FIXED_SHARES = (0.5, 0.9)  # K_p of the fixed gains that are compared, over the largest certified
 
@@ -139,8 +139,9 @@ def sensors(at: Site) -> str:
     if at.record.amplitude > most:
         raise GateError(f"--amplitude {at.record.amplitude:.0f}: this box's force law reaches {most:.0f} N")
     told = (f"{name} {value:.2g}" for name, value in noise.items())
-    creep = checks.creep(states)
-    return f"noise {', '.join(told)}; hydraulic force {off:.1f} N off the pressures; load force creeps {creep:.2g} N/s"
+    found = f"noise {', '.join(told)}; hydraulic force {off:.1f} N off the pressures"
+    drift = checks.drift_warning(states, at.record.amplitude) or f"load force creeps {checks.creep(states):.2g} N/s"
+    return f"{found}; {drift}"
 
 
 def signs(at: Site) -> str:
@@ -269,7 +270,9 @@ def comparison(at: Site) -> str:
     left_out = f"; left out: {names}: the load force hardly followed, as if the piston stood" if stood else ""
     if not at.record.adopted:
         raise GateError(f"no controller completed every reference{left_out}")
-    at.record.watch = list(dict.fromkeys([*at.record.watch, *WATCH]))
+    drift = checks.drift_warning(_states(at.recording(AT_REST)), at.record.amplitude)
+    drifts = [f"At rest, {drift}."] if drift else []
+    at.record.watch = list(dict.fromkeys([*at.record.watch, *drifts, *WATCH]))
     name = at.record.comparison[at.record.adopted]["name"]
     return f"{name} is the best{left_out}"
 
