@@ -68,6 +68,13 @@ def test_the_frame_for_a_microcontroller_compiles(configured: Path) -> None:
         example("bare_metal", configured, "-c", "-ffreestanding", *words)
 
 
+def test_box_filter_and_policy_go_into_one_file(tmp_path: Path) -> None:
+    headers = [f'#include "hydro/{one.name}"' for one in sorted((FIRMWARE / "hydro").glob("*.h"))]
+    units = "#define HYDRO_POLICY_UNITS 8"  # by the header of the weights
+    (tmp_path / "all.c").write_text("\n".join([units, *headers, "int hydro_all;", ""]))
+    compiled(tmp_path / "all.c", tmp_path / "all.o", "-c", f"-I{FIRMWARE}")
+
+
 class End(Terminal):
     """The far end of a pseudo-terminal as a line."""
 

@@ -41,7 +41,7 @@ static inline void hydro_note_command(hydro_arming *arming, bool arm, bool filte
 }
 
 /* Whether commands are late; if they are gone for good, the box trips and wants to see a disarm. */
-static inline bool hydro_watch(hydro_arming *arming, const hydro_config *config, hydro_time time)
+static inline bool hydro_watchdog(hydro_arming *arming, const hydro_config *config, hydro_time time)
 {
     hydro_time age = time - arming->received_at;
     if (age > config->trip_timeout) {

@@ -149,6 +149,7 @@ static inline bool hydro_box_control(hydro_box *box, const hydro_real *measureme
         box->arming.tripped = true;
         box->acting.reference = force;
         box->acting.reference_rate = HYDRO_R(0);
+        hydro_copy(box->acting.shaping, law->safe, sizeof law->safe);
         return false;
     }
     unlimited = held || time - box->arming.received_at > HYDRO_CORRECTION_HOLD ? nominal : nominal + box->guard.delta_u;
@@ -170,7 +171,7 @@ static inline hydro_real hydro_box_tick(hydro_box *box, const hydro_real *measur
     const hydro_law *law;
     bool begins, late, held, saturated;
     hydro_box_receive(box, time);
-    late = hydro_watch(&box->arming, config, time);
+    late = hydro_watchdog(&box->arming, config, time);
     hydro_follow_disarm(&box->arming);
     hydro_watch_sensors(&box->arming, config, measurement, time);
     begins = hydro_follow_arm(&box->arming, config, measurement, time);

@@ -14,7 +14,7 @@ static hydro_guard guard;
 /* One sample of the arming alone; returns its flags. */
 static uint32_t step(const hydro_real *x, double time)
 {
-    bool late = hydro_watch(&arming, &CONFIG, time);
+    bool late = hydro_watchdog(&arming, &CONFIG, time);
     hydro_follow_disarm(&arming);
     hydro_watch_sensors(&arming, &CONFIG, x, time);
     (void)hydro_follow_arm(&arming, &CONFIG, x, time);
@@ -70,12 +70,12 @@ static void test_watchdog_to_the_millisecond(void)
     armed_at(1.0);
     CHECK(step(STILL, 1.0 + 0.0499) == HYDRO_ARMED);
     arming.received_at = 0.0;
-    CHECK(!hydro_watch(&arming, &CONFIG, 0.05)); /* not yet: the limit itself is in time */
-    CHECK(hydro_watch(&arming, &CONFIG, 0.051));
+    CHECK(!hydro_watchdog(&arming, &CONFIG, 0.05)); /* not yet: the limit itself is in time */
+    CHECK(hydro_watchdog(&arming, &CONFIG, 0.051));
     armed_at(1.0);
     CHECK(step(STILL, 1.051) == (HYDRO_ARMED | HYDRO_WATCHDOG | HYDRO_FILTER_STALE));
     arming.received_at = 0.0;
-    CHECK(hydro_watch(&arming, &CONFIG, 0.2) && !arming.tripped && arming.arm_wanted);
+    CHECK(hydro_watchdog(&arming, &CONFIG, 0.2) && !arming.tripped && arming.arm_wanted);
     CHECK(step(STILL, 0.2001) == (HYDRO_TRIPPED | HYDRO_WATCHDOG | HYDRO_FILTER_STALE));
     CHECK(!arming.arm_wanted && !arming.disarm_seen);
     /* commands that come back with the arm bit set do not arm; a disarm clears, and then they do */

@@ -140,6 +140,7 @@ def _forecast(loop: Loop, problem: Problem, claims: Sequence[Claim]) -> Forecast
     said += _newtons(recorded) + (f", the corrected simulation says {_newtons(after)}" if causes else "")
     parts = [f"{_newtons(one)} without {label.replace(':', ' ')}" for label, one in without.items()]
     said += f" ({', '.join(parts)})." if len(parts) > 1 else "."
+    said += " Changes of the reference are in these RMSE; tables of settled runs leave them out."
     if misses:
         said += f" The forecast MISSES what was recorded by more than {100.0 * MISSED:.0f} %: tune no controller on it."
     return ForecastReport(

@@ -138,7 +138,8 @@ def sensors(at: Site) -> str:
     most = REACH * float(law.reference_max)
     if at.record.amplitude > most:
         raise GateError(f"--amplitude {at.record.amplitude:.0f}: this box's force law reaches {most:.0f} N")
-    told = (f"{name} {value:.2g}" for name, value in noise.items())
+    units = {"pressure_a": "Pa", "pressure_b": "Pa", "piston_position": "m"}
+    told = (f"{name} {value:.2g} {units.get(name, 'N')}" for name, value in noise.items())
     found = f"noise {', '.join(told)}; hydraulic force {off:.1f} N off the pressures"
     drift = checks.drift_warning(states, at.record.amplitude) or f"load force creeps {checks.creep(states):.2g} N/s"
     return f"{found}; {drift}"
