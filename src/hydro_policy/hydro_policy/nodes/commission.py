@@ -271,11 +271,15 @@ def comparison(at: Site) -> str:
     left_out = f"; left out: {names}: the load force hardly followed, as if the piston stood" if stood else ""
     if not at.record.adopted:
         raise GateError(f"no controller completed every reference{left_out}")
-    drift = checks.drift_warning(_states(at.recording(AT_REST)), at.record.amplitude)
-    drifts = [f"At rest, {drift}."] if drift else []
-    at.record.watch = list(dict.fromkeys([*at.record.watch, *drifts, *WATCH]))
-    name = at.record.comparison[at.record.adopted]["name"]
-    return f"{name} is the best{left_out}"
+    adopted, rest = at.record.comparison[at.record.adopted], _states(at.recording(AT_REST))
+    noise = checks.sensor_noise(rest, Bench.load(at.bench))[0]["load_force"]
+    told = [f"At rest, {drift}."] if (drift := checks.drift_warning(rest, at.record.amplitude)) else []
+    if max(adopted["rmse"].values()) < 1.5 * noise:
+        told.append(
+            f"The best errors are mainly the load cell's noise, {noise:.2g} N: smaller differences tell nothing."
+        )
+    at.record.watch = list(dict.fromkeys([*at.record.watch, *told, *WATCH]))
+    return " ".join([f"{adopted['name']} is the best{left_out}.", *told]).rstrip(".")
 
 
 GATES = (
