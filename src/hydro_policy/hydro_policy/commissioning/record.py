@@ -57,6 +57,8 @@ class Record:
     gates: list[GateResult] = field(default_factory=list)
     amplitude: float = 0.0  # amplitude of the sines [N]
     base_gains: list[float] = field(default_factory=list)  # K_p [1/s], K_i [1/s^2] of the box
+    cell_noise: float = 0.0  # of the load cell at rest [N]
+    drift: str = ""  # of a piston that does not rest, as a sentence
     causes: list[dict[str, Any]] = field(default_factory=list)  # `effects` of the diagnosis' report.json
     certified_gains: dict[str, list[float]] = field(default_factory=dict)
     """Range of K_p [1/s] that the metric certifies, by force law: `paper`, `compensated`."""

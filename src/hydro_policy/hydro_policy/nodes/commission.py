@@ -141,8 +141,8 @@ def sensors(at: Site) -> str:
     units = {"pressure_a": "Pa", "pressure_b": "Pa", "piston_position": "m"}
     told = (f"{name} {value:.2g} {units.get(name, 'N')}" for name, value in noise.items())
     found = f"noise {', '.join(told)}; hydraulic force {off:.1f} N off the pressures"
-    drift = checks.drift_warning(states, at.record.amplitude) or f"load force creeps {checks.creep(states):.2g} N/s"
-    return f"{found}; {drift}"
+    at.record.cell_noise, at.record.drift = noise["load_force"], checks.drift_warning(states, at.record.amplitude)
+    return f"{found}; " + (at.record.drift or f"load force creeps {checks.creep(states):.2g} N/s")
 
 
 def signs(at: Site) -> str:
@@ -271,13 +271,10 @@ def comparison(at: Site) -> str:
     left_out = f"; left out: {names}: the load force hardly followed, as if the piston stood" if stood else ""
     if not at.record.adopted:
         raise GateError(f"no controller completed every reference{left_out}")
-    adopted, rest = at.record.comparison[at.record.adopted], _states(at.recording(AT_REST))
-    noise = checks.sensor_noise(rest, Bench.load(at.bench))[0]["load_force"]
-    told = [f"At rest, {drift}."] if (drift := checks.drift_warning(rest, at.record.amplitude)) else []
+    adopted, noise = at.record.comparison[at.record.adopted], at.record.cell_noise
+    told = [f"At rest, {at.record.drift}."] if at.record.drift else []
     if max(adopted["rmse"].values()) < 1.5 * noise:
-        told.append(
-            f"The best errors are mainly the load cell's noise, {noise:.2g} N: smaller differences tell nothing."
-        )
+        told.append(f"The best errors are mainly the load cell's noise, {noise:.2g} N: less than that tells nothing.")
     at.record.watch = list(dict.fromkeys([*at.record.watch, *told, *WATCH]))
     return " ".join([f"{adopted['name']} is the best{left_out}.", *told]).rstrip(".")
 
