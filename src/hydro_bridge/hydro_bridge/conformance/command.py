@@ -16,13 +16,7 @@ from typing import Any
 import msgspec
 import yaml
 
-from hydro_bridge.conformance.checks import (
-    CHECKS,
-    InconclusiveError,
-    NotReportedError,
-    ViolationError,
-    state_value,
-)
+from hydro_bridge.conformance.checks import CHECKS, InconclusiveError, NotReportedError, ViolationError, state_value
 from hydro_bridge.conformance.host import (
     READ_INTERVAL_MAX,
     VERBS,
@@ -168,8 +162,8 @@ def _force_limit_trip(host: Host) -> str:
     for state in host.states:
         if state.flags & wanted == wanted:
             limit = f"beyond its limit of {host.details.load_force_limit:g} N, {armed} samples after it was armed"
-            drift = "does a null shift of the valve drive the piston?"
-            return f"it tripped at {state_value(state, 'load_force'):.0f} N, {limit}: the rest was not tried; {drift}"
+            hint = "are sign and null of the valve right?"
+            return f"it tripped at {state_value(state, 'load_force'):.0f} N, {limit}: the rest was not tried; {hint}"
         armed += bool(state.flags & Flag.ARMED)
     return ""
 
