@@ -14,9 +14,9 @@ NONE_CHOSEN := 5
 SHARED_OUT := -n 3 --dist loadgroup --no-loadscope-reorder
 CORES := setup $(patsubst %/py.typed,%,$(wildcard src/hydro_*/hydro_*/py.typed))
 
-# A test's graph stays on this machine and apart from a bench that runs on the default domain.
+# Graphs stay on this machine, and apart from a bench that runs on the default domain (tests: tests/domains.py).
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
+bench fuzz: export ROS_DOMAIN_ID ?= 77
 # Tests and benchmarks have nodes of their own, which no keystore knows.
 test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 

@@ -28,17 +28,18 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if config.getoption("numprocesses", default=None):  # before the workers start, which take it over
         os.environ.setdefault("OMP_NUM_THREADS", "1")
-    if WORKER in os.environ:
-        domain = int(os.environ.get("ROS_DOMAIN_ID", "0")) + int(os.environ[WORKER].removeprefix("gw"))
-        os.environ["ROS_DOMAIN_ID"] = str(domain)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, lambda *_: None)
     os.environ.setdefault("HYDRO_DASHBOARD", "off")  # tests of the live page start their own
     with suppress(ModuleNotFoundError):  # nothing is built
         from hydro_bridge.ros.node import restrict_to_localhost
+        from tests.domains import own_domain
 
         restrict_to_localhost()
+        stack = ExitStack()
+        stack.enter_context(own_domain())
+        config.add_cleanup(stack.close)
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -101,6 +102,15 @@ class Machine:
 
 
 _MACHINE = Machine()
+
+
+@pytest.fixture
+def domain() -> Iterator[None]:
+    """One of the test's own, for what refuses to begin beside others."""
+    from tests.domains import own_domain
+
+    with own_domain():
+        yield
 
 
 @pytest.fixture

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 @pytest.fixture
 def probe() -> Iterator[Probe]:
     """A node that watches, in a domain of its own."""
-    from tests.graph_probe import Probe, own_domain
+    from tests.domains import own_domain
+    from tests.graph_probe import Probe
 
     with own_domain():
         watcher = Probe()
@@ -29,7 +30,7 @@ def probe() -> Iterator[Probe]:
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Defended]:
     """An emulator with its filter that can be attacked, in a domain of its own."""
     from tests.attacks import Defended
-    from tests.graph_probe import own_domain
+    from tests.domains import own_domain
 
     with own_domain(), ExitStack() as stack:
         yield Defended(tmp_path_factory.mktemp("graph"), stack)

@@ -8,10 +8,9 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -187,12 +186,3 @@ def _children(pid: int) -> list[int]:
 
 def _command_line(pid: int) -> str:
     return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
-
-
-def own_domain() -> AbstractContextManager[Any]:
-    """A ROS domain that no other test of this machine is likely to use, on this machine only.
-
-    Domains above 101 use ports that the kernel hands out to anybody.
-    """
-    domain = str(1 + os.getpid() % 100)
-    return patch.dict(os.environ, {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"})

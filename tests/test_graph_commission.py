@@ -29,7 +29,7 @@ from hydro_policy.nodes.site_runs import Site
 from hydro_sim.box.box import BoxConfig, box_info
 from hydro_sim.model.bench import Bench
 from hydro_sim.nodes import sim
-from tests.graph_probe import own_domain
+from tests.domains import own_domain
 
 BENCH = {"spring_stiffness": 3.5e4, "supply_pressure": 1.2e7, "piston_area": 2.6e-4}
 OVERLAP = 4e-4  # A

@@ -32,7 +32,8 @@ from hydro_msgs.msg import TrainingStatus
 from hydro_policy.nodes.training import check_run
 from hydro_policy.runs.run import Checkpoint, RunDirectory, load_checkpoint
 from tests.checks import ran
-from tests.graph_probe import SHORT, Probe, Trainer, own_domain, trainer
+from tests.domains import own_domain
+from tests.graph_probe import SHORT, Probe, Trainer, trainer
 
 pytestmark = [pytest.mark.graph, pytest.mark.realtime]
 

@@ -22,7 +22,8 @@ from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_policy.nodes.plant_options import PlantOptions
 from hydro_policy.nodes.plants import start_companions
 from hydro_policy.task.mdp import GainRange
-from tests.graph_probe import Probe, own_domain
+from tests.domains import own_domain
+from tests.graph_probe import Probe
 
 pytestmark = [pytest.mark.graph, pytest.mark.realtime]
 

@@ -25,7 +25,7 @@ from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.keys import enclave_name
 from hydro_bridge.ros.topics import FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
 from hydro_core.signals import STATE_DTYPE
-from tests.graph_probe import own_domain
+from tests.domains import own_domain
 
 pytestmark = pytest.mark.graph
 

@@ -23,7 +23,7 @@ import yaml
 
 from hydro_bridge.bags.recording import read_bag
 from tests.checks import ran
-from tests.graph_probe import own_domain
+from tests.domains import own_domain
 
 pytestmark = pytest.mark.graph
 

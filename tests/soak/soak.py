@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_core.process.endings import signals_ignored
-from tests.graph_probe import own_domain
+from tests.domains import own_domain
 from tests.soak.crew import Crew
 from tests.soak.faults import Fault
 from tests.soak.judge import Outcome, acting, growth, invariants, read

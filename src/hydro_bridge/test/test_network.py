@@ -28,10 +28,9 @@ pytestmark = [pytest.mark.graph, pytest.mark.xdist_group("graph")]
 def bridge(**environment: str) -> Iterator[subprocess.Popen[bytes]]:
     """A bridge without a port, once it has sockets; of the network it knows only what `environment` says."""
     inherited = {name: value for name, value in os.environ.items() if name not in (DISCOVERY_RANGE, FASTDDS_PROFILES)}
-    own = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **environment}
     process = subprocess.Popen(
         [str(executable_path("hydro_bridge", "bridge")), "--port", "/nowhere/port"],
-        env=inherited | own,
+        env=inherited | environment,
         stderr=subprocess.DEVNULL,
     )
     try:

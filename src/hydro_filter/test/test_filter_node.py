@@ -62,6 +62,7 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 from tests.changing_plant import modified_truth
 from tests.checks import wait
+from tests.domains import reserved_domain
 
 pytestmark = pytest.mark.graph
 
@@ -135,10 +136,9 @@ def started(start: Callable[..., Companion]) -> Iterator[Callable[..., Source]]:
 @pytest.fixture(scope="module")
 def domain_of_shared() -> Iterator[str]:
     """Domain of one filter for all tests that leave it as it was."""
-    domain = str(1 + (int(os.environ.get("ROS_DOMAIN_ID", "0")) + 50) % 100)
-    with patch.dict(os.environ, {"ROS_DOMAIN_ID": domain}):
-        companion = Companion("hydro_filter", "filter", [*PATIENT])
-    with companion:
+    with reserved_domain() as domain, ExitStack() as stack:
+        with patch.dict(os.environ, {"ROS_DOMAIN_ID": domain}):
+            stack.enter_context(Companion("hydro_filter", "filter", [*PATIENT]))
         yield domain
 
 

@@ -15,7 +15,8 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.topics import CORRECTION
 from hydro_core.signals import Flag
-from tests.graph_probe import Probe, own_domain
+from tests.domains import own_domain
+from tests.graph_probe import Probe
 
 pytestmark = pytest.mark.graph
 

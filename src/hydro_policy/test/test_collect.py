@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import io
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -30,12 +29,7 @@ from hydro_sim.model.bench import Bench
 from tests.checks import ran, wait
 from tests.graph_probe import Probe
 
-
-@pytest.fixture(autouse=True)
-def domain(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of its own: collect refuses to begin beside whatever other tests may have left on theirs."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + (os.getpid() + 50) % 100))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+pytestmark = pytest.mark.usefixtures("domain")
 
 
 def test_a_schedule_goes_on_behind_a_trip_and_ends_after_three_in_a_row() -> None:

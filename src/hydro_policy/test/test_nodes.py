@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import time
@@ -41,16 +40,14 @@ from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.model.bench import Bench
 from tests.checks import ran, wait
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("domain")]
 
 AT_ONCE = 0.5
 """s from arming to the first gains: a tick and a policy step are 0.06 s, the rest is for a busy machine."""
-ENVIRONMENT = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
-    own = {"env": os.environ | ENVIRONMENT, "stdin": subprocess.DEVNULL}
-    return ran(executable_path("hydro_policy", executable), *words, timeout=timeout, **own)
+    return ran(executable_path("hydro_policy", executable), *words, timeout=timeout, stdin=subprocess.DEVNULL)
 
 
 def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> None:
@@ -121,7 +118,7 @@ def test_an_interrupted_evaluation_is_resumed_at_the_trial_that_was_interrupted(
     words = ["--plant", "sim", "--law", "paper", "--frequencies", "1", "2", "--fixed", "60", "15"]
     short = ("--ros-args", "-p", "settle:=0.5", "-p", "measure:=20.0")
     command = [executable_path("hydro_policy", "evaluate"), *words, "--runs", str(tmp_path), "--name", "a", *short]
-    with subprocess.Popen(command, env=os.environ | ENVIRONMENT, stdin=subprocess.DEVNULL) as first:
+    with subprocess.Popen(command, stdin=subprocess.DEVNULL) as first:
         wait(lambda: folder.record.is_file() and '"trial"' in folder.record.read_text(), 100.0)
         first.send_signal(signal.SIGINT)
         assert first.wait(30.0) == 130
