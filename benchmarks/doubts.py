@@ -2,7 +2,7 @@
 """Each doubt of the diagnosis switched off, one at a time: what sealed cases, slow loggers and real rigs then say.
 
     python -m benchmarks.doubts --cases 40 --seed S --data FOLDER --json FILE
-    python -m benchmarks.doubts --only insignificant "searched+smallest" --parts clean=20 faint=24 outside=24
+    python -m benchmarks.doubts --only insignificant "searched+harmful" --parts clean=20 faint=24 outside=24
 
 A doubt withholds a name or a law that the search has found, or widens what is known of it. One that changes no figure
 here has no measured case. After Ctrl-C the same command goes on where it was.
@@ -64,7 +64,6 @@ DOUBTS: dict[str, tuple[str, str, Change]] = {
                    f"{_JUDGE}:NEARLY_ALL", _constant(0.0)),
     "insignificant": ("judge, and `sure laws`: an interval that includes absence",
                       f"{_INTERVALS}:_includes_neutral", _answer(False)),
-    "smallest": ("judge: a size below the smallest that matters", f"{_JUDGE}:is_significant", _answer(True)),
     "harmful": ("judge: a name that makes what was held out worse", f"{_JUDGE}:_most_harmful", _answer(None)),
     "noisy signal": ("interval: noise in the acceleration that a mass multiplies",
                      f"{_PROBLEM}:mass_attenuation", _answer(0.0)),
@@ -84,8 +83,6 @@ DOUBTS: dict[str, tuple[str, str, Change]] = {
     "forms": ("interval: another form of a law that fits as well",
               "effects.dynamics:Stribeck.other_forms", _constant(())),
     "sure laws": ("laws: an interval that includes absence", f"{_NAMING}:all_exclude_neutral", _answer(True)),
-    "names beside laws": ("laws: a name beside them that makes what was held out worse",
-                          f"{_NAMING}:without_harmful_names", lambda old: lambda closed, holdout: closed),
     "harmless laws": ("laws: an error of what was held out that becomes larger",
                       "closure.admission:harmless", _answer(True)),
     "small laws": ("laws: less than a twentieth of the gap of what was held out",

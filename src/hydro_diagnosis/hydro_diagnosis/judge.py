@@ -18,7 +18,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import Fit, fit, without_one
-from hydro_diagnosis.estimation.intervals import Interval, is_significant, without_insignificant
+from hydro_diagnosis.estimation.intervals import Interval, without_insignificant
 from hydro_diagnosis.estimation.problem import NOTICEABLE, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
 from hydro_diagnosis.selection.search import SearchSettings
@@ -61,7 +61,7 @@ def judged(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tupl
             trusted = tuple(claim for claim in found.claims if claim.effect.label not in suspects)
             found = fit(problem, trusted) if suspects else found
         found, bounds = without_insignificant(problem, found)
-        named = [one for one in found.claims if one.effect.named and (one.effect.estimated or is_significant(one))]
+        named = [one for one in found.claims if one.effect.named]
         ids = {one.effect.id for one in named}
         named = [one for one in named if set(one.effect.needs) <= ids]
         if len(named) < len(found.claims):

@@ -1,44 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Admission of a closure: simulated forward on held-out recordings, it must make no channel worse.
-
-Names beside laws that leave something are judged on the held-out recordings, too: where a law of the wrong form leaves
-something, a name may take a part of it in the fitted recordings alone.
-"""
+"""Admission of a closure: simulated forward on held-out recordings, it must make no channel worse."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from hydro_diagnosis.closure.selection import ClosureFit
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure, is_closure
-from hydro_diagnosis.estimation.fit import by_claim, fit, holdout_gain
+from hydro_diagnosis.estimation.fit import by_claim
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.validation import Known, held_out
 from hydro_sim.model.laws import Law
-
-HARMFUL_SHARE = 0.01
-"""Share of what all claims explain of the held-out residual's square, by which it is smaller without a name."""
-
-
-def without_harmful_names(closed: ClosureFit, holdout: Problem) -> ClosureFit:
-    """The model without names that make the held-out residual larger, the worst first; as it is if nothing remains."""
-    problem = closed.problem
-    while problem.noticeable(closed.fit.residual):
-        names = [claim for claim in closed.fit.removable if not is_closure(claim.effect)]
-        fewer = [fit(problem, closed.fit.but(claim)) for claim in names]
-        gains = [holdout_gain(holdout, one, closed.fit) for one in fewer]
-        if not gains or min(gains) >= -HARMFUL_SHARE:
-            break
-        closed = replace(closed, fit=fewer[int(np.argmin(gains))])
-    return closed
-
 
 WORSE_RATIO = 1.02
 """Ratio to the error of the names alone above which a channel counts as worse: windows are few."""

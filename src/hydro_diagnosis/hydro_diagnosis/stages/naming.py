@@ -15,7 +15,7 @@ import numpy as np
 
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import can_simulate
-from hydro_diagnosis.closure.admission import admitted, reports, without_harmful_names
+from hydro_diagnosis.closure.admission import admitted, reports
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.curve_claims import CurveClaims, read_off
 from hydro_diagnosis.curves import ForceCurve, Motion, motions
@@ -153,7 +153,7 @@ def _next_recording(found: StageResult) -> dict[str, Any] | None:
 def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult | None:
     """Names and the first model without a name that is admitted; None where none is."""
     problem, holdout = names.problem, names.holdout
-    candidates = (without_harmful_names(one, holdout) for one in closures(problem, names.assessment.fit, library))
+    candidates = closures(problem, names.assessment.fit, library)
     found = admitted(problem, holdout, candidates, names.proof, names.simulated)
     bounds = intervals(found.closed.problem, found.closed.fit) if found else []
     if not found or not all_exclude_neutral(found.closed.fit.claims, bounds):
