@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Four Soft Actor-Critics behind one face, with the paper's sizes and values: ours, stable-baselines3, SBX, skrl.
 
-`train`: so many environment steps, an update after each from `WARMUP` on, for ours from the product's `learning_starts`
-on; `update`: so many updates from what is in the buffer; `act`: the mean action. The task is `hydro_policy.env`: one
-bench on the learned model.
+`train`: so many environment steps, an update after each from `STARTS` on, the product's `learning_starts`; `update`: so
+many updates from what is in the buffer; `act`: the mean action. The task is `hydro_policy.env`: one bench on the
+learned model.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac
 from hydro_policy.sac.settings import SacSettings
 
-WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
+STARTS, CAPACITY, HIDDEN = TrainingSettings().learning_starts, 100_000, (32, 32)
 REWARD_SCALE = 0.02
 """As `SacSettings.reward_scale`; here in the environment, so that every learner sees the same rewards."""
 
@@ -52,7 +52,7 @@ class Ours:
             row: FloatArray = np.concatenate((observation, following, action, (reward, float(terminated))))
             self.replay.extend(row[np.newaxis].astype(np.float32))
             observation = environment.reset()[0] if terminated or over else following
-            if step >= TrainingSettings().learning_starts:
+            if step >= STARTS:
                 self.sac.learn(self.replay, 1)
                 self.policy.load_flat(self.sac.actor_parameters())
 
@@ -79,7 +79,7 @@ class Baselines:
     def train(self, environment: gymnasium.Env[Any, Any], steps: int) -> None:
         if self._model is None:
             self._model = self._kind(
-                "MlpPolicy", environment, learning_rate=1e-3, buffer_size=CAPACITY, learning_starts=WARMUP,
+                "MlpPolicy", environment, learning_rate=1e-3, buffer_size=CAPACITY, learning_starts=STARTS,
                 batch_size=self._batch, tau=0.005, gamma=0.99, train_freq=1, gradient_steps=1, ent_coef="auto_0.005",
                 target_entropy=-2.0, policy_kwargs=self._options, seed=self._seed, verbose=0,
                 **({"device": "cpu"} if "activation_fn" in self._options else {}),
@@ -158,7 +158,7 @@ def _skrl_agent(wrapped: Any, batch: int) -> Any:
 
     names = ("critic_1", "critic_2", "target_critic_1", "target_critic_2")
     cfg = SAC_CFG(
-        batch_size=batch, learning_starts=WARMUP, initial_entropy_value=0.005, target_entropy=-2.0,
+        batch_size=batch, learning_starts=STARTS, initial_entropy_value=0.005, target_entropy=-2.0,
         experiment={"write_interval": 0, "checkpoint_interval": 0},
     )  # type: ignore[arg-type] # fmt: skip
     memory = RandomMemory(memory_size=CAPACITY, num_envs=1, device="cpu")

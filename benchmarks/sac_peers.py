@@ -88,13 +88,13 @@ def makers(batch: int, seed: int) -> dict[str, Callable[[], Any]]:
 
 def compare(table: Table, batch: int, steps: int, seed: int) -> None:
     """Rows of one batch size and seed."""
-    from benchmarks._sac_learners import WARMUP, force_control
+    from benchmarks._sac_learners import STARTS, force_control
 
     made = makers(batch, seed)
     learners = {name: make() for name, make in made.items()}
     rates: dict[str, float] = {}
     for name in progress(list(learners), label=f"batch {batch}", unit="learner"):
-        learners[name].train(force_control(seed), WARMUP + 20)  # compiles; counted by nobody
+        learners[name].train(force_control(seed), STARTS + 20)  # compiles; counted by nobody
         learners[name].update(1)
         learners[name] = made[name]()
         begin = time.perf_counter()

@@ -109,7 +109,7 @@ def deployed(name: str, steps: int, folder: Path, monkeypatch: pytest.MonkeyPatc
 def test_policy_of_another_library_is_trained_and_deployed(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deployed(name, 600, tmp_path, monkeypatch)
+    deployed(name, 2_000, tmp_path, monkeypatch)  # of which the first 1800 are an episode without updates
 
 
 @pytest.mark.study
