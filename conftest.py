@@ -7,7 +7,7 @@ import fcntl
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
@@ -32,14 +32,16 @@ def pytest_configure(config: pytest.Config) -> None:
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, lambda *_: None)
     os.environ.setdefault("HYDRO_DASHBOARD", "off")  # tests of the live page start their own
-    with suppress(ModuleNotFoundError):  # nothing is built
+    try:
         from hydro_bridge.ros.node import restrict_to_localhost
-        from tests.domains import own_domain
+    except ModuleNotFoundError:  # nothing is built: no test has a graph
+        return
+    from tests.domains import own_domain
 
-        restrict_to_localhost()
-        stack = ExitStack()
-        stack.enter_context(own_domain())
-        config.add_cleanup(stack.close)
+    restrict_to_localhost()
+    stack = ExitStack()
+    stack.enter_context(own_domain())
+    config.add_cleanup(stack.close)
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

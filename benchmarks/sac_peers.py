@@ -61,7 +61,7 @@ def main() -> None:
         "batch": "transitions per update", "seed": "", "learner": "",
         "updates_per_second": f"median of {ROUNDS} turns of {UPDATES} updates",
         "ours_over_it": "our updates per second over its",
-        "steps_per_second": f"environment steps per second of a training of {asked.steps} steps, an update each",
+        "steps_per_second": f"environment steps per second of {asked.steps} steps, an update in each that learns",
         "final_return": RETURN,
     }  # fmt: skip
     table = Table(columns, title="Soft Actor-Critic: 13 observations, 2 actions, 2 x 32 ReLU, one core")

@@ -145,13 +145,13 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(training: Tr
 
 
 def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Training) -> None:
-    probe = training.probe
+    probe, told = training.probe, len(training.process.text)
     (training.run.path / "emulator_control").write_text("unplug 1.5\n")
     probe.wait(lambda: training.phase() == TrainingStatus.PAUSED, 5.0)
     paused = time.time()
     # Beside other work what waited to be heard may end in samples of a box that has tripped: that is seen first.
     why = re.compile("paused in episode .*: (no samples|tripped|disarmed)")
-    probe.wait(lambda: why.search(training.process.text), 5.0)
+    probe.wait(lambda: why.search(training.process.text, told), 5.0)
     # Samples from before may still wait to be heard: a sample's stamp tells.
     back = probe.wait_for(STATE, lambda state: seconds(state.header.stamp) > paused, 15.0)
     assert not back.flags & Flag.ARMED, "after the replug the box waits to be armed"
