@@ -53,6 +53,7 @@ class Training:
 
     def begin(self, stack: ExitStack, *words: str) -> Trainer:
         """Start, and wait until it learns."""
+        self.probe.spin(0.5)  # what still waits to be heard is of the training before
         self.probe.forget()
         self.process = stack.enter_context(trainer("--plant", "emulator", "--pace", "real", *words))
         self.probe.wait(self.learns, 150.0)
