@@ -17,6 +17,8 @@ CORES := setup $(patsubst %/py.typed,%,$(wildcard src/hydro_*/hydro_*/py.typed))
 # Graphs stay on this machine, and apart from a bench that runs on the default domain (tests: tests/domains.py).
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 bench fuzz: export ROS_DOMAIN_ID ?= 77
+# Hundreds of processes start here: each would compile every module again.
+unexport PYTHONDONTWRITEBYTECODE
 # Tests and benchmarks have nodes of their own, which no keystore knows.
 test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 

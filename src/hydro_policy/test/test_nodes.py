@@ -116,7 +116,7 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
 def test_an_interrupted_evaluation_is_resumed_at_the_trial_that_was_interrupted(tmp_path: Path) -> None:
     folder = RunDirectory(tmp_path / "a")
     words = ["--plant", "sim", "--law", "paper", "--frequencies", "1", "2", "--fixed", "60", "15"]
-    short = ("--ros-args", "-p", "settle:=0.5", "-p", "measure:=20.0")
+    short = ("--ros-args", "-p", "settle:=0.5", "-p", "measure:=8.0")
     command = [executable_path("hydro_policy", "evaluate"), *words, "--runs", str(tmp_path), "--name", "a", *short]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL) as first:
         wait(lambda: folder.record.is_file() and '"trial"' in folder.record.read_text(), 100.0)
