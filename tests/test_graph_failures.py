@@ -242,18 +242,16 @@ def test_a_disk_that_takes_no_checkpoint_ends_the_training_with_the_one_before(t
         training.probe.wait(lambda: modified(run.latest) > stamp, 60.0)  # of the first episode, whole by then
         before = training.checkpoint().produced
         obstacle = run.latest.with_name("latest.partial")
+        stack.callback(obstacle.unlink, missing_ok=True)
         while not obstacle.is_file():  # in the way of the next one, once none is being written
             with suppress(OSError):
                 obstacle.touch()
         training.probe.forget()
-        moment = time.time()
-        training.probe.wait(lambda: bool(training.probe.heard[STATE]) and not training.probe.flags() & Flag.ARMED, 10.0)
-        assert training.disarmed_after(moment) < 10.0
-        assert process.process.wait(40.0) == 2
+        training.probe.wait(lambda: bool(training.probe.heard[STATE]) and not training.probe.flags() & Flag.ARMED, 90.0)
+        assert process.process.wait(90.0) == 2
     said = [line for line in process.text.splitlines() if line.startswith("error: ")]
     assert len(said) == 1 and "no checkpoint can be written" in said[0] and f"--resume {run.path}" in said[0]
     assert "Traceback" not in process.text and 'File "' not in process.text
-    obstacle.unlink()
     second = training.checkpoint()
     assert second.produced >= before > first.produced
     assert second.trainer["progress"]["history"][: first.trainer["episode"]] == first.trainer["progress"]["history"]
