@@ -48,6 +48,20 @@ REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
     ({"effect": {}}, "truth.effect is not a known setting; did you mean effects?"),
     ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be within [0, 1e-10] m3/s/Pa, not -1"),
     ({"effects": {"load_cell_gain": [{"ratio": 1.1}, {"ratio": 1.2}]}}, "names the same cell twice"),
+    (
+        {"effects": {"end_cushion": [{"position": 0.06, "stiffness": 1e3}, {"position": 0.07, "stiffness": 1e3}]}},
+        "one for each end",
+    ),
+    (
+        {
+            "effects": {
+                "end_cushion": [
+                    {"position": p, "stiffness": 1e3, "form": f} for p, f in ((0.01, "linear"), (0.07, "quadratic"))
+                ]
+            }
+        },
+        "both of one form",
+    ),
     ({"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}}, "give friction_coulomb form"),
     ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
     ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),

@@ -9,16 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml, unknown_key
-from hydro_sim.emulator.truth.effects import (
-    Effects,
-    FrictionCoulomb,
-    FrictionPresliding,
-    FrictionStribeck,
-    LeakageInternal,
-    SensorLag,
-    UnnamedEffects,
-    ValveLag,
-)
+from hydro_sim.emulator.truth import effects as kinds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +57,8 @@ class TruthConfig:
 
     bench: TruthBench = field(default_factory=TruthBench)
     sensors: TruthSensors = field(default_factory=TruthSensors)
-    effects: Effects = field(default_factory=Effects)
-    outside: UnnamedEffects = field(default_factory=UnnamedEffects)
+    effects: kinds.Effects = field(default_factory=kinds.Effects)
+    outside: kinds.UnnamedEffects = field(default_factory=kinds.UnnamedEffects)
 
 
 def profile(name: str) -> TruthConfig:
@@ -76,16 +67,15 @@ def profile(name: str) -> TruthConfig:
         return TruthConfig()
     if name != "default":
         raise SettingsError(f"profile must be nominal or default, not {name!r}")
-    return TruthConfig(
-        effects=Effects(
-            valve_lag=ValveLag(bandwidth=110.0, damping=1.2, rate_limit=6.0),
-            friction_coulomb=FrictionCoulomb(force=12.0, form="lugre"),
-            friction_stribeck=FrictionStribeck(breakaway_force=5.0, velocity=0.01),
-            friction_presliding=FrictionPresliding(stiffness=5e5),
-            leakage_internal=LeakageInternal(coefficient=1e-13),
-            sensor_lag=(SensorLag(sensor="load_force", bandwidth=25.0, damping=0.55),),
-        )
+    effects = kinds.Effects(
+        valve_lag=kinds.ValveLag(bandwidth=110.0, damping=1.2, rate_limit=6.0),
+        friction_coulomb=kinds.FrictionCoulomb(force=12.0, form="lugre"),
+        friction_stribeck=kinds.FrictionStribeck(breakaway_force=5.0, velocity=0.01),
+        friction_presliding=kinds.FrictionPresliding(stiffness=5e5),
+        leakage_internal=kinds.LeakageInternal(coefficient=1e-13),
+        sensor_lag=(kinds.SensorLag(sensor="load_force", bandwidth=25.0, damping=0.55),),
     )
+    return TruthConfig(effects=effects)
 
 
 def truth_from_mapping(data: Mapping[str, Any], where: str = "truth", bench: TruthBench | None = None) -> TruthConfig:
@@ -134,16 +124,14 @@ def check_truth(config: TruthConfig) -> TruthConfig:
     if added is not None and config.bench.moving_mass + added.mass < 0.05:
         raise SettingsError("effects.moving_mass takes away all of the moving mass")
     for name, key in (
-        ("leakage_external", "chamber"),
-        ("load_cell_gain", "cell"),
-        ("load_cell_bias", "cell"),
-        ("pressure_sensor_bias", "chamber"),
-        ("sensor_lag", "sensor"),
-        ("dead_volume", "chamber"),
-    ):
+        ("leakage_external", "chamber"), ("load_cell_gain", "cell"), ("load_cell_bias", "cell"),
+        ("pressure_sensor_bias", "chamber"), ("sensor_lag", "sensor"), ("dead_volume", "chamber"),
+    ):  # fmt: skip
         places = [getattr(item, key) for item in getattr(config.effects, name)]
         if len(places) != len(set(places)):
             raise SettingsError(f"effects.{name} names the same {key} twice")
-    if len(config.effects.end_cushion) > 2:
-        raise SettingsError("effects.end_cushion takes at most two, one for each end")
+    cushions = config.effects.end_cushion
+    ends = {cushion.position > 0.5 * config.bench.stroke for cushion in cushions}
+    if len(ends) < len(cushions) or len({cushion.form for cushion in cushions}) > 1:
+        raise SettingsError("effects.end_cushion takes one for each end, both of one form")
     return config
