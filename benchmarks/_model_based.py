@@ -196,12 +196,12 @@ def foreseen(bench: Bench, cases: Sequence[Case], settings: EvaluationSettings, 
     return force
 
 
-def oracle(fleet: VectorBench, cases: Sequence[Case], settings: EvaluationSettings, runs: int = RUNS) -> Oracle:
+def oracle(fleet: VectorBench, cases: Sequence[Case], settings: EvaluationSettings) -> Oracle:
     """What runs on the truth itself teach, each with other noise than the one that is measured."""
     found = Compensator(len(cases))
     run(fleet, cases, settings, 1, found)
     known = Oracle(cases, found)
-    for seed in range(2, 2 + runs):
+    for seed in range(2, 2 + RUNS):
         run(fleet, cases, settings, seed, known)
         known.learn()
     return known

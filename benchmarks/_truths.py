@@ -89,8 +89,9 @@ def truth_fleet(truths: Sequence[TruthConfig]) -> VectorBench:
     return VectorBench([Bench.nominal()] * len(truths), [TruthPlant(one) for one in truths])
 
 
-def drawn(generator: np.random.Generator) -> dict[str, Any]:
-    """Contents of one truth file."""
+def drawn_truths(count: int, seed: int) -> dict[str, dict[str, Any]]:
+    """Contents of so many truth files, by their names."""
+    generator = np.random.default_rng(seed)
 
     def even(low: float, high: float) -> float:
         return float(generator.uniform(low, high))
@@ -98,30 +99,27 @@ def drawn(generator: np.random.Generator) -> dict[str, Any]:
     def by_ratio(low: float, high: float) -> float:
         return math.exp(even(math.log(low), math.log(high)))
 
-    effects: dict[str, Any] = {
-        "spring_stiffness": {"ratio": by_ratio(0.5, 2.5)},
-        "supply_pressure": {"ratio": even(0.65, 1.05)},
-        "valve_gain": {"ratio": by_ratio(0.75, 1.25)},
-        "leakage_internal": {"coefficient": by_ratio(2e-14, 1e-12)},
-        "friction_coulomb": {"form": "lugre", "force": by_ratio(3.0, 45.0)},
-        "friction_stribeck": {"breakaway_force": even(0.0, 15.0)},
-        "valve_lag": {"bandwidth": by_ratio(60.0, 200.0), "damping": even(0.6, 1.0), "rate_limit": 3.0},
-        "sensor_lag": {"bandwidth": by_ratio(15.0, 40.0), "damping": even(0.5, 0.9)},
-        "moving_mass": {"mass": even(-0.4, 3.0)},
-    }
-    if generator.random() < 0.5:
-        effects["valve_deadband"] = {"half_width": even(0.0, 8e-4)}
-    if generator.random() < 0.5:
-        effects["valve_gain_asymmetry"] = {"ratio": by_ratio(0.8, 1.25)}
-    if generator.random() < 0.3:
-        effects["entrained_air"] = {"volume_fraction": even(0.0, 0.01)}
-    return {"profile": "default", "effects": effects}
-
-
-def drawn_truths(count: int, seed: int) -> dict[str, dict[str, Any]]:
-    """Contents of so many truth files, by their names."""
-    generator = np.random.default_rng(seed)
-    return {f"truth_{number:03d}": drawn(generator) for number in range(count)}
+    drawn = {}
+    for number in range(count):
+        effects: dict[str, Any] = {
+            "spring_stiffness": {"ratio": by_ratio(0.5, 2.5)},
+            "supply_pressure": {"ratio": even(0.65, 1.05)},
+            "valve_gain": {"ratio": by_ratio(0.75, 1.25)},
+            "leakage_internal": {"coefficient": by_ratio(2e-14, 1e-12)},
+            "friction_coulomb": {"form": "lugre", "force": by_ratio(3.0, 45.0)},
+            "friction_stribeck": {"breakaway_force": even(0.0, 15.0)},
+            "valve_lag": {"bandwidth": by_ratio(60.0, 200.0), "damping": even(0.6, 1.0), "rate_limit": 3.0},
+            "sensor_lag": {"bandwidth": by_ratio(15.0, 40.0), "damping": even(0.5, 0.9)},
+            "moving_mass": {"mass": even(-0.4, 3.0)},
+        }
+        if generator.random() < 0.5:
+            effects["valve_deadband"] = {"half_width": even(0.0, 8e-4)}
+        if generator.random() < 0.5:
+            effects["valve_gain_asymmetry"] = {"ratio": by_ratio(0.8, 1.25)}
+        if generator.random() < 0.3:
+            effects["entrained_air"] = {"volume_fraction": even(0.0, 0.01)}
+        drawn[f"truth_{number:03d}"] = {"profile": "default", "effects": effects}
+    return drawn
 
 
 def tracked(

@@ -112,7 +112,7 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
     count = len(cases)
     if name.endswith("_fixed"):
         gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
-        return measure(config, cases, held(gains))
+        return measure(config, cases, vector_runs.fixed(np.array(gains)))
     if name == "policy":
         shipped = load_initial_agent(SHIPPED)
         policy = policy_of(actor_parameters(shipped.agent), shipped)
@@ -150,17 +150,12 @@ def load_cell(config: TruthConfig) -> LoadCell | None:
     return None if bandwidth is None else LoadCell(bandwidth=bandwidth, damping=config.bench.load_cell_damping)
 
 
-def held(gains: tuple[float, float]) -> Chooser:
-    """Fixed gains (K_p, K_i) of the paper's law."""
-    return vector_runs.fixed(np.array(gains))
-
-
 def best_gains(config: TruthConfig) -> tuple[float, float]:
     """The best pair of `evaluate --grid` on this truth, its runs shortened."""
     search = GridSearch(GRID)
     while (pair := search.next()) is not None:
-        fleet = truth_fleet([config] * len(SHORT.cases))
-        search.tell(pair, vector_runs.rmse(fleet, SHORT.cases, held(pair), SHORT).tolist())
+        fleet, gains = truth_fleet([config] * len(SHORT.cases)), vector_runs.fixed(np.array(pair))
+        search.tell(pair, vector_runs.rmse(fleet, SHORT.cases, gains, SHORT).tolist())
     return search.best
 
 

@@ -49,7 +49,7 @@ def main() -> None:
     print(f"proved at {asked.rate:g} 1/s in {statement.facts['seconds']:g} s of CPU; tubes {tubes} N")
     for force in (1.0 / 3.0, 2.0 / 3.0, 1.0):
         run = simulate_states(model, bench, wanted, force * model.size.force, asked.gains[-1], seed=7)
-        print(f"{force * model.size.force:.0f} N: {100.0 * containment_share(statement.states, run)[0]:.1f} % inside")
+        print(f"{force * model.size.force:.0f} N: {100.0 * containment_share(statement.states, run):.1f} % inside")
     if asked.out:
         statement.save(asked.out)
 

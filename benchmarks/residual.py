@@ -61,8 +61,8 @@ REFERENCES = {
     "steps": _signal(Waveform.SMOOTH_STEP, 150.0, 0.4, 40.0, 0.0),
     "steps, fast": _signal(Waveform.SMOOTH_STEP, 120.0, 0.75, 0.0, 0.0),
 }
-BENCHES = 240
-"""New ones in each round of the training."""
+ROUNDS, BENCHES = 5, 240
+"""Of the training; new benches in each."""
 LATENCY = 5
 """Samples from a decision to where it acts: what recordings of the graph on the emulator show in 97 % of the steps."""
 EVERY = 8
@@ -181,12 +181,12 @@ def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
     return Network(mean.astype(float), spread.astype(float), layers)
 
 
-def train(path: Path, steps: int, seed: int, rounds: int = 5, *, yields: bool = False) -> None:
+def train(path: Path, steps: int, seed: int, *, yields: bool = False) -> None:
     """Train in rounds, each on the benches of all rounds so far; `yields`: every second bench's load does."""
     generator = np.random.default_rng(seed)
     runs: list[Run] = []
     network: Network | None = None
-    for number in progress(range(rounds), total=rounds, label="rounds", unit="round"):
+    for number in progress(range(ROUNDS), total=ROUNDS, label="rounds", unit="round"):
         truths = drawn_truths(BENCHES * (2 if number == 0 else 1), seed + 100 * (number + 1))
         contents = list(truths.values())
         if yields:

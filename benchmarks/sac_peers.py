@@ -100,7 +100,15 @@ def compare(table: Table, batch: int, steps: int, seed: int) -> None:
         begin = time.perf_counter()
         learners[name].train(force_control(seed), steps)
         rates[name] = steps / (time.perf_counter() - begin)
-    timed = updates_per_second(learners)
+    # medians over rounds in which the learners take turns: what else the machine does meets all alike
+    seconds: dict[str, list[float]] = {name: [] for name in learners}
+    for turn in range(ROUNDS + 1):
+        for name, learner in learners.items():
+            begin = time.perf_counter()
+            learner.update(UPDATES)
+            if turn:  # the first compiles for this number of updates
+                seconds[name].append(time.perf_counter() - begin)
+    timed = {name: UPDATES / float(np.median(values)) for name, values in seconds.items()}
     for name, learner in learners.items():
         table.add(
             batch=batch, seed=seed, learner=name, updates_per_second=round(timed[name]),
@@ -162,18 +170,6 @@ def summarise(by_seed: list[dict[str, float]], seeds: list[int]) -> None:
             best=sum(max(row, key=row.__getitem__) == name for row in by_seed),
         )  # fmt: skip
     table.show()
-
-
-def updates_per_second(learners: dict[str, Any]) -> dict[str, float]:
-    """Medians over rounds in which the learners take turns: what else the machine does meets all alike."""
-    seconds: dict[str, list[float]] = {name: [] for name in learners}
-    for turn in range(ROUNDS + 1):
-        for name, learner in learners.items():
-            begin = time.perf_counter()
-            learner.update(UPDATES)
-            if turn:  # the first compiles for this number of updates
-                seconds[name].append(time.perf_counter() - begin)
-    return {name: UPDATES / float(np.median(values)) for name, values in seconds.items()}
 
 
 def examine(learner: Any) -> float:

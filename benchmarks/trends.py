@@ -97,7 +97,8 @@ def watched(kind: str, worn: str, begin: int, seed: int, every: int) -> dict[str
     for series in drawn(kind, worn, begin, seed):
         known = 0
         for day in range(every, DAYS, every):
-            found = course(*(one[series.time <= day] for one in series.arrays))
+            seen = series.time <= day
+            found = course(series.time[seen], series.value[seen], series.sd[seen], series.bound[seen])
             if found is None:
                 continue
             if found.findings > known:
@@ -152,21 +153,6 @@ MEANINGS = {
 }  # fmt: skip
 
 
-def simulated(benches: int, seed: int, every: int, **where: Any) -> Table:
-    """The table over drawn benches of all kinds."""
-    rng, cases = np.random.default_rng(seed), {}
-    for kind in (*KINDS, *CALM):
-        for k in range(benches):
-            worn, begin = list(NUMBERS)[k % len(NUMBERS)], int(rng.integers(90, 180))
-            cases[f"{kind} {k}"] = (kind, worn, begin, int(rng.integers(2**31)), every)
-    found = jobs.run_all(watched, cases, **where, label="benches", unit="bench")
-    table = Table(MEANINGS)
-    for kind in (*KINDS, *CALM):
-        names = [name for name in cases if cases[name][0] == kind]
-        table.add(**about(kind, [cases[name][2] for name in names], [found[name] for name in names]))
-    return table
-
-
 @command(ValueError, OSError)
 def main() -> None:
     """Draw, look, print the table."""
@@ -175,7 +161,17 @@ def main() -> None:
     options.add_argument("--every", type=int, default=3, metavar="DAYS", help="between looks (default: 3)")
     options.add_argument("--seed", type=int, default=1)
     asked = options.parse_args()
-    simulated(asked.benches, asked.seed, asked.every, **jobs.job_options(asked)).show(asked.json)
+    rng, cases = np.random.default_rng(asked.seed), {}
+    for kind in (*KINDS, *CALM):
+        for k in range(asked.benches):
+            worn, begin = list(NUMBERS)[k % len(NUMBERS)], int(rng.integers(90, 180))
+            cases[f"{kind} {k}"] = (kind, worn, begin, int(rng.integers(2**31)), asked.every)
+    found = jobs.run_all(watched, cases, **jobs.job_options(asked), label="benches", unit="bench")
+    table = Table(MEANINGS)
+    for kind in (*KINDS, *CALM):
+        names = [name for name in cases if cases[name][0] == kind]
+        table.add(**about(kind, [cases[name][2] for name in names], [found[name] for name in names]))
+    table.show(asked.json)
 
 
 if __name__ == "__main__":

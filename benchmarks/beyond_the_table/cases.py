@@ -116,7 +116,8 @@ def drawn(half: str, count: int, seed: int, kinds: list[str] | None = None) -> l
     place = 0
     while len(cases) < count:
         if len(cases) % (CLEAN_EVERY + 1) == CLEAN_EVERY:
-            cases.append(_clean(len(cases) // (CLEAN_EVERY + 1), half, seed))
+            name = f"clean_{half}_{len(cases) // (CLEAN_EVERY + 1)}"
+            cases.append(Case(name, None, seed=int(_random(name, seed).integers(1 << 30))))
             continue
         cases.append(_outside(chosen[place % len(chosen)], place // len(chosen), seed))
         place += 1
@@ -139,11 +140,6 @@ def named_causes() -> dict[str, tuple[Values, dict[str, Values]]]:
 
 def _random(name: str, seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(name.encode())])
-
-
-def _clean(number: int, half: str, seed: int) -> Case:
-    name = f"clean_{half}_{number}"
-    return Case(name, None, seed=int(_random(name, seed).integers(1 << 30)))
 
 
 def _outside(kind: Kind, around: int, seed: int) -> Case:

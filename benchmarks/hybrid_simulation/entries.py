@@ -179,17 +179,10 @@ def _held(derivatives: FloatArray) -> tuple[float, ...]:
 
 
 def _series(
-    begin: tuple[float, ...],
-    *,
-    order: int = 4,
-    terms: int = 0,
-    window: float = 0.0,
-    threshold: float = 0.0,
-    least: tuple[float, ...] = (-math.inf,) * TERMS,
-    most: tuple[float, ...] = (math.inf,) * TERMS,
-    rate: tuple[float, ...] = (math.inf,) * TERMS,
-    gains: tuple[float, ...] = (0.0,) * TERMS,
-) -> Series:
+    begin: tuple[float, ...], *, order: int = 4, terms: int = 0, window: float = 0.0, threshold: float = 0.0,
+    least: tuple[float, ...] = (-math.inf,) * TERMS, most: tuple[float, ...] = (math.inf,) * TERMS,
+    rate: tuple[float, ...] = (math.inf,) * TERMS, gains: tuple[float, ...] = (0.0,) * TERMS,
+) -> Series:  # fmt: skip
     sections = butter(order, CUT_OFF, fs=SAMPLING, output="sos")
     rows = np.zeros((max(round(window * SAMPLING / EVERY), 1), TERMS + 1))
     return Series(

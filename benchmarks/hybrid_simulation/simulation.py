@@ -8,28 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hybrid_simulation import entries
+from benchmarks.hybrid_simulation import entries, plant
 from benchmarks.hybrid_simulation.criteria import CRITERIA, criteria
 from benchmarks.hybrid_simulation.entries import ACTS, BOX, BOX_EVERY, Entry
 from benchmarks.hybrid_simulation.motions import STEP
-from benchmarks.hybrid_simulation.plant import (
-    FLOORS,
-    FORCE,
-    HYSTERESIS,
-    POSITION,
-    STATES,
-    Actuator,
-    Specimen,
-    V,
-    X,
-    acting_force,
-    floor_rates,
-    hysteresis_rate,
-    numerical_substructure,
-    plant_rates,
-    reference_structure,
-    spring_force,
-)  # fmt: skip
+from benchmarks.hybrid_simulation.plant import Actuator, Specimen
 from hydro_core.signals import SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
@@ -73,14 +56,14 @@ def run(
     rng
         Of the sensors' noise.
     """
-    entry, structure = entries.entry(name, actuator, specimen), numerical_substructure(number, specimen)
+    entry, structure = entries.entry(name, actuator, specimen), plant.numerical_substructure(number, specimen)
     count = len(ground) // 2
     noise = rng.standard_normal((count, 2)) * NOISE
-    state, records = np.zeros(STATES), np.zeros((count, FLOORS + 3))
+    state, records = np.zeros(plant.STATES), np.zeros((count, plant.FLOORS + 3))
     parts = structure, actuator, specimen, entry, ground, noise, state, records
     stable = _advance(*parts, 0, count) if entry.kind != BOX else _adapted(_law(name), entry, parts)
-    return Run(simulated=records[:, :FLOORS], true=records[:, FLOORS], measured=records[:, FLOORS + 1],
-               stable=bool(stable))  # fmt: skip
+    return Run(simulated=records[:, :plant.FLOORS], true=records[:, plant.FLOORS],
+               measured=records[:, plant.FLOORS + 1], stable=bool(stable))  # fmt: skip
 
 
 def _law(name: str) -> AdaptedLaw:
@@ -106,7 +89,7 @@ def _adapted(law: AdaptedLaw, entry: Entry, parts: tuple[Any, ...]) -> bool:
 
 def reference_response(number: int, specimen: Specimen, ground: FloatArray) -> FloatArray:
     """Return x_r [m] of the whole building with its specimen, shape (n, 3), for `ground` as in `run`."""
-    return _respond(reference_structure(number, specimen), specimen, ground)
+    return _respond(plant.reference_structure(number, specimen), specimen, ground)
 
 
 def scores(outcome: Run, reference: FloatArray) -> dict[str, Any]:
@@ -121,25 +104,25 @@ def scores(outcome: Run, reference: FloatArray) -> dict[str, Any]:
 @njit
 def _advance(structure, actuator, specimen, entry, ground, noise, state, records, first, last):
     """Samples from `first` to before `last`; False: the target is beyond `LOST`, or no number."""
-    slopes, point = np.empty((4, STATES)), np.empty(STATES)
+    slopes, point = np.empty((4, plant.STATES)), np.empty(plant.STATES)
     for k in range(first, last):
-        feedback = records[k - 1, FLOORS + 2] + noise[k - 1, 1] if k > 0 else 0.0
-        measured = state[POSITION] + noise[k, 0]
-        command = entries.command(entry, k, state[X], measured)
-        for i in range(FLOORS):
-            records[k, i] = state[X + i]
-        records[k, FLOORS], records[k, FLOORS + 1] = state[POSITION], measured
-        records[k, FLOORS + 2] = acting_force(actuator, state[FORCE])
+        feedback = records[k - 1, plant.FLOORS + 2] + noise[k - 1, 1] if k > 0 else 0.0
+        measured = state[plant.POSITION] + noise[k, 0]
+        command = entries.command(entry, k, state[plant.X], measured)
+        for i in range(plant.FLOORS):
+            records[k, i] = state[plant.X + i]
+        records[k, plant.FLOORS], records[k, plant.FLOORS + 1] = state[plant.POSITION], measured
+        records[k, plant.FLOORS + 2] = plant.acting_force(actuator, state[plant.FORCE])
         for stage in range(4):
             share = (0.0, 0.5, 0.5, 1.0)[stage]
-            for i in range(STATES):
+            for i in range(plant.STATES):
                 point[i] = state[i] + share * STEP * slopes[stage - 1, i] if stage > 0 else state[i]
             acceleration = ground[2 * k + (stage + 1) // 2]
-            floor_rates(structure, point, acceleration, feedback, slopes[stage])
-            plant_rates(actuator, specimen, point, command, slopes[stage])
-        for i in range(STATES):
+            plant.floor_rates(structure, point, acceleration, feedback, slopes[stage])
+            plant.plant_rates(actuator, specimen, point, command, slopes[stage])
+        for i in range(plant.STATES):
             state[i] += STEP / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
-        if not abs(state[X]) < LOST:
+        if not abs(state[plant.X]) < LOST:
             return False
     return True
 
@@ -147,18 +130,18 @@ def _advance(structure, actuator, specimen, entry, ground, noise, state, records
 @njit
 def _respond(structure, specimen, ground):
     count = len(ground) // 2
-    state, slopes, point = np.zeros(STATES), np.zeros((4, STATES)), np.empty(STATES)
-    response = np.zeros((count, FLOORS))
+    state, slopes, point = np.zeros(plant.STATES), np.zeros((4, plant.STATES)), np.empty(plant.STATES)
+    response = np.zeros((count, plant.FLOORS))
     for k in range(count):
-        for i in range(FLOORS):
-            response[k, i] = state[X + i]
+        for i in range(plant.FLOORS):
+            response[k, i] = state[plant.X + i]
         for stage in range(4):
             share = (0.0, 0.5, 0.5, 1.0)[stage]
-            for i in range(STATES):
+            for i in range(plant.STATES):
                 point[i] = state[i] + share * STEP * slopes[stage - 1, i] if stage > 0 else state[i]
-            force = spring_force(specimen, point[X], point[HYSTERESIS])
-            floor_rates(structure, point, ground[2 * k + (stage + 1) // 2], force, slopes[stage])
-            slopes[stage, HYSTERESIS] = hysteresis_rate(specimen, point[HYSTERESIS], point[V])
-        for i in range(STATES):
+            force = plant.spring_force(specimen, point[plant.X], point[plant.HYSTERESIS])
+            plant.floor_rates(structure, point, ground[2 * k + (stage + 1) // 2], force, slopes[stage])
+            slopes[stage, plant.HYSTERESIS] = plant.hysteresis_rate(specimen, point[plant.HYSTERESIS], point[plant.V])
+        for i in range(plant.STATES):
             state[i] += STEP / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
     return response

@@ -83,7 +83,9 @@ class Store:
     def __init__(self, folder: Path, size: Size, shipped: Path | None = None) -> None:
         self.folder, self.size = folder / size.name, size
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._shipped = {} if shipped is None else _lines(shipped / f"{size.name}.jsonl")
+        file = None if shipped is None else shipped / f"{size.name}.jsonl"  # of `ship`
+        lines = file.read_text(encoding="utf-8").splitlines() if file is not None and file.is_file() else []
+        self._shipped: dict[str, Result] = {row.pop("name"): row for row in map(json.loads, lines)}
         self._places = folder, shipped
         self._inside = 0.0  # s of CPU of pieces that the present one had made; theirs, not its own
 
@@ -136,14 +138,6 @@ class Store:
 def truth(bench: str) -> TruthConfig:
     """The truth of `Store.bench`."""
     return load_truth(OWN_TRUTH) if bench == "own" else profile("default")
-
-
-def _lines(file: Path) -> dict[str, Result]:
-    """The results of `Store.ship`, by name; none where there is no file."""
-    if not file.is_file():
-        return {}
-    rows = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
-    return {row.pop("name"): row for row in rows}
 
 
 def _cpu() -> float:

@@ -137,24 +137,20 @@ def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_f
     draw_confusion(matrix, picture)
     write_page(folder / "proof.html", table, picture, failed, about)
     refresh_index(folder)
-    content = {"about": about, "standards": table.rows, "confusion": matrix, "failures": failed,
-               "cases": [_row(result) for result in results]}  # fmt: skip
+    cases = [
+        {
+            "case": one.case.name, "kind": one.case.kind, "label": one.case.label, "noise": one.case.noise,
+            "size": one.case.size, "truth": {**one.case.effects, **one.case.outside}, "verdict": one.verdict,
+            "claimed": one.claimed, "passed": one.passed, "located": one.located, "places": one.places,
+            "held_out": one.held_out, "forecast": (one.answer["report"] or {}).get("forecast"),
+            "estimates": [{**vars(found), "error": found.error} for found in one.estimates],
+            "wall": one.answer["wall"], "cpu": one.answer["cpu"],
+        }
+        for one in results
+    ]  # fmt: skip
+    content = {"about": about, "standards": table.rows, "confusion": matrix, "failures": failed, "cases": cases}
     write_whole(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
     print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")
-
-
-def _row(result: Result) -> dict[str, Any]:
-    """One case as it stands in proof.json."""
-    case = result.case
-    return {
-        "case": case.name, "kind": case.kind, "label": case.label, "noise": case.noise, "size": case.size,
-        "truth": {**case.effects, **case.outside}, "verdict": result.verdict, "claimed": result.claimed,
-        "passed": result.passed, "located": result.located, "places": result.places,
-        "held_out": result.held_out,
-        "forecast": (result.answer["report"] or {}).get("forecast"),
-        "estimates": [{**vars(one), "error": one.error} for one in result.estimates],
-        "wall": result.answer["wall"], "cpu": result.answer["cpu"],
-    }  # fmt: skip
 
 
 _CAPTION = "What was said about each cause that was concealed alone; numbers are cases, blue is their share."

@@ -32,16 +32,9 @@ from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_sim.model.machine_code import FLAGS
 
-
-def _engine() -> str:
-    digest = sha256()
-    for package in (Path(hydro_diagnosis.__file__).parent, Path(hydro_sim.model.__file__).parent):
-        for path in sorted(package.rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-ENGINE = _engine()
+_packages = (Path(hydro_diagnosis.__file__).parent, Path(hydro_sim.model.__file__).parent)
+_sources = (path.read_bytes() for package in _packages for path in sorted(package.rglob("*.py")))
+ENGINE = sha256(b"".join(_sources)).hexdigest()[:12]
 """Digest of the sources that this process has loaded: computed at import, so that later edits do not count."""
 TRUTH = "hydro_sim.emulator"
 """Package whose code makes the recordings."""
@@ -73,16 +66,12 @@ def guard(hidden: Path, seen: Path) -> None:
                     raise SealedError(f"{os.fsdecode(path)} is sealed")
         elif event == "import" and str(arguments[0]).startswith(TRUTH):
             raise SealedError(f"{arguments[0]} holds the truth")
-        elif event in _STARTS and not _compiles(event, arguments):
-            raise SealedError("the diagnosis starts no other process")
+        elif event in _STARTS:
+            words = list(arguments[1]) if event == "subprocess.Popen" else []
+            if words[1 : 1 + len(FLAGS)] != list(FLAGS):  # of `machine_code`, which compiles for the forecast
+                raise SealedError("the diagnosis starts no other process")
 
     sys.addaudithook(look)
-
-
-def _compiles(event: str, arguments: tuple[Any, ...]) -> bool:
-    """Whether a process compiles the source that `machine_code` has written, for the forecast."""
-    words = list(arguments[1]) if event == "subprocess.Popen" else []
-    return words[1 : 1 + len(FLAGS)] == list(FLAGS)
 
 
 ANSWER = "answer.json"

@@ -18,7 +18,7 @@ FAINTEST = 0.2
 """Share of `low` at which faint sizes begin."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Size:
     """A parameter whose distance from `neutral` is the size of the effect."""
 
@@ -54,52 +54,40 @@ def values(entry: Mapping[str, Any], rng: np.random.Generator, *, faint: bool = 
     return {key: one(rng, faint) if callable(one) else one for key, one in entry.items()}
 
 
-def size_of(entry: Mapping[str, Any], drawn: Mapping[str, Any]) -> tuple[str, float] | None:
-    """Name of the effect's size parameter, and its distance from neutral; None if it has none."""
-    for key, one in entry.items():
-        if isinstance(one, Size):
-            return key, abs(drawn[key] - one.neutral)
-    return None
-
-
-def _size(low: float, high: float) -> Size:
-    return Size(low=low, high=high)
-
-
 def _signed(low: float, high: float) -> Size:
-    return Size(low=low, high=high, signs=(-1, 1))
+    return Size(low, high, signs=(-1, 1))
 
 
 def _ratio(low: float, high: float) -> Size:
-    return Size(low=low, high=high, neutral=1.0, signs=(-1, 1))
+    return Size(low, high, neutral=1.0, signs=(-1, 1))
 
 
 _CHAMBER, _CELL = pick("a", "b"), pick("hydraulic_force", "load_force")
 SINGLES: dict[str, dict[str, Any]] = {
-    "friction_coulomb": {"force": _size(2.0, 20.0)},
-    "friction_coulomb/directional": {"force_positive": _size(6.0, 15.0), "force_negative": _size(2.0, 5.0)},
-    "friction_viscous": {"coefficient": _size(8.0, 60.0)},
-    "friction_stribeck": {"breakaway_force": _size(4.0, 15.0), "velocity": shape(0.01, 0.03)},
-    "leakage_internal": {"coefficient": _size(1e-14, 3e-13)},
-    "leakage_external": {"coefficient": _size(1e-14, 1e-13), "chamber": _CHAMBER},
-    "valve_deadband": {"half_width": _size(5e-5, 1e-3)},
+    "friction_coulomb": {"force": Size(2.0, 20.0)},
+    "friction_coulomb/directional": {"force_positive": Size(6.0, 15.0), "force_negative": Size(2.0, 5.0)},
+    "friction_viscous": {"coefficient": Size(8.0, 60.0)},
+    "friction_stribeck": {"breakaway_force": Size(4.0, 15.0), "velocity": shape(0.01, 0.03)},
+    "leakage_internal": {"coefficient": Size(1e-14, 3e-13)},
+    "leakage_external": {"coefficient": Size(1e-14, 1e-13), "chamber": _CHAMBER},
+    "valve_deadband": {"half_width": Size(5e-5, 1e-3)},
     "valve_lag": {"bandwidth": shape(60.0, 180.0), "damping": shape(0.6, 1.0)},
-    "transport_delay": {"time": Size(low=3e-4, high=1.5e-3, step=25e-6)},  # the emulator's own step
+    "transport_delay": {"time": Size(3e-4, 1.5e-3, step=25e-6)},  # the emulator's own step
     "valve_offset": {"current": _signed(3e-5, 5e-4)},
     "valve_gain": {"ratio": _ratio(0.03, 0.15)},
     "valve_gain_asymmetry": {"ratio": _ratio(0.03, 0.2)},
-    "valve_null_leakage": {"coefficient": _size(5e-11, 1e-9), "width": shape(3e-4, 2e-3)},
-    "supply_droop": {"resistance": _size(1e10, 1e11), "time_constant": shape(0.02, 0.3)},
-    "bulk_modulus": {"ratio": Size(low=0.05, high=0.3, neutral=1.0, signs=(-1,))},
-    "entrained_air": {"volume_fraction": _size(2e-3, 2e-2)},
+    "valve_null_leakage": {"coefficient": Size(5e-11, 1e-9), "width": shape(3e-4, 2e-3)},
+    "supply_droop": {"resistance": Size(1e10, 1e11), "time_constant": shape(0.02, 0.3)},
+    "bulk_modulus": {"ratio": Size(0.05, 0.3, neutral=1.0, signs=(-1,))},
+    "entrained_air": {"volume_fraction": Size(2e-3, 2e-2)},
     "load_cell_gain": {"ratio": _ratio(0.02, 0.1), "cell": _CELL},
     "load_cell_bias": {"force": _signed(2.0, 20.0), "cell": _CELL},
     "pressure_sensor_bias": {"pressure": _signed(1.5e4, 2e5), "chamber": _CHAMBER},
-    "spring_hardening": {"coefficient": _size(2e6, 2e7)},
-    "backlash": {"width": _size(1e-4, 1e-3)},
-    "moving_mass": {"mass": _size(0.2, 1.0)},
+    "spring_hardening": {"coefficient": Size(2e6, 2e7)},
+    "backlash": {"width": Size(1e-4, 1e-3)},
+    "moving_mass": {"mass": Size(0.2, 1.0)},
     "valve_gain_drift": {"rate": _signed(2e-3, 8e-3)},
-    "end_cushion": {"stiffness": _size(2e3, 2e4), "position": shape(0.043, 0.048)},
+    "end_cushion": {"stiffness": Size(2e3, 2e4), "position": shape(0.043, 0.048)},
     "force_offset": {"force": _signed(3.0, 30.0)},
     "sensor_lag": {"bandwidth": shape(30.0, 90.0), "sensor": pick("hydraulic_force", "pressure_a", "pressure_b")},
 }
@@ -111,39 +99,39 @@ VALUES: dict[str, dict[str, Any]] = {
     "piston_area": {"ratio": _ratio(0.02, 0.08)},
     "area_ratio": {"ratio": _ratio(0.02, 0.08)},
     "dead_volume": {"ratio": _ratio(0.03, 0.2), "chamber": _CHAMBER},
-    "tank_pressure": {"pressure": _size(5e4, 5e5)},
-    "spring_rest": {"position": Size(low=1e-4, high=1e-3, neutral=0.04, signs=(-1, 1))},
+    "tank_pressure": {"pressure": Size(5e4, 5e5)},
+    "spring_rest": {"position": Size(1e-4, 1e-3, neutral=0.04, signs=(-1, 1))},
 }
 """Wrong numbers in the bench file."""
 
 FORMS: dict[str, dict[str, Any]] = {
-    "friction_coulomb/lugre": {"force": _size(4.0, 20.0), "form": "lugre"},
-    "friction_coulomb/smooth": {"force": _size(4.0, 20.0), "form": "smooth"},
+    "friction_coulomb/lugre": {"force": Size(4.0, 20.0), "form": "lugre"},
+    "friction_coulomb/smooth": {"force": Size(4.0, 20.0), "form": "smooth"},
     "valve_lag/first_order": {"bandwidth": shape(60.0, 180.0), "damping": 0.8, "order": 1},
     "valve_lag/rate_limited": {"bandwidth": shape(80.0, 180.0), "damping": 0.8, "rate_limit": shape(2.0, 6.0)},
-    "valve_deadband/soft": {"half_width": _size(1e-4, 1e-3), "form": "soft"},
-    "valve_deadband/lopsided": {"half_width": _size(1e-4, 5e-4), "half_width_negative": _size(1e-4, 5e-4)},
-    "entrained_air/isothermal": {"volume_fraction": _size(3e-3, 2e-2), "form": "isothermal"},
+    "valve_deadband/soft": {"half_width": Size(1e-4, 1e-3), "form": "soft"},
+    "valve_deadband/lopsided": {"half_width": Size(1e-4, 5e-4), "half_width_negative": Size(1e-4, 5e-4)},
+    "entrained_air/isothermal": {"volume_fraction": Size(3e-3, 2e-2), "form": "isothermal"},
     "valve_null_leakage/hyperbolic": {
-        "coefficient": _size(1e-10, 1e-9), "width": shape(3e-4, 2e-3), "form": "hyperbolic"},
-    "leakage_internal/orifice": {"coefficient": _size(2e-14, 3e-13), "form": "orifice"},
-    "backlash/play": {"width": _size(1e-4, 1e-3), "form": "play"},
-    "end_cushion/quadratic": {"stiffness": _size(4e3, 2e4), "position": 0.044, "form": "quadratic"},
+        "coefficient": Size(1e-10, 1e-9), "width": shape(3e-4, 2e-3), "form": "hyperbolic"},
+    "leakage_internal/orifice": {"coefficient": Size(2e-14, 3e-13), "form": "orifice"},
+    "backlash/play": {"width": Size(1e-4, 1e-3), "form": "play"},
+    "end_cushion/quadratic": {"stiffness": Size(4e3, 2e4), "position": 0.044, "form": "quadratic"},
     "sensor_lag/damping": {"bandwidth": shape(15.0, 22.0), "sensor": "load_force", "damping": 0.5},
 }  # fmt: skip
 """The same causes in another form."""
 
 OUTSIDE: dict[str, dict[str, Any]] = {
-    "friction_rib": {"force": _size(4.0, 15.0)},
-    "friction_pressure": {"coefficient": _size(1e-6, 4e-6)},
-    "spring_hysteresis": {"force": _size(6.0, 20.0)},
+    "friction_rib": {"force": Size(4.0, 15.0)},
+    "friction_pressure": {"coefficient": Size(1e-6, 4e-6)},
+    "spring_hysteresis": {"force": Size(6.0, 20.0)},
     "valve_temperature": {"change": _signed(0.03, 0.15)},
-    "valve_underlap": {"half_width": _size(1e-4, 6e-4)},
+    "valve_underlap": {"half_width": Size(1e-4, 6e-4)},
     "cell_crosstalk": {"coefficient": _signed(1e-6, 4e-6), "chamber": _CHAMBER, "cell": _CELL},
-    "load_hum": {"amplitude": _size(3.0, 15.0)},
-    "load_walk": {"force": _size(3.0, 15.0)},
-    "wall_flexibility": {"compliance": _size(1e-14, 1e-13)},
-    "supply_ripple": {"amplitude": _size(1e5, 5e5)},
+    "load_hum": {"amplitude": Size(3.0, 15.0)},
+    "load_walk": {"force": Size(3.0, 15.0)},
+    "wall_flexibility": {"compliance": Size(1e-14, 1e-13)},
+    "supply_ripple": {"amplitude": Size(1e5, 5e5)},
 }
 """Causes that the diagnosis has no name for."""
 FITTED, HELD = ("run1", "run2", "run3"), "held"
@@ -198,8 +186,12 @@ def missing(folder: Path) -> list[str]:
 
 
 def draw(count: int, seed: int) -> list[Case]:
-    """Draw `count` cases in the proportions of `PARTS`, in random order."""
-    return draw_parts(shares(count), seed)
+    """Draw `count` cases in the proportions of `PARTS`, by largest remainders, in random order."""
+    exact = {kind: count * part / sum(PARTS.values()) for kind, part in PARTS.items()}
+    whole = {kind: int(share) for kind, share in exact.items()}
+    for kind in sorted(exact, key=lambda one: whole[one] - exact[one])[: count - sum(whole.values())]:
+        whole[kind] += 1
+    return draw_parts(whole, seed)
 
 
 def draw_parts(parts: Mapping[str, int], seed: int) -> list[Case]:
@@ -208,15 +200,6 @@ def draw_parts(parts: Mapping[str, int], seed: int) -> list[Case]:
     drawn = [case for kind, count in parts.items() for case in _of_kind(kind, count, rng)]
     order = rng.permutation(len(drawn))
     return [replace(drawn[at], name=f"case-{k:03d}") for k, at in enumerate(order)]
-
-
-def shares(count: int) -> dict[str, int]:
-    """Number of cases of each kind, `count` in total, by largest remainders of the proportions of `PARTS`."""
-    exact = {kind: count * part / sum(PARTS.values()) for kind, part in PARTS.items()}
-    whole = {kind: int(share) for kind, share in exact.items()}
-    for kind in sorted(exact, key=lambda one: whole[one] - exact[one])[: count - sum(whole.values())]:
-        whole[kind] += 1
-    return whole
 
 
 def _of_kind(kind: str, count: int, rng: np.random.Generator) -> Iterator[Case]:
@@ -252,7 +235,8 @@ def _one(kind: str, name: str, rng: np.random.Generator) -> Case:
     drawn = values(entry, rng, faint=kind == "faint")
     where = "outside" if kind == "outside" else "effects"
     concealed: dict[str, Any] = {where: {_id(name): drawn}}
-    return Case(name="", kind=kind, label=name, size=size_of(entry, drawn), noise=_noise(rng), **concealed)
+    sizes = ((key, abs(drawn[key] - one.neutral)) for key, one in entry.items() if isinstance(one, Size))
+    return Case(name="", kind=kind, label=name, size=next(sizes, None), noise=_noise(rng), **concealed)
 
 
 def _combined(kind: str, rng: np.random.Generator) -> Case:
@@ -273,26 +257,20 @@ def _noise(rng: np.random.Generator) -> float:
     return float(rng.choice([0.5, 1.0, 2.0]))
 
 
-def _schedules(rng: np.random.Generator) -> dict[str, Schedule]:
-    """Four runs under different stable gains: two classes of reference are fitted, the third is held out."""
-    first, second, held = (str(name) for name in rng.permutation(list(_FASTEST)))
-    classes = [first, second, str(rng.choice([first, second])), held]
-    return {name: _schedule(one, rng) for name, one in zip((*FITTED, HELD), classes, strict=True)}
-
-
 _FASTEST = {"sine": 2.0, "multisine": 0.8, "smooth_step": 1.2}
 """Highest frequency [Hz] by class of reference."""
 
 
-def _schedule(waveform: str, rng: np.random.Generator) -> Schedule:
-    fastest = _FASTEST[waveform]
+def _schedules(rng: np.random.Generator) -> dict[str, Schedule]:
+    """Four runs under different stable gains: two classes of reference are fitted, the third is held out."""
+    first, second, held = (str(name) for name in rng.permutation(list(_FASTEST)))
+    classes = [first, second, str(rng.choice([first, second])), held]
     return {
-        "seconds": SECONDS,
-        "waveform": waveform,
-        "amplitude": float(rng.uniform(200.0, 300.0)),
-        "offset": float(rng.uniform(-40.0, 40.0)),
-        "frequency": float(rng.uniform(0.5 * fastest, fastest)),
-        "phase": 0.0,
-        "kp": float(rng.uniform(30.0, 90.0)),
-        "ki": float(rng.uniform(5.0, 15.0)),
-    }
+        name: {
+            "seconds": SECONDS, "waveform": waveform,
+            "amplitude": float(rng.uniform(200.0, 300.0)), "offset": float(rng.uniform(-40.0, 40.0)),
+            "frequency": float(rng.uniform(0.5 * _FASTEST[waveform], _FASTEST[waveform])), "phase": 0.0,
+            "kp": float(rng.uniform(30.0, 90.0)), "ki": float(rng.uniform(5.0, 15.0)),
+        }
+        for name, waveform in zip((*FITTED, HELD), classes, strict=True)
+    }  # fmt: skip

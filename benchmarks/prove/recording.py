@@ -10,7 +10,7 @@ concerned.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -48,16 +48,6 @@ class Attempt:
     """Upper limit [1/s^2] of the drawn K_i."""
     believed_flow: float = 1.0
     """`valve_nominal_flow` that the box assumes, over that of bench.yaml."""
-
-    def schedule(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
-        """Reference and gains of this attempt."""
-        gains = {"kp": min(self.kp, drawn["kp"]), "ki": min(self.ki, drawn["ki"])}
-        return {**drawn, "amplitude": self.amplitude * drawn["amplitude"], **gains}
-
-    def bench(self) -> Bench:
-        """Bench that the box assumes."""
-        bench = Bench.nominal()
-        return replace(bench, valve_nominal_flow=self.believed_flow * bench.valve_nominal_flow)
 
 
 ATTEMPTS = (
@@ -102,9 +92,13 @@ def _record(case: Case, folder: Path) -> None:
 
 def _play(case: Case, name: str, attempt: Attempt, out: Path) -> None:
     """Record one run on the nominal bench, whatever the box assumes, with the concealed causes."""
-    parts = {"bench": Bench.nominal().to_mapping(), "sensors": {"noise_scale": case.noise}}
+    nominal, drawn = Bench.nominal(), case.schedules[name]
+    parts = {"bench": nominal.to_mapping(), "sensors": {"noise_scale": case.noise}}
     truth = truth_from_mapping({"profile": "nominal", **parts, "effects": case.effects, "outside": case.outside})
-    segments = parse_schedule({"segments": [attempt.schedule(case.schedules[name])]}, case.name)
-    bench, seed = attempt.bench(), 10 * case.seed + (*FITTED, HELD).index(name)
-    box = with_gain_limits_for(segments, BoxConfig().of_bench(bench))
-    write_bag(out, record_offline(truth, segments, bench=bench, box=box, seed=seed), bench)
+    gains = {"kp": min(attempt.kp, drawn["kp"]), "ki": min(attempt.ki, drawn["ki"])}
+    played = {**drawn, "amplitude": attempt.amplitude * drawn["amplitude"], **gains}
+    segments = parse_schedule({"segments": [played]}, case.name)
+    believed = replace(nominal, valve_nominal_flow=attempt.believed_flow * nominal.valve_nominal_flow)
+    box = with_gain_limits_for(segments, BoxConfig().of_bench(believed))
+    seed = 10 * case.seed + (*FITTED, HELD).index(name)
+    write_bag(out, record_offline(truth, segments, bench=believed, box=box, seed=seed), believed)

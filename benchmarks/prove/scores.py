@@ -58,13 +58,9 @@ _IDS = {
     "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
                    "dead_volume", "area_ratio", "wall_flexibility"),
 }  # fmt: skip
+"""Causes that act in each equation."""
 SHARE = 0.1
 """Share of the mismatch below which a place does not count against the location."""
-
-
-def equations(cause: str) -> set[str]:
-    """Equations in which a cause acts."""
-    return {equation for equation, ids in _IDS.items() if cause in ids}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +118,8 @@ class Result:
     @property
     def claims(self) -> frozenset[Name]:
         """Claims with their chamber, cell or sensor."""
-        return frozenset((effect["id"], _place(effect["options"])) for effect in self.effects)
+        found = ((effect["id"], effect["options"]) for effect in self.effects)
+        return frozenset((cause, next((at[key] for key in PLACES if key in at), "")) for cause, at in found)
 
     @property
     def spurious(self) -> list[str]:
@@ -147,7 +144,7 @@ class Result:
     def located(self) -> bool:
         """Whether every place with a tenth of the mismatch or more is an equation in which a concealed cause acts."""
         causes = {cause for way in names(self.case.effects) for cause, _ in way} | set(self.case.outside)
-        right = set().union(*(equations(cause) for cause in causes))
+        right = {equation for equation, ids in _IDS.items() if causes & set(ids)}
         found = {equation for equation, share in self.places.items() if share >= SHARE}
         return bool(found) and found <= right
 
@@ -196,10 +193,6 @@ class Result:
             if one["noise_floor"]
         ]
         return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else None
-
-
-def _place(options: Mapping[str, str]) -> str:
-    return next((options[key] for key in PLACES if key in options), "")
 
 
 COLUMNS = {
@@ -289,15 +282,10 @@ def failures(results: Sequence[Result]) -> list[dict[str, Any]]:
     """Cases that missed the requirement of their kind, with their diagnosis."""
     return [
         {
-            "case": result.case.name,
-            "kind": result.case.kind,
-            "noise": result.case.noise,
-            "truth": {**result.case.effects, **result.case.outside},
-            "verdict": result.verdict,
+            "case": result.case.name, "kind": result.case.kind, "noise": result.case.noise,
+            "truth": {**result.case.effects, **result.case.outside}, "verdict": result.verdict,
             "claimed": {e["id"]: {n: p["value"] for n, p in e["parameters"].items()} for e in result.effects},
-            "places": result.places,
-            "why": result.answer["refused"] or "",
+            "places": result.places, "why": result.answer["refused"] or "",
         }
-        for result in results
-        if not result.passed
-    ]
+        for result in results if not result.passed
+    ]  # fmt: skip

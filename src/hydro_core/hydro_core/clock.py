@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 @dataclass(kw_only=True)
 class BoxClock:
-    """Maps box time to the host's monotonic time."""
+    """Maps box time to the host's monotonic time; another one after a new connection or a restart of the box."""
 
     window: float = 2.0
     """s, window for the fastest delivery, [0.1, 60]; at 50 ppm the clocks drift by 0.1 ms in 2 s."""
@@ -30,11 +30,6 @@ class BoxClock:
     """(box time [us], offset [ns]) with ascending offsets; the first is the smallest of the window."""
     _offset: int = 0
     _last_us: int | None = None
-
-    def reset(self) -> None:
-        """Discard the mapping, after a new connection or a restart of the box."""
-        self._quickest.clear()
-        self._last_us = None
 
     def stamp(self, box_us: int, arrival_ns: int) -> int:
         """Return the monotonic time of a sample.
@@ -78,33 +73,19 @@ class HostClock:
 
     def __init__(self) -> None:
         self._wall = time.time_ns
-        while (offset := self._read()) is None:
+        self.offset = 0
+        """ROS time minus monotonic time, ns."""
+        while not self.detect_step():
             pass
-        self._offset = offset
 
     def detect_step(self) -> int:
         """Read both clocks; return by how much the host's clock was set since the last call, ns, mostly 0.
 
         Call it about once per sample.
         """
-        offset = self._read()
-        step = 0 if offset is None else offset - self._offset
-        if abs(step) < self.STEP:
-            return 0
-        self._offset += step
-        return step
-
-    def ros_time(self, monotonic_ns: int) -> int:
-        """Return the ROS time [ns] for a monotonic time [ns]."""
-        return monotonic_ns + self._offset
-
-    def _read(self) -> int | None:
-        """Return wall time minus monotonic time, ns; None if this thread was interrupted between the two readings."""
         before = time.monotonic_ns()
-        wall = self._wall()
-        return wall - before if time.monotonic_ns() - before <= self._READING else None
-
-
-def clock_step_message(step_ns: int) -> str:
-    """Return the log sentence for a step found by `HostClock.detect_step`."""
-    return f"the host's clock was set by {1e-9 * step_ns:+.3f} s: the samples' stamps follow at once"
+        step = self._wall() - before - self.offset
+        if time.monotonic_ns() - before > self._READING or abs(step) < self.STEP:
+            return 0
+        self.offset += step
+        return step

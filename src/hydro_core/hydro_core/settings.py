@@ -25,6 +25,7 @@ import textwrap
 import types
 import typing
 from collections.abc import Mapping
+from contextlib import suppress
 from difflib import get_close_matches
 from itertools import pairwise
 from math import inf, isfinite
@@ -45,7 +46,9 @@ class SettingsError(UserError, ValueError):
 
 def quantity(unit: str, low: float, high: float) -> msgspec.Meta:
     """Annotation of a number: its unit ("-": none) and its closed range."""
-    return msgspec.Meta(ge=_bound(low), le=_bound(high), extra={"unit": unit})
+    # msgspec checks integers against integer limits only.
+    ge, le = (int(limit) if float(limit).is_integer() else limit for limit in (low, high))
+    return msgspec.Meta(ge=ge, le=le, extra={"unit": unit})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -89,7 +92,13 @@ def describe(settings: type[Any]) -> dict[str, Setting]:
     """Return the declarations of all fields of a settings dataclass, in order."""
     if settings in _KNOWN:
         return _KNOWN[settings]
-    hints, meanings = typing.get_type_hints(settings, include_extras=True), _sentences(settings)
+    hints, meanings = typing.get_type_hints(settings, include_extras=True), dict[str, str]()
+    tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
+    for node, below in pairwise(typing.cast(ast.ClassDef, tree.body[0]).body):  # the string below each field
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(below, ast.Expr):
+            text = getattr(below.value, "value", None)
+            if isinstance(text, str):
+                meanings[node.target.id] = " ".join(text.split()).removesuffix(".")
     known = _KNOWN[settings] = {}
     for field in dataclasses.fields(settings):
         kind, meta = _unwrapped(hints[field.name])
@@ -123,24 +132,22 @@ def convert(setting: Setting, value: Any, where: str, *, strict: bool = False) -
     try:
         return msgspec.convert(value, setting.hint, strict=strict)
     except msgspec.ValidationError:
-        raise SettingsError(f"{where} {_refusal(setting, value)}") from None
-
-
-def _bound(number: float) -> float:
-    """Convert a limit to an integer if possible: msgspec checks integers against integer limits only."""
-    return int(number) if float(number).is_integer() else number
-
-
-def _sentences(settings: type[Any]) -> dict[str, str]:
-    """Return the string below each field, from the source of the class."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
-    found: dict[str, str] = {}
-    for node, below in pairwise(typing.cast(ast.ClassDef, tree.body[0]).body):
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(below, ast.Expr):
-            value = getattr(below.value, "value", None)
-            if isinstance(value, str):
-                found[node.target.id] = " ".join(value.split()).removesuffix(".")
-    return found
+        number = inf
+    unit = "" if setting.unit == "-" else f" {setting.unit}"
+    limits = f"within [{setting.low:g}, {setting.high:g}]{unit}"
+    told = f": {setting.meaning}" if setting.meaning else ""
+    if setting.choices:
+        raise SettingsError(f"{where} must be one of {', '.join(setting.choices)}, not {value!r}")
+    if setting.kind not in (int, float) or isinstance(value, (list, tuple)):
+        wanted = {str: "text", bool: "true or false"}.get(setting.kind, f"numbers {limits}")
+        raise SettingsError(f"{where} must be {wanted}, not {value!r}{told}")
+    if not isinstance(value, bool):
+        with suppress(TypeError, ValueError, OverflowError):
+            number = float(value)
+    if isfinite(number) and not setting.low <= number <= setting.high:
+        raise SettingsError(f"{where} must be {limits}, not {number:g}{told}")
+    whole = "whole " if setting.kind is int else ""
+    raise SettingsError(f"{where} must be a {whole}number{unit and f' in{unit}'}, not {value!r}")
 
 
 def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:
@@ -152,27 +159,6 @@ def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:
     if origin in (types.UnionType, typing.Union):
         return _unwrapped(next(argument for argument in arguments if argument is not type(None)))
     return _unwrapped(arguments[0]) if origin is tuple else (hint, msgspec.Meta())
-
-
-def _refusal(setting: Setting, value: Any) -> str:
-    """Return what is wrong with a value, to follow its name."""
-    unit = "" if setting.unit == "-" else f" {setting.unit}"
-    limits = f"within [{setting.low:g}, {setting.high:g}]{unit}"
-    told = f": {setting.meaning}" if setting.meaning else ""
-    if setting.choices:
-        return f"must be one of {', '.join(setting.choices)}, not {value!r}"
-    if setting.kind not in (int, float) or isinstance(value, (list, tuple)):
-        return f"must be {_KINDS.get(setting.kind, f'numbers {limits}')}, not {value!r}{told}"
-    try:
-        number = inf if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = inf
-    if isfinite(number) and not setting.low <= number <= setting.high:
-        return f"must be {limits}, not {number:g}{told}"
-    return f"must be a {'whole ' if setting.kind is int else ''}number{unit and f' in{unit}'}, not {value!r}"
-
-
-_KINDS = {str: "text", bool: "true or false"}
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
@@ -206,7 +192,19 @@ def from_mapping(cls: type[T], data: object, where: str) -> T:
     for name, setting in known.items():
         if setting.required and name not in data:
             raise SettingsError(f"{where} lacks {name} [{setting.unit}]")
-    return cls(**{key: _value(known[key], value, f"{where}.{key}") for key, value in data.items()})
+    values: dict[str, Any] = {}
+    for key, value in data.items():
+        setting, place = known[key], f"{where}.{key}"
+        kind, nested = setting.kind, dataclasses.is_dataclass(setting.kind)
+        if not nested:
+            values[key] = convert(setting, value, place)
+        elif typing.get_origin(setting.hint) is tuple:
+            items = [] if value is None else value if isinstance(value, list) else [value]
+            values[key] = tuple(from_mapping(kind, item, place) for item in items)
+        else:
+            absent = value is None and type(None) in typing.get_args(setting.hint)
+            values[key] = None if absent else from_mapping(kind, value, place)
+    return cls(**values)
 
 
 def unknown_key(key: str, known: list[str], where: str) -> str:
@@ -230,13 +228,3 @@ def to_mapping(settings: Any) -> dict[str, Any]:
         elif value is not None or field.default is not None:
             result[field.name] = value
     return result
-
-
-def _value(setting: Setting, value: Any, where: str) -> Any:
-    kind, nested = setting.kind, dataclasses.is_dataclass(setting.kind)
-    if nested and typing.get_origin(setting.hint) is tuple:
-        items = [] if value is None else value if isinstance(value, list) else [value]
-        return tuple(from_mapping(kind, item, where) for item in items)
-    if nested and not (value is None and type(None) in typing.get_args(setting.hint)):
-        return from_mapping(kind, value, where)
-    return None if nested else convert(setting, value, where)

@@ -8,7 +8,7 @@ alone: what a policy sees, rewards and verdicts are the same. Times are not scal
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from typing import Annotated, Any, TypeVar
 
 from hydro_core.settings import describe, quantity
@@ -57,17 +57,13 @@ def rescale(settings: T, before: Size, after: Size) -> T:
         "A/s": current,
     }  # fmt: skip
 
-    def of(one: Any) -> Any:
-        known, changed = describe(type(one)), {}
-        for name in (field.name for field in fields(one)):
-            value, unit = getattr(one, name), known[name].unit
-            if isinstance(value, Size):
-                changed[name] = after
-            elif is_dataclass(value):
-                changed[name] = of(value)
-            elif unit in ratios and value is not None:
-                changed[name] = value * ratios[unit]
-        return replace(one, **changed)
-
-    resized_settings: T = of(settings)
-    return resized_settings
+    changed: dict[str, Any] = {}
+    for name, setting in describe(type(settings)).items():
+        value = getattr(settings, name)
+        if isinstance(value, Size):
+            changed[name] = after
+        elif is_dataclass(value):
+            changed[name] = rescale(value, before, after)
+        elif setting.unit in ratios and value is not None:
+            changed[name] = value * ratios[setting.unit]
+    return replace(settings, **changed)  # type: ignore[type-var]

@@ -155,26 +155,19 @@ class Connection:
 
 CONNECTIONS = (
     Connection(
-        PRESSURE,
-        "pressure equations",
-        frozenset({"pressure_a", "pressure_b", "piston_position", "valve_current"}),
+        PRESSURE, "pressure equations", frozenset({"pressure_a", "pressure_b", "piston_position", "valve_current"}),
         ("bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure",
          "valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop", "dead_volume_a",
          "dead_volume_b"),
     ),
     Connection(MOTION, "motion equation", frozenset({"hydraulic_force", "piston_position"}), ("moving_mass",)),
     Connection(
-        MOTION,
-        "motion equation",
-        frozenset({"pressure_a", "pressure_b", "piston_position"}),
-        ("moving_mass", "piston_area", "area_ratio"),
-        if_known="moving_mass",
+        MOTION, "motion equation", frozenset({"pressure_a", "pressure_b", "piston_position"}),
+        ("moving_mass", "piston_area", "area_ratio"), if_known="moving_mass",
     ),
     Connection(LOAD, "load equation", frozenset({"load_force", "piston_position"}), SPRING),
     Connection(
-        HYDRAULIC,
-        "force of the pressures",
-        frozenset({"pressure_a", "pressure_b", "hydraulic_force"}),
+        HYDRAULIC, "force of the pressures", frozenset({"pressure_a", "pressure_b", "hydraulic_force"}),
         ("piston_area", "area_ratio"),
     ),
 )  # fmt: skip

@@ -19,8 +19,7 @@ from hydro_diagnosis.stage_bar import StageBar
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     options = argparse.ArgumentParser(
-        prog="diagnose",
-        description="Find, name and size the physics that a simulation leaves out.",
+        prog="diagnose", description="Find, name and size the physics that a simulation leaves out."
     )
     options.add_argument(
         "recordings", nargs="*", metavar="RECORDING",
@@ -31,49 +30,34 @@ def parser() -> argparse.ArgumentParser:
         "--bench", metavar="FILE", help="bench.yaml or corrected.yaml, with what is known (default: nominal)"
     )
     options.add_argument(
-        "--model",
-        metavar="WEIGHTS",
+        "--model", metavar="WEIGHTS",
         help="learned bench as the baseline in place of --bench: names what has changed since",
-    )
+    )  # fmt: skip
     options.add_argument(
-        "--columns",
-        metavar="MAP",
-        help="FIELD=COLUMN,... with units, scales, offsets and delays, for instance "
+        "--columns", metavar="MAP", help="FIELD=COLUMN,... with units, scales, offsets and delays, for instance "
         "time=t,piston_position=pos[mm]-40,pressure_a=pa*1e5 or a YAML file of the same; `inspect FILE` proposes one",
-    )
+    )  # fmt: skip
     options.add_argument(
-        "--without",
-        nargs="+",
-        default=[],
-        metavar="ID",
+        "--without", nargs="+", default=[], metavar="ID",
         help="causes that it cannot be, for instance backlash or friction_viscous:directional: they are not tried",
-    )
+    )  # fmt: skip
     options.add_argument(
-        "--estimate",
-        nargs="+",
-        default=[],
-        metavar="NAME",
+        "--estimate", nargs="+", default=[], metavar="NAME",
         help="numbers of the bench file that are not known, or only roughly: they are estimated from the recordings",
-    )
+    )  # fmt: skip
     options.add_argument(
         "--as-wired", action="store_true", help="take the recordings as they are: try no repairs of wiring or units"
     )
     options.add_argument(
-        "--simulated",
-        nargs="+",
-        default=[],
-        metavar="SIM",
+        "--simulated", nargs="+", default=[], metavar="SIM",
         help="recordings of your own simulator (Simulink, Gazebo, Modelica, ...) driven with the bench's commands: the "
         "report says what the bench has that the simulator has not, and by which numbers they differ",
-    )
+    )  # fmt: skip
     options.add_argument("--simulated-columns", metavar="MAP", help="--columns of these (default: the same)")
     options.add_argument(
-        "--seconds",
-        type=float,
-        metavar="S",
-        help="budget of work, in s of CPU as counted, not timed; then the best answer so far is given (default: 24, "
-        "in proportion beyond 60 s at 1 kHz)",
-    )
+        "--seconds", type=float, metavar="S", help="budget of work, in s of CPU as counted, not timed; then the best "
+        "answer so far is given (default: 24, in proportion beyond 60 s at 1 kHz)",
+    )  # fmt: skip
     options.add_argument(
         "--out", type=writable_folder, metavar="DIR", help="where the report goes; with --grow the effect's file "
         "(default: the source tree in a checkout, else ~/.local/share/hydro/effects)"
@@ -130,19 +114,11 @@ def run(arguments: Sequence[str]) -> int:
             from hydro_diagnosis.report.page import write_files
 
             found = diagnose(
-                chosen.recordings,
-                holdout=chosen.holdout,
-                bench=chosen.bench,
-                model=chosen.model,
-                columns=chosen.columns,
-                without=chosen.without,
-                estimate=chosen.estimate,
-                as_wired=chosen.as_wired,
-                simulated=chosen.simulated,
-                simulated_columns=chosen.simulated_columns,
-                seconds=chosen.seconds,
+                chosen.recordings, holdout=chosen.holdout, bench=chosen.bench, model=chosen.model,
+                columns=chosen.columns, without=chosen.without, estimate=chosen.estimate, as_wired=chosen.as_wired,
+                simulated=chosen.simulated, simulated_columns=chosen.simulated_columns, seconds=chosen.seconds,
                 progress=told,
-            )
+            )  # fmt: skip
     except DiagnosisInterrupted as interrupted:
         chosen.out.mkdir(parents=True, exist_ok=True)
         interrupted.report.write(chosen.out)

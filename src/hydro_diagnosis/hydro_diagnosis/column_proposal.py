@@ -22,11 +22,12 @@ import yaml
 from hydro_core.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.bench_numbers import has_spring
 from hydro_diagnosis.io.column_map import QUANTITY_OF, TARGETS, ColumnMap, Source
-from hydro_diagnosis.io.columns import Columns, is_time, runs_forward
+from hydro_diagnosis.io.columns import Columns, is_time, means, runs_forward
 from hydro_diagnosis.io.table import base_of
 from hydro_diagnosis.io.units import quantity, split_unit, to_si
 from hydro_diagnosis.recording import MEASURED
-from hydro_diagnosis.wiring import LOOKED_AT, MEAN, TOGETHER, line, means
+from hydro_diagnosis.significance import MATTERS
+from hydro_diagnosis.wiring import LOOKED_AT, MEAN, TOGETHER, line
 from hydro_sim.model.bench import Bench
 
 _PRESSURE = r"(p|press\w*|druck\w*)"
@@ -55,10 +56,6 @@ _ACTS_ON = {
 """Words that say of a force which it is."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
 """Units that are tried where none is stated."""
-ABOUT = 0.05
-"""Share of a force that the pressures may leave of any force of the bench."""
-SILENT = 1e-4
-"""White noise over the standard deviation below which a force was computed, not measured."""
 _REFERENCE = re.compile(_WORDS["reference_force"] + r"|\w*(ref|soll|target|desired|setpoint)", re.IGNORECASE)
 _VALVE = re.compile(r"valve|spool|ventil|schieber|servo", re.IGNORECASE)
 _NEVER = re.compile(r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
@@ -75,7 +72,11 @@ def proposed(found: Columns, bench: Bench) -> ColumnMap:
     sources: dict[str, Source] = {}
     if not found.clocks:
         named = [name for name, values in found.series.items() if is_time(name, values)]
-        even = [name for name, values in found.series.items() if runs_forward(values) and _even(values)]
+        even = [  # in equal steps, as times are
+            name
+            for name, values in found.series.items()
+            if runs_forward(values) and len(values) > 2 and np.ptp(np.diff(values)) < 1e-3 * np.diff(values).mean()
+        ]
         if named or even:
             best = "time" if "time" in named else (named or even)[0]
             sources["time"] = Source(best, unit=_time_unit(best, found))
@@ -147,7 +148,7 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
     take("pressure_a", only("pressure_a"))
     take("pressure_b", only("pressure_b"))
     forces = left.get("force", [])
-    silent = [name for name in forces if _noise(found.series[name]) < SILENT]
+    silent = [name for name in forces if _silent(found.series[name])]
     if len(silent) == 1 and len(forces) > 1:
         take("reference_force", silent[0])
     if {"pressure_a", "pressure_b"} <= sources.keys():
@@ -189,7 +190,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
                 fields[field] = fitting[0]
                 taken.add(fitting[0].column)
 
-        exact = _balance(forces[force], pressures[a], pressures[b], bench, ABOUT) < 1e-3
+        exact = _balance(forces[force], pressures[a], pressures[b], bench, MATTERS) < 1e-3
         take("hydraulic_force", [force] if exact else [])
         places = sized("piston_position", taken | {force.column})
         springs = {place: line(one, forces[force], 1) for place, one in places.items()}
@@ -199,7 +200,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         place = min(springs, key=lambda one: springs[one][1])
         take("piston_position", [place])
         slopes = {one: line(places[place], values, 1) for one, values in sized("load_force", taken).items()}
-        silent = [one for one in slopes if _noise(free[one.column]) < SILENT]
+        silent = [one for one in slopes if _silent(free[one.column])]
         take("load_force", [one for one in slopes if one not in silent and _like_spring(*slopes[one], bench)])
         take("reference_force", [one for one in silent if _like_spring(*slopes[one], bench, 0.5)])  # it lags behind it
         speed = np.diff(places[place])
@@ -215,7 +216,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         for force in forces
         if a.unit == b.unit and len({force.column, a.column, b.column}) == 3
     }
-    ways = [(solved(*triple), left) for triple, left in triples.items() if left < ABOUT]
+    ways = [(solved(*triple), left) for triple, left in triples.items() if left < MATTERS]
     fields, _ = max(ways, key=lambda way: (len(way[0]), -way[1]), default=({}, 0.0))
     sources.update(fields)
 
@@ -240,9 +241,9 @@ def _like_spring(slope: float, left: float, bench: Bench, most: float = 0.1) -> 
     return left < most and 0.5 < slope / bench.spring_stiffness < 2.0
 
 
-def _noise(values: FloatArray) -> float:
-    """White noise over the standard deviation, by the middle of the third differences: steps do not count."""
-    return float(np.median(np.abs(np.diff(values, 3))) / np.sqrt(20.0) / np.std(values))
+def _silent(force: FloatArray) -> bool:
+    """Return whether a force was computed, not measured, by the white noise in it; steps do not count."""
+    return float(np.median(np.abs(np.diff(force, 3))) / np.sqrt(20.0) / np.std(force)) < 1e-4
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
@@ -336,12 +337,6 @@ def _fits(field: str, values: FloatArray, bench: Bench) -> bool:
         "force": 1e-3 * strength < max(high, -low) < 2.0 * strength,
         "velocity": max(high, -low) < 20.0 * bench.stroke,
     }.get(QUANTITY_OF.get(field, ""), False)
-
-
-def _even(values: FloatArray) -> bool:
-    """Return whether the numbers grow in equal steps, as times do."""
-    steps = np.diff(values)
-    return bool(len(steps) > 1 and np.ptp(steps) < 1e-3 * steps.mean())
 
 
 def _time_unit(name: str, found: Columns) -> str:

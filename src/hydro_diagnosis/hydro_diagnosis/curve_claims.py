@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -57,7 +58,7 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
     effects = {effect.label: effect for effect in library if effect.named}
     allowed = frozenset(name for name, label in {**LABELS, "directional": DIRECTIONAL}.items() if label in effects)
     shape = named(curve, problem.bench.viscous_friction, allowed)
-    held = _HeldOut(curve, unseen)
+    share = partial(_share, curve, unseen)
     found = _Claims(effects)
     terms = curve.terms
     if shape is not None:
@@ -67,7 +68,7 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
             if name == "stribeck":
                 numbers.append((shape.shape.stribeck, *fading(curve.points, shape, curve.top)))
             if name != "constant" or not terms.position:  # else it is the law's
-                gain = held.share(shape, terms) - held.share(shape.but(name), terms)
+                gain = share(shape, terms) - share(shape.but(name), terms)
                 found.add(label, numbers, _rise(curve, shape, name), gain)
     dry = shape.number("dry") if shape is not None else []
     operators = {"mass": (MASS, replace(terms, mass=False)), "rise": (RISE, replace(terms, rise=0.0)),
@@ -77,8 +78,8 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
             continue
         strokes = len(np.unique(curve.sliding.stroke))
         evidence = 2.0 * strokes * float(np.log(curve.left(less) / curve.left(terms))) - float(np.log(strokes))
-        found.add(label, _size(curve, name, dry), evidence, held.share(shape, terms) - held.share(shape, less))
-    accounted = {"named": held.share(shape, replace(terms, position="")), "all": held.share(shape, terms)}
+        found.add(label, _size(curve, name, dry), evidence, share(shape, terms) - share(shape, less))
+    accounted = {"named": share(shape, replace(terms, position="")), "all": share(shape, terms)}
     if shape is not None and accounted["all"] <= MATTERS:
         return CurveClaims(why="what the curve would be named after does not hold on what was held out")
     closures = []
@@ -116,30 +117,23 @@ class _Claims:
         self.evidence[label] = {"delta_bic": delta_bic, "holdout_gain": gain}
 
 
-class _HeldOut:
-    """What claims account for of the force that held-out recordings miss."""
+def _share(curve: ForceCurve, unseen: Sequence[Motion], shape: Fitted | None, terms: Terms) -> float:
+    """What claims account for of the force that held-out recordings miss: 1 - (rms left) / (rms missing).
 
-    def __init__(self, curve: ForceCurve, unseen: Sequence[Motion]) -> None:
-        self._curve, self._unseen = curve, unseen
-
-    def share(self, shape: Fitted | None, terms: Terms) -> float:
-        """1 - (rms left) / (rms missing), their means and the noise aside."""
-        curve, left, missing, noise = self._curve, list[FloatArray](), list[FloatArray](), list[float]()
-        for one in self._unseen:
-            force, there = curve.missing(one)
-            made = curve.predicted(one, shape.force if shape is not None else _nothing, terms)
-            missing.append(force[there])
-            left.append((force - made)[there])
-            noise.append(one.noise)
-        if not sum(map(len, missing)):
-            return 0.0
-        before, after = (float(np.var(np.concatenate(parts))) for parts in (missing, left))
-        floor = float(np.mean(np.square(noise)))
-        return 1.0 - float(np.sqrt(max(after - floor, 0.0) / max(before - floor, 1e-300)))
-
-
-def _nothing(speed: FloatArray, _direction: FloatArray) -> FloatArray:
-    return np.zeros_like(speed)
+    Means and the noise aside.
+    """
+    left, missing, noise = list[FloatArray](), list[FloatArray](), list[float]()
+    for one in unseen:
+        force, there = curve.missing(one)
+        missing.append(force[there])
+        made = curve.predicted(one, shape.force if shape else lambda speed, _direction: np.zeros_like(speed), terms)
+        left.append((force - made)[there])
+        noise.append(one.noise)
+    if not sum(map(len, missing)):
+        return 0.0
+    before, after = (float(np.var(np.concatenate(parts))) for parts in (missing, left))
+    floor = float(np.mean(np.square(noise)))
+    return 1.0 - float(np.sqrt(max(after - floor, 0.0) / max(before - floor, 1e-300)))
 
 
 def _rise(curve: ForceCurve, shape: Fitted, name: str) -> float:

@@ -12,7 +12,7 @@ Measured flow: what the piston displaces and what the oil's compression stores.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,6 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.curve_claims import CurveClaims
 from hydro_diagnosis.curves import SLOW, ForceCurve, splines
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim
 from hydro_diagnosis.estimation.problem import Problem
@@ -29,6 +28,9 @@ from hydro_diagnosis.report_json import CurveReport
 from hydro_diagnosis.significance import CONFIDENCE
 from hydro_sim.model.tables import KNOTS
 
+if TYPE_CHECKING:
+    from hydro_diagnosis.curve_claims import CurveClaims
+
 
 def curve_reports(
     problem: Problem, claims: Sequence[Claim], curve: ForceCurve | None, by_curve: CurveClaims | None
@@ -36,28 +38,22 @@ def curve_reports(
     """The curves that the recordings hold points of; `by_curve`: the claims, where they are shapes of the curve."""
     found = []
     if curve is not None and curve.points:
-        found.append(_over_speed(problem, claims, curve, by_curve))
+        points = curve.points
+        at, force, error, strokes = (
+            np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error", "strokes")
+        )
+        if by_curve is not None:
+            made = by_curve.shape.force(at) if by_curve.shape is not None else np.zeros_like(at)
+        else:
+            made = np.array(curve.means([one.force_of(problem.baseline, claims) for one in curve.motions]))
+        found.append(_report(MOTION, "velocity", "m/s", "N", at, force, error, strokes, made))
         if curve.terms.position:
             found.append(_over_position(curve, by_curve))
     if PRESSURE in problem.blocks:
         for rest, over, unit in ((False, "current", "A"), (True, "pressure_difference", "Pa")):
-            if points := _flows(problem, claims, rest=rest):
-                found.append(_report("pressure_a", over, unit, "m3/s", *map(np.array, zip(*points, strict=True))))
+            if flows := _flows(problem, claims, rest=rest):
+                found.append(_report("pressure_a", over, unit, "m3/s", *map(np.array, zip(*flows, strict=True))))
     return found
-
-
-def _over_speed(
-    problem: Problem, claims: Sequence[Claim], curve: ForceCurve, by_curve: CurveClaims | None
-) -> CurveReport:
-    points = curve.points
-    at, force, error, strokes = (
-        np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error", "strokes")
-    )
-    if by_curve is not None:
-        made = by_curve.shape.force(at) if by_curve.shape is not None else np.zeros_like(at)
-    else:
-        made = np.array(curve.means([one.force_of(problem.baseline, claims) for one in curve.motions]))
-    return _report(MOTION, "velocity", "m/s", "N", at, force, error, strokes, made)
 
 
 def _over_position(curve: ForceCurve, by_curve: CurveClaims | None) -> CurveReport:

@@ -30,51 +30,22 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.significance import ALIKE, FOLDS, ITERATIONS, MATTERS, SURE
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 from hydro_sim.model.tables import KNOTS
 
-BAND = 5.0
-"""Cut-off over the band that holds 99.9 % of the motion: its harmonics, in which friction shows."""
-NOISY = 0.05
-"""Share of the speed that an encoder's noise may make: beyond, the cut-off is lower."""
 RATE = 16.0
 """Rate of the samples over the cut-off."""
-APART = 2
-"""Samples between judged ones: 8 of them to a period of the cut-off."""
 SLOW = 0.03
 """Share of the top speed below which the piston stands: a tenth of a decade above what the band resolves of a turn."""
 RATIO = 1.4
 """Ratio of neighbouring speeds of the curve: ten to a direction from `SLOW` to the top."""
-HALF = 0.5
-"""Ratio of what is left with a further term, to what is left without it, from which the term joins."""
-ALIKE = 0.8
-"""Ratio of what two terms leave above which neither is the better one: then the more usual joins."""
 SMOOTH = 0.03
-"""Weight of the penalty between neighbouring speeds, over that of all samples."""
-ROUGH = 1.0
-"""Weight of the penalty on the bend of the curve over the position, over that of all samples."""
+"""Weight of the penalties between neighbouring speeds, and on the bend over the position, over that of all samples."""
 ROUGH_FROM = 2.5
 """What the most flexible curve leaves over the force's white noise, from which recordings are rough: 3.1 and more on 24
 of 26 real rigs, at most 1.8 on drawn ones whose causes are shapes of the motion (docs/reports/real_recordings.md).
 """
-FOLDS = 4
-"""Folds of strokes."""
-ROUNDS = 6
-"""Rounds of weighing."""
-PLAYS = (0.05, 0.1, 0.2, 0.3)
-"""Widths of a play that are tried, over the stroke."""
-RISES = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""Distances of an elastic rise, over the stroke, from which the best is sought."""
-LONG = 5.0
-"""Periods of the cut-off, one of the motion, that a stroke lasts at most: beyond, its errors are those of another."""
-CELLS = (0.25, 0.5, 1.0, 2.0)
-"""Bandwidths of a slow cell that are tried, over the cut-off."""
-MIMICRY = 0.2
-"""Share of the variance of a bend over the position that speeds must leave for it to be told from them."""
-RISEN = 0.9
-"""Share of the force of sliding from which a sample says something of it, behind an elastic beginning."""
-ROBUST = 2.0
-"""Standard deviations beyond which a sample weighs less (Huber 1964)."""
 
 
 def band(position: FloatArray, step: float) -> float:
@@ -88,8 +59,9 @@ def band(position: FloatArray, step: float) -> float:
     motion = float(frequency[min(np.searchsorted(clean, 0.999 * clean[-1]), len(frequency) - 1)])
     period = max(int(0.1 / max(motion, 1e-9) / step), 1)
     speed = float(np.std(np.diff(position[::period]))) * motion / 0.1
-    quiet = (3.0 * (NOISY * speed) ** 2 / (4.0 * np.pi**2 * noise)) ** (1.0 / 3.0)  # noise of the speed up to there
-    return float(np.clip(min(BAND * motion, quiet), min(40.0 / (len(position) * step), 0.2 / step), 0.2 / step))
+    quiet = (3.0 * (MATTERS * speed) ** 2 / (4.0 * np.pi**2 * noise)) ** (1.0 / 3.0)  # noise of the speed up to there
+    within = min(5.0 * motion, quiet)  # with the motion's harmonics, in which friction shows
+    return float(np.clip(within, min(40.0 / (len(position) * step), 0.2 / step), 0.2 / step))
 
 
 class Motion:
@@ -118,7 +90,7 @@ class Motion:
         self.band = band(place, step)
         every = max(int(1.0 / (RATE * self.band * step)), 1)
         self.step = step * every
-        position, force = (self._passed(one, step)[::every] for one in (place, raw))
+        position, force = (self.passed(one, step)[::every] for one in (place, raw))
         self.position, self.measured = position, force
         self.velocity = np.gradient(position, self.step)
         self.acceleration = np.gradient(self.velocity, self.step)
@@ -133,13 +105,10 @@ class Motion:
         self.noise = float(np.sqrt(np.median(power[frequency > 0.35 / step]) * self.band))
         self.memory = Memory(self.step)
 
-    def _passed(self, signal: FloatArray, step: float) -> FloatArray:
-        order = butter(4, self.band, fs=1.0 / step, output="sos")
-        return np.asarray(sosfiltfilt(order, signal, axis=0, padlen=min(len(signal) - 1, int(3 / (self.band * step)))))
-
-    def passed(self, signals: FloatArray) -> FloatArray:
-        """What the band passes of signals, shape (n, ...)."""
-        return self._passed(signals, self.step)
+    def passed(self, signals: FloatArray, step: float) -> FloatArray:
+        """What the band passes of signals that are sampled every `step` s, shape (n, ...)."""
+        order, reach = butter(4, self.band, fs=1.0 / step, output="sos"), int(3 / (self.band * step))
+        return np.asarray(sosfiltfilt(order, signals, axis=0, padlen=min(len(signals) - 1, reach)))
 
     def force_of(self, baseline: Sequence[Claim], claims: Sequence[Claim]) -> FloatArray:
         """Force [N] that claims add to what the recorded motion needs, shape (n,)."""
@@ -149,29 +118,32 @@ class Motion:
         ]
         whole = np.concatenate(parts)
         step = self.models[0].step * self.models[0].spacing
-        return self._passed(whole, step)[:: max(round(self.step / step), 1)]
+        return self.passed(whole, step)[:: max(round(self.step / step), 1)]
 
     def judged(self, top: float) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
         """Samples that are no rest, and those of them that are no turn either, shape (n,); `top`: top speed [m/s]."""
         period = 1.0 / (self.band * self.step)
         slow = np.abs(self.velocity) < SLOW * top
-        rest = _within(_share(~slow, 0.25 * period) < 0.5, 0.75 * period)
+        rest = _share(_share(~slow, 0.25 * period) < 0.5, 0.75 * period) > 1e-9
         turning = (_share(slow, 0.15 * period) > 0.0) | (
             np.abs(self.acceleration) > np.pi * self.band * np.abs(self.velocity)
         )
         edge, there = int(0.5 * period), np.zeros(len(slow), dtype=bool)
-        there[edge : len(slow) - edge : APART] = True
+        there[edge : len(slow) - edge : 2] = True  # 8 to a period of the cut-off
         return there & ~rest, there & ~rest & ~turning
 
     def strokes(self, top: float) -> npt.NDArray[np.int64]:
-        """Number of the stroke that each sample belongs to: from one turn to the next, `LONG` periods at most."""
+        """Number of the stroke that each sample belongs to: from one turn to the next.
+
+        It lasts five periods of the cut-off, one of the motion, at most: beyond, its errors are those of another.
+        """
         moving = np.flatnonzero(np.abs(self.velocity) > SLOW * top)
         turns = np.zeros(len(self.velocity), dtype=np.int64)
         turns[moving[1:][np.diff(np.sign(self.velocity[moving])) != 0.0]] = 1
         stroke = np.cumsum(turns)
         first = np.searchsorted(stroke, stroke)
         since = (np.arange(len(stroke)) - first) * self.step * self.band
-        return stroke * 1000 + np.minimum(since / LONG, 999.0).astype(np.int64)
+        return stroke * 1000 + np.minimum(since / 5.0, 999.0).astype(np.int64)
 
 
 def motions(models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> list[Motion]:
@@ -181,13 +153,9 @@ def motions(models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> l
     """
     groups: list[list[SegmentModel]] = []
     for one in models:
-        last = groups[-1][-1].segment if groups else None
-        follows = (
-            last is not None
-            and last.recording == one.segment.recording
-            and (abs(last.start + last.step * len(last) - one.segment.start) < 0.5 * last.step)
-        )
-        if follows:
+        last = groups[-1][-1].segment if groups else one.segment
+        apart = abs(last.start + last.step * len(last) - one.segment.start)
+        if last.recording == one.segment.recording and apart < 0.5 * last.step:
             groups[-1].append(one)
         else:
             groups.append([one])
@@ -198,10 +166,6 @@ def _share(there: npt.NDArray[np.bool_], reach: float) -> FloatArray:
     """Share of the samples within a reach that are there."""
     width = 2 * int(reach) + 1
     return np.convolve(there, np.full(width, 1.0 / width), "same")
-
-
-def _within(there: npt.NDArray[np.bool_], reach: float) -> npt.NDArray[np.bool_]:
-    return np.asarray(_share(there, reach) > 1e-9)
 
 
 @dataclass(frozen=True)
@@ -281,11 +245,11 @@ class ForceCurve:
         self.terms = self._chosen() if terms is None else terms
         design = self.design(self.terms, self.motions, sliding=True)
         weight = np.ones(len(design.missing))
-        for _ in range(ROUNDS):
+        for _ in range(ITERATIONS):
             values = self._solved(design, weight, self.terms)
             left = design.missing - design.columns @ values
             size = 1.483 * float(np.median(np.abs(left))) + 1e-30
-            weight = np.minimum(1.0, ROBUST * size / np.maximum(np.abs(left), 1e-30))
+            weight = np.minimum(1.0, SURE * size / np.maximum(np.abs(left), 1e-30))
         self.values, self.sliding, self.weight, self.residual = values, design, weight, left
 
     # -- choice of terms -----------------------------------------------------------------------------------------------
@@ -300,7 +264,7 @@ class ForceCurve:
                 if kind and not (played and min(one for one, _ in best) > ALIKE * left):
                     best.append(self._best(kind))
             least = min((one for one, _ in best), default=np.inf)
-            if not least < HALF * left:
+            if not least < 0.5 * left:  # a term joins if it halves what is left
                 return terms
             alike = [one for one in best if ALIKE * one[0] <= least]
             self.rivals += [other for _, other in alike[1:]]
@@ -321,24 +285,27 @@ class ForceCurve:
     def _further(self, terms: Terms) -> Iterator[list[Terms]]:
         """Further terms, kind by kind, the most usual first."""
         beginning = not (terms.rise or terms.cell)
-        rises = [replace(terms, rise=rise * self.stroke) for rise in RISES if beginning]
+        rises = [replace(terms, rise=share * self.stroke) for share in (0.003, 0.01, 0.03, 0.1, 0.3) if beginning]
         yield rises
         yield [replace(one, sharp=True) for one in rises]
-        yield [replace(one, play=play * self.stroke) for one in rises for play in PLAYS]
+        yield [replace(one, play=play * self.stroke) for one in rises for play in (0.05, 0.1, 0.2, 0.3)]
         yield [replace(terms, mass=True)] if not terms.mass else []
         position = {"": "straight", "straight": "curved", "curved": ""}[terms.position]
         yield [replace(terms, position=position)] if position and not (position == "curved" and self.mimicked) else []
-        yield [replace(terms, cell=share * self.motions[0].band) for share in CELLS if beginning]
+        yield [replace(terms, cell=share * self.motions[0].band) for share in (0.25, 0.5, 1.0, 2.0) if beginning]
 
     @cached_property
     def mimicked(self) -> bool:
-        """Whether speeds and a bend over the position are one, as in strokes of one size: nothing tells them apart."""
+        """Whether speeds and a bend over the position are one, as in strokes of one size: nothing tells them apart.
+
+        So where the speeds leave less than a fifth of the bend's variance.
+        """
         design = self.design(Terms(), self.motions)
         bend = np.square(self.share(design.position) - 0.5)
         place = np.sign(design.velocity) * (1 + self.place(np.abs(design.velocity)))
         _, index = np.unique(place, return_inverse=True)
         means = np.bincount(index, bend) / np.bincount(index)
-        return bool(np.var(bend - means[index]) < MIMICRY * np.var(bend))
+        return bool(np.var(bend - means[index]) < 0.2 * np.var(bend))
 
     def left(self, terms: Terms) -> float:
         """Root mean square [N] of what is left on strokes that were not fitted."""
@@ -378,26 +345,27 @@ class ForceCurve:
 
     def design(self, terms: Terms, motions: Sequence[Motion], *, sliding: bool = False) -> Design:
         """The rows of some recordings; `sliding`: without turns."""
-        parts: list[tuple[npt.NDArray[Any], ...]] = []
+        parts: list[dict[str, npt.NDArray[Any]]] = []
         for number, one in enumerate(motions):
             judged, stroke, hats = self._seen(one)
             there = judged[1 if sliding else 0]
             sign, cell = self._sign(one, terms), self._cell(one, terms)
             sides = (np.maximum(sign, 0.0), np.minimum(sign, 0.0))
             speeds = np.concatenate([side[:, None] * hats for side in sides], axis=1)
-            further = np.column_stack([*self._beside(one.position, terms),
-                                       *([one.acceleration] if terms.mass else []), np.ones(len(sign))])  # fmt: skip
-            columns = np.concatenate([one.passed(cell(speeds)), cell(further)], axis=1)
-            there = there & ((np.abs(sign) > RISEN) | (not sliding))
-            rows = (columns, one.measured - cell(one.known), one.velocity, one.acceleration, one.position, sign,
-                    stroke + number * 10**9, np.full(len(sign), number))  # fmt: skip
-            parts.append(tuple(row[there] for row in rows))
-        columns, missing, velocity, acceleration, position, sign, stroke, recording = (
-            np.concatenate([part[k] for part in parts]) for k in range(8)
-        )
-        return Design(columns=columns, missing=missing, velocity=velocity, acceleration=acceleration,
-                      position=position, sign=sign, stroke=stroke.astype(np.int64),
-                      recording=recording.astype(np.int64))  # fmt: skip
+            bends, share = list[FloatArray](), self.share(one.position)
+            if terms.position:
+                bends = [share - 0.5] if terms.position == "straight" else list(splines(share)[:, 1:].T)
+            further = np.column_stack([*bends, *([one.acceleration] if terms.mass else []), np.ones(len(sign))])
+            columns = np.concatenate([one.passed(cell(speeds), one.step), cell(further)], axis=1)
+            if sliding:  # behind an elastic beginning, a sample says something of the force once that has risen
+                there = there & (np.abs(sign) > 0.9)
+            rows = {
+                "columns": columns, "missing": one.measured - cell(one.known), "velocity": one.velocity,
+                "acceleration": one.acceleration, "position": one.position, "sign": sign,
+                "stroke": stroke + number * 10**9, "recording": np.full(len(sign), number),
+            }  # fmt: skip
+            parts.append({name: row[there] for name, row in rows.items()})
+        return Design(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
     def _sign(self, motion: Motion, terms: Terms) -> FloatArray:
         position = motion.memory.play("play", motion.position, terms.play) if terms.play else motion.position
@@ -414,36 +382,24 @@ class ForceCurve:
             return lambda signals: signals
         return lambda signals: motion.memory.low_pass("cell", signals, terms.cell, LOAD_CELL_DAMPING)
 
-    def _beside(self, position: FloatArray, terms: Terms) -> list[FloatArray]:
-        if not terms.position:
-            return []
-        share = self.share(position)
-        return [share - 0.5] if terms.position == "straight" else list(splines(share)[:, 1:].T)
-
     def share(self, position: FloatArray) -> FloatArray:
         """Position over the recorded range, 0 to 1."""
         return np.clip((position - self.limits[0]) / max(self.limits[1] - self.limits[0], 1e-12), 0.0, 1.0)
 
-    def _penalty(self, count: int, terms: Terms) -> FloatArray:
-        """Rows that hold neighbours together, of unit weight."""
-        speeds = len(self.knots)
-        found = np.zeros((2 * (speeds - 1) + (KNOTS - 2 if terms.position == "curved" else 0), count))
-        for row, k in enumerate([*range(speeds - 1), *range(speeds, 2 * speeds - 1)]):
-            found[row, k], found[row, k + 1] = -SMOOTH, SMOOTH
-        for k, row in enumerate(range(2 * (speeds - 1), len(found))):  # the first spline has the coefficient 0
-            at = 2 * speeds + np.arange(k - 1, k + 2)
-            found[row, at[at >= 2 * speeds]] = ROUGH * SMOOTH * np.array([1.0, -2.0, 1.0])[at >= 2 * speeds]
-        return found
-
     def _normal(self, design: Design, weight: FloatArray, terms: Terms) -> FloatArray:
-        """Inverse of the penalised normal matrix."""
-        columns = design.columns
-        bound = self._penalty(columns.shape[1], terms) * np.sqrt(weight.sum())
-        normal = (columns * weight[:, None]).T @ columns + bound.T @ bound
+        """Inverse of the normal matrix, with the penalties that hold neighbours together."""
+        columns, speeds = design.columns, len(self.knots)
+        held = np.zeros((2 * (speeds - 1) + (KNOTS - 2 if terms.position == "curved" else 0), columns.shape[1]))
+        for row, k in enumerate([*range(speeds - 1), *range(speeds, 2 * speeds - 1)]):
+            held[row, k], held[row, k + 1] = -SMOOTH, SMOOTH
+        for k, row in enumerate(range(2 * (speeds - 1), len(held))):  # the first spline has the coefficient 0
+            at = 2 * speeds + np.arange(k - 1, k + 2)
+            held[row, at[at >= 2 * speeds]] = SMOOTH * np.array([1.0, -2.0, 1.0])[at >= 2 * speeds]
+        held = held * np.sqrt(weight.sum())
+        normal = (columns * weight[:, None]).T @ columns + held.T @ held
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        return np.asarray(np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)) / np.outer(
-            scale, scale
-        )
+        size = np.outer(scale, scale)
+        return np.asarray(np.linalg.pinv(normal / size, rcond=1e-12, hermitian=True)) / size
 
     def _solved(self, design: Design, weight: FloatArray, terms: Terms) -> FloatArray:
         return np.asarray(self._normal(design, weight, terms) @ (design.columns.T @ (weight * design.missing)))
@@ -460,7 +416,7 @@ class ForceCurve:
             force = force + self.mass[0] * motion.acceleration
         if terms.position:
             force = force + splines(self.share(motion.position)) @ self.over_position
-        return self._cell(motion, terms)(motion.passed(force))
+        return self._cell(motion, terms)(motion.passed(force, motion.step))
 
     def missing(self, motion: Motion) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Force [N] that is missing in a recording, and the samples that are judged, shape (n,).
@@ -481,20 +437,19 @@ class ForceCurve:
     def covariances(self) -> list[FloatArray]:
         """Of the values: the sandwich over strokes, and over recordings where there are three."""
         inverse = self._normal(self.sliding, self.weight, self.terms)
-        groups = [self.sliding.stroke, *([self.sliding.recording] if len(self.motions) >= 3 else [])]
-        return [self._sandwich(inverse, group) for group in groups]
+        scores = self.sliding.columns * (self.weight * self.residual)[:, None]
+        found = []
+        for group in [self.sliding.stroke, *([self.sliding.recording] if len(self.motions) >= 3 else [])]:
+            names, index = np.unique(group, return_inverse=True)
+            summed = np.zeros((len(names), scores.shape[1]))
+            np.add.at(summed, index, scores)
+            moves = summed @ inverse
+            found.append(np.asarray(moves.T @ moves) * len(names) / max(len(names) - 1, 1))
+        return found
 
     def error(self, row: FloatArray) -> float:
         """Standard error of a sum of values, `row` times them: the larger one."""
         return float(np.sqrt(max(row @ one @ row for one in self.covariances)))
-
-    def _sandwich(self, inverse: FloatArray, group: npt.NDArray[np.int64]) -> FloatArray:
-        scores = self.sliding.columns * (self.weight * self.residual)[:, None]
-        names, index = np.unique(group, return_inverse=True)
-        summed = np.zeros((len(names), scores.shape[1]))
-        np.add.at(summed, index, scores)
-        moves = summed @ inverse
-        return np.asarray(moves.T @ moves) * len(names) / max(len(names) - 1, 1)
 
     @cached_property
     def points(self) -> list[Point]:
@@ -558,20 +513,14 @@ class ForceCurve:
 
     @property
     def rough(self) -> bool:
-        """Whether even the most flexible curve leaves far more than noise: then no name can explain it all."""
-        return self.roughness > ROUGH_FROM
+        """Whether even the most flexible curve leaves far more than noise: then no name can explain it all.
 
-    @property
-    def roughness(self) -> float:
-        """What that leaves on strokes that were not fitted, over the noise; by the median: not of single strokes."""
+        On strokes that were not fitted, by the median: not of single strokes.
+        """
         terms = Terms(mass=True, position="curved")
         off = np.abs(self._held_out(self.design(terms, self.motions, sliding=True), terms))
-        return 1.483 * float(np.median(off)) / self.noise
-
-    @property
-    def noise(self) -> float:
-        """Standard deviation [N] of the white noise of the force in the band."""
-        return float(np.sqrt(np.mean(np.square([one.noise for one in self.motions]))))
+        noise = float(np.sqrt(np.mean(np.square([one.noise for one in self.motions]))))
+        return 1.483 * float(np.median(off)) / noise > ROUGH_FROM
 
 
 def splines(share: FloatArray) -> FloatArray:

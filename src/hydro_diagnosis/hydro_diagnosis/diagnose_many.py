@@ -114,30 +114,19 @@ def diagnosed(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, A
     report = found.report
     begin = report.recordings[0]["begin"]
     shares = [one["all"] for one in report.accounted.values()]
-    parameters = [
-        {
-            "cause": effect.id,
-            "options": ",".join(f"{key}={one}" for key, one in effect.options.items()),
-            "parameter": name,
-            **row_of(number),
-        }
-        for effect in report.effects
-        for name, number in effect.parameters.items()
-    ]
-    estimated = [{"cause": "", "options": "", "parameter": one.name, **row_of(one)} for one in report.estimated]
-    diagnosis = {
-        "verdict": report.verdict,
-        "causes": [effect.id for effect in report.effects],
-        "closures": len(report.closures),
-        "explained": min(shares, default=None),
-        "notes": report.data_quality,
-        "seconds": report.seconds,
-    }
     beginning = {"begin": None if begin is None else round(1e6 * begin)}
-    return {
-        "diagnosis": {**beginning, **diagnosis},
-        "parameters": [{**beginning, **one} for one in (*parameters, *estimated)],
-    }
+    diagnosis = {
+        **beginning, "verdict": report.verdict, "causes": [effect.id for effect in report.effects],
+        "closures": len(report.closures), "explained": min(shares, default=None), "notes": report.data_quality,
+        "seconds": report.seconds,
+    }  # fmt: skip
+    parameters = []
+    for effect in report.effects:
+        place = ",".join(f"{key}={one}" for key, one in effect.options.items())
+        for name, number in effect.parameters.items():
+            parameters.append({"cause": effect.id, "options": place, "parameter": name, **row_of(number)})
+    parameters += [{"cause": "", "options": "", "parameter": one.name, **row_of(one)} for one in report.estimated]
+    return {"diagnosis": diagnosis, "parameters": [{**beginning, **one} for one in parameters]}
 
 
 def write_study(folder: Path, found: Mapping[str, Mapping[str, Any]]) -> None:

@@ -11,53 +11,39 @@ it gains nearly as much.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hydro_core.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.closure.evidence import has_identified_shapes
 from hydro_diagnosis.closure.screen import Screen
-from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.judge import Assessment
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError, Recording
-from hydro_diagnosis.selection.search import Outcome
 from hydro_diagnosis.significance import DECISIVE
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
+if TYPE_CHECKING:
+    from hydro_diagnosis.judge import Assessment
+    from hydro_diagnosis.selection.search import Outcome
+
 
 def simulated_recording(
-    bench: Bench,
-    reference: ReferenceSignal,
-    *,
-    gains: tuple[float, float] = (60.0, 10.0),
-    seconds: float = 10.0,
-    noise: float = 1.0,
-    seed: int = 0,
-    truth: Bench | None = None,
-) -> Recording:
+    bench: Bench, reference: ReferenceSignal, *, gains: tuple[float, float] = (60.0, 10.0), seconds: float = 10.0,
+    noise: float = 1.0, seed: int = 0, truth: Bench | None = None,
+) -> Recording:  # fmt: skip
     """One run under the box's force law.
 
-    Parameters
-    ----------
-    bench
-        What the box believes.
-    reference, gains, seconds
-        What is commanded: K_p [1/s], K_i [1/s^2], length [s].
-    noise, seed
-        Scale and seed of the sensors' noise.
-    truth
-        What is simulated, `bench` by default.
+    `bench`: what the box believes. `reference`, `gains`, `seconds`: what is commanded, K_p [1/s], K_i [1/s^2], length.
+    `noise`, `seed`: scale and seed of the sensors' noise. `truth`: what is simulated, `bench` by default.
     """
     plant = AnalyticPlant(replace(truth or bench, effects=(), closures=()), noise=noise)
     believed = replace(bench, effects=(), closures=())
@@ -74,21 +60,23 @@ def catalog(bench: Bench) -> list[ReferenceSignal]:
     """References that the box can run, over the working range: forces in proportion to the bench's largest."""
     nominal = Bench.nominal()
     strength = bench.piston_area * bench.supply_pressure / (nominal.piston_area * nominal.supply_pressure)
+    of_nominal = []
+    for offset in (-120.0, 0.0, 120.0):
+        of_nominal += [
+            ReferenceSignal(waveform=Waveform.SINE, amplitude=150.0, offset=offset, frequency=0.3),
+            ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=170.0, offset=offset, frequency=0.7),
+        ]
+    of_nominal += [
+        ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0),
+        ReferenceSignal(waveform=Waveform.SINE, amplitude=40.0, frequency=2.0),
+        ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=260.0, frequency=0.8),
+        ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=60.0, frequency=0.3),
+        ReferenceSignal(waveform=Waveform.HOLD, offset=200.0),
+    ]
     return [
         replace(one, amplitude=float(f"{strength * one.amplitude:.2g}"), offset=float(f"{strength * one.offset:.2g}"))
-        for one in _nominal_catalog()
+        for one in of_nominal
     ]
-
-
-def _nominal_catalog() -> Iterator[ReferenceSignal]:
-    for offset in (-120.0, 0.0, 120.0):
-        yield ReferenceSignal(waveform=Waveform.SINE, amplitude=150.0, offset=offset, frequency=0.3)
-        yield ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=170.0, offset=offset, frequency=0.7)
-    yield ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
-    yield ReferenceSignal(waveform=Waveform.SINE, amplitude=40.0, frequency=2.0)
-    yield ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=260.0, frequency=0.8)
-    yield ReferenceSignal(waveform=Waveform.SMOOTH_STEP, amplitude=60.0, frequency=0.3)
-    yield ReferenceSignal(waveform=Waveform.HOLD, offset=200.0)
 
 
 def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -> dict[str, Any] | None:
@@ -116,12 +104,9 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
         return {"why": why, "separates": names, "reference": None, "expected_gain": gain}
     why = f"{alike}; on this reference they differ most, by {gain**0.5:.3g} standard deviations of the noise."
     proposed = {
-        "waveform": reference.waveform.name.lower(),
-        "amplitude": reference.amplitude,
-        "offset": reference.offset,
-        "frequency": reference.frequency,
-        "seconds": PROPOSED,
-    }
+        "waveform": reference.waveform.name.lower(), "amplitude": reference.amplitude, "offset": reference.offset,
+        "frequency": reference.frequency, "seconds": PROPOSED,
+    }  # fmt: skip
     return {"why": why, "separates": names, "reference": proposed, "expected_gain": gain}
 
 
@@ -152,32 +137,21 @@ def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> 
     if not fits:
         return None
     place = max(fits, key=lambda k: fits[k].deviance)
-    rival = rival_law(problem, found, place, fits[place], screen)
-    if rival is None:
+    without, own = fits[place], found.claims[place].effect.label
+    prospects, _there_is = (screen or Screen(problem, without)).prospects(without, 3, {own})
+    enough = 0.9 * (without.deviance - found.deviance)
+    for prospect in prospects:  # with the next best law, as the last claim, in the place of this one
+        starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)
+        rival = min(starts, key=lambda one: one.deviance)
+        gained = without.deviance - rival.deviance
+        if gained >= enough and has_identified_shapes(problem, rival, rival.claims[-1]):
+            break
+    else:
         return None
-    share = (fits[place].deviance - rival.deviance) / (fits[place].deviance - found.deviance)
-    names = [_name(found.claims[place]), _name(rival.claims[-1])]
+    share = gained / (without.deviance - found.deviance)
+    names = []
+    for claim in (found.claims[place], rival.claims[-1]):
+        assert is_closure(claim.effect)
+        names.append(f"{claim.effect.law.form} ({claim.effect.law.equation})")
     alike = f"{names[1]} explains {100.0 * min(share, 1.0):.3g} % of what {names[0]} explains of these recordings"
     return proposal(problem, found, rival, names, alike)
-
-
-def rival_law(problem: Problem, found: Fit, place: int, without: Fit, screen: Screen | None = None) -> Fit | None:
-    """The fit with the next best law, as the last claim, in the place of a law; None where none gains 90 % of it.
-
-    `without`: the fit of all other claims. `screen`: of the laws of these recordings, computed here if there is none.
-    """
-    own = found.claims[place].effect.label
-    screen = screen or Screen(problem, without)
-    prospects, _there_is = screen.prospects(without, 3, {own})
-    enough = 0.9 * (without.deviance - found.deviance)
-    for prospect in prospects:
-        starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)
-        fitted = min(starts, key=lambda one: one.deviance)
-        if without.deviance - fitted.deviance >= enough and has_identified_shapes(problem, fitted, fitted.claims[-1]):
-            return fitted
-    return None
-
-
-def _name(claim: Claim) -> str:
-    assert is_closure(claim.effect)
-    return f"{claim.effect.law.form} ({claim.effect.law.equation})"

@@ -45,15 +45,9 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 
-SETTLE = 2.0
-"""s after which a loop that began at rest is where the recorded one is: a run that is entered late differs by 0.1 %."""
 MISSED = 0.2
 """Share of the recorded RMSE by which a forecast that is said to miss is off."""
 LAW_STATE_TOPIC = "/hydro/law_state"
-
-
-class NoForecastError(ValueError):
-    """A recording's loop cannot be closed again; the message is a sentence without its end."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +114,7 @@ def forecasts(
 def _forecast(loop: Loop, problem: Problem, claims: Sequence[Claim]) -> ForecastReport:
     noise, law = problem.sensor_noise, loop.schedule.law.name.lower()
     if missing := {"load_force", "pressure_a", "pressure_b", "piston_position"} - noise.keys():
-        raise NoForecastError(f"the noise of {', '.join(sorted(missing))} is not known from what was fitted")
+        raise ValueError(f"the noise of {', '.join(sorted(missing))} is not known from what was fitted")
     sensors = Sensors(
         force_noise=noise["load_force"],
         pressure_noise=float(np.hypot(noise["pressure_a"], noise["pressure_b"]) / np.sqrt(2.0)),
@@ -156,12 +150,12 @@ def _newtons(rmse: float) -> str:
 def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> Loop:
     """The loop of a segment, whose box believed `bench`, or what the recording at `path` says that it did.
 
-    Raises NoForecastError: no reference or law is recorded, or the law does not give the recorded current.
+    Raises ValueError, a sentence without its end: no reference or law is recorded, or it does not give the current.
     """
     if missing := [name for name in STATE_FIELDS if name not in segment.channels]:
-        raise NoForecastError(f"no force law or reference is recorded ({', '.join(missing)})")
+        raise ValueError(f"no force law or reference is recorded ({', '.join(missing)})")
     if abs(segment.step - SAMPLE_PERIOD) > 1e-3 * SAMPLE_PERIOD:
-        raise NoForecastError(f"its box does not run at {1.0 / SAMPLE_PERIOD:g} Hz")
+        raise ValueError(f"its box does not run at {1.0 / SAMPLE_PERIOD:g} Hz")
     bag = read_bag(path, topics=()) if path is not None and is_bag(path) else None
     law, followed, scales = _law_state(segment, bag)
     armed = np.concatenate(([False], segment.channels["nominal_valve_current"] != 0.0, [False]))
@@ -169,10 +163,11 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     begin, end = max(runs.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
     spacing = segment.spacing
     begin += (segment.phase - begin) % spacing
-    least, most = SETTLE + 1.0, SETTLE + 18.0  # s; 50 ms of computing for a simulation
+    settle = 2.0  # s after which a loop that began at rest is where the recorded one is: 0.1 % if it is entered late
+    least, most = settle + 1.0, settle + 18.0  # s; 50 ms of computing for a simulation
     end = min(end, begin + round(most / SAMPLE_PERIOD))
     if end - begin < round(least / SAMPLE_PERIOD):
-        raise NoForecastError(f"its box is armed for less than {least:g} s without a gap")
+        raise ValueError(f"its box is armed for less than {least:g} s without a gap")
     part = segment.cut(begin, end).channels
     belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, bag), spacing)
     current, nominal = part["valve_current"][::spacing], part["nominal_valve_current"][::spacing]
@@ -190,7 +185,7 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
         recording=segment.recording, belief=belief, config=config, schedule=schedule,
         start=np.array([part[name][0] for name in PLANT_FIELDS]),
         reference=part["reference_force"], force=part["load_force"],
-        judged=slice(-(-round(SETTLE / SAMPLE_PERIOD) // spacing) * spacing, None, spacing),
+        judged=slice(-(-round(settle / SAMPLE_PERIOD) // spacing) * spacing, None, spacing),
     )  # fmt: skip
 
 
@@ -217,7 +212,7 @@ def _law_state(segment: Segment, bag: Recording | None) -> tuple[Law, FloatArray
         if same.any():
             break
     else:
-        raise NoForecastError("its samples were changed, so that the law's coefficients belong to none")
+        raise ValueError("its samples were changed, so that the law's coefficients belong to none")
     numbers = int(states["sequence"][np.argmax(same)]) - at + np.arange(len(segment))
     blocks = (block[np.isin(block["sequence"], numbers)] for block in stream_bag(bag.path, LAW_STATE_TOPIC))
     told = np.concatenate(list(blocks))
@@ -245,7 +240,7 @@ def _box(
         tried.append((_law_off(channels, followed, scales, belief, config, spacing), len(tried), belief, config))
     off, _, belief, config = min(tried)
     if not off <= MISSED / 4.0:  # what misses by less is not the law's doing
-        raise NoForecastError(
+        raise ValueError(
             f"the {law.name.lower()} law with its recorded gains misses the recorded nominal current by "
             f"{100.0 * off:.0f} %: what closed this loop is not known"
         )

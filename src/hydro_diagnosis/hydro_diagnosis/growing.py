@@ -27,17 +27,11 @@ from hydro_core.errors import UserError
 from hydro_core.files.atomic import write_whole
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.report_json import ParameterEstimate
+from hydro_diagnosis.significance import CONFIDENCE, QUANTILE
 from hydro_sim.model import grammar
 from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.catalogue import KINDS
 from hydro_sim.model.laws import Law
-
-LEVEL = 0.05
-"""Probability of larger deviations, below which one value does not fit all benches."""
-SMALL = 1e-6
-"""Probability below which no figure is given."""
-_HALF_95 = 1.959964
-"""Half a 95 % interval, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +50,7 @@ class Agreement:
     @property
     def one_for_all(self) -> bool:
         """Whether one value fits all benches."""
-        return self.probability is not None and self.probability >= LEVEL
+        return self.probability is not None and self.probability >= 2.0 * (1.0 - CONFIDENCE)
 
     @property
     def sentence(self) -> str:
@@ -74,30 +68,27 @@ class Agreement:
 
 def agreements(found: Sequence[Sighting]) -> list[Agreement]:
     """Return the agreement of each parameter of the law, in the law's order."""
-    named = units(found[0].law)
-    return [_compared(name, unit, [one.estimates[name] for one in found]) for name, unit in named.items()]
-
-
-def _compared(name: str, unit: str, estimates: Sequence[ParameterEstimate]) -> Agreement:
-    known = [(one.value, *one.ci95) for one in estimates if one.ci95]
-    if len(known) < 2:
-        return Agreement(name, unit, float(np.median([one.value for one in estimates])))
-    values, lows, highs = np.array(known).T
-    weights = np.square(2.0 * _HALF_95 / np.maximum(highs - lows, 1e-12 * np.abs(values)))
-    mean = float(weights @ values / weights.sum())
-    reach = _HALF_95 / float(np.sqrt(weights.sum()))
-    deviation = float(weights @ np.square(values - mean))
-    probability = float(chi2.sf(deviation, len(known) - 1))
-    common = mean if probability >= LEVEL else float(np.median(values))
-    return Agreement(name, unit, common, (mean - reach, mean + reach), probability)
+    agreed = []
+    for name, unit in units(found[0].law).items():
+        estimates = [one.estimates[name] for one in found]
+        known = [(one.value, *one.ci95) for one in estimates if one.ci95]
+        if len(known) < 2:
+            agreed.append(Agreement(name, unit, float(np.median([one.value for one in estimates]))))
+            continue
+        values, lows, highs = np.array(known).T
+        weights = np.square(2.0 * QUANTILE / np.maximum(highs - lows, 1e-12 * np.abs(values)))
+        mean = float(weights @ values / weights.sum())
+        reach = QUANTILE / float(np.sqrt(weights.sum()))
+        deviation = float(weights @ np.square(values - mean))
+        probability = float(chi2.sf(deviation, len(known) - 1))
+        common = mean if probability >= 2.0 * (1.0 - CONFIDENCE) else float(np.median(values))
+        agreed.append(Agreement(name, unit, common, (mean - reach, mean + reach), probability))
+    return agreed
 
 
 def _probability(value: float) -> str:
-    return f"p = {value:.2g}" if value >= SMALL else f"p < {SMALL:g}"
-
-
-FEWEST = 2
-"""Benches on which a law must have been found."""
+    least = 1e-6  # below which no figure is given
+    return f"p = {value:.2g}" if value >= least else f"p < {least:g}"
 
 
 @dataclass(frozen=True)
@@ -124,25 +115,26 @@ def sightings(reports: Sequence[str | Path], form: str | None = None) -> list[Si
     closure, or without a law in common.
     """
     contents = [(str(report), _read(Path(report))) for report in reports]
-    _refuse_twins(contents)
-    if len(contents) < FEWEST:
-        raise UserError(
-            f"one report is one bench: a law must have been found on {FEWEST} at least before it becomes an effect"
-        )
+    seen: dict[str, str] = {}
+    for report, content in contents:
+        key = json.dumps([content["recordings"], content["closures"]], sort_keys=True)
+        if key in seen:
+            raise UserError(f"{seen[key]} and {report} are one diagnosis: give reports of different benches")
+        seen[key] = report
+    if len(contents) < 2:
+        raise UserError("one report is one bench: a law must have been found on 2 at least before it becomes an effect")
     found = [_laws(report, content) for report, content in contents]
     shared = [name for name in found[0] if all(name in one for one in found)]
     chosen = [name for name in shared if form is None or name[1] == form]
     if not shared:
-        raise UserError("the reports hold different laws: " + "; ".join(_told(one) for one in found))
+        laws = (" and ".join(f"{form} ({equation})" for equation, form in one) for one in found)
+        held = (f"{report} has {names}" for (report, _), names in zip(contents, laws, strict=True))
+        raise UserError("the reports hold different laws: " + "; ".join(held))
     if len(chosen) != 1:
         names = ", ".join(repr(name[1]) for name in shared)
         why = "the reports have several laws in common" if form is None else f"the reports do not share a law {form!r}"
         raise UserError(f"{why}: choose by --law one of {names}")
     return [one[chosen[0]] for one in found]
-
-
-_Laws = dict[tuple[str, str], Sighting]
-"""By equation and form."""
 
 
 def _read(path: Path) -> Mapping[str, Any]:
@@ -156,53 +148,31 @@ def _read(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def _refuse_twins(contents: Sequence[tuple[str, Mapping[str, Any]]]) -> None:
-    seen: dict[str, str] = {}
-    for report, content in contents:
-        key = json.dumps([content["recordings"], content["closures"]], sort_keys=True)
-        if key in seen:
-            raise UserError(f"{seen[key]} and {report} are one diagnosis: give reports of different benches")
-        seen[key] = report
-
-
-def _laws(report: str, content: Mapping[str, Any]) -> _Laws:
-    """Laws of one report."""
+def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], Sighting]:
+    """Laws of one report by equation and form: those of the grammar from which `closures` were written."""
     if not content["closures"]:
         raise UserError(f"{report} has no closure (its verdict is {content['verdict']}): there is no law to grow from")
     laws = [one for one in content["closures"] if one["form"] == "law"]
     if not laws:
         places = ", ".join(one["equation"] for one in content["closures"])
         raise UserError(f"{report} has a smooth function in {places}, not a law: a table of numbers is not an effect")
-    found = [_sighting(report, one) for one in laws]
-    return {(one.law.equation, one.law.form): one for one in found}
-
-
-_LAWS = (*grammar.LAWS, *grammar.ROUNDED)
-
-
-def _sighting(report: str, closure: Mapping[str, Any]) -> Sighting:
-    """The law of the grammar that an entry of `closures` was written from, with its numbers."""
-    written = str(closure["expression"]).partition(" * ")[2]
-    for law in _LAWS:
-        same = law.equation == closure["equation"] and law.names == tuple(closure["terms"])
-        same = same and (
-            law.equation != "sensor" or law.sentence == closure["sentence"]
-        )  # which says whose sensor it is
-        further = f", {law.numbers[0].name} = " if law.numbers else ""
-        if same and (written == law.text or (further and written.startswith(law.text + further))):
-            return Sighting(report, law, {name: ParameterEstimate(**one) for name, one in closure["terms"].items()})
-    raise UserError(f"{report}: the law {written!r} is none of this version's: diagnose its recordings again")
-
-
-def _told(laws: _Laws) -> str:
-    names = " and ".join(f"{form} ({equation})" for equation, form in laws)
-    return f"{next(iter(laws.values())).report} has {names}"
+    found = {}
+    for closure in laws:
+        written, terms = str(closure["expression"]).partition(" * ")[2], closure["terms"]
+        for law in (*grammar.LAWS, *grammar.ROUNDED):
+            same = law.equation == closure["equation"] and law.names == tuple(terms)
+            same = same and (law.equation != "sensor" or law.sentence == closure["sentence"])  # says whose sensor it is
+            further = f", {law.numbers[0].name} = " if law.numbers else ""
+            if same and (written == law.text or (further and written.startswith(law.text + further))):
+                numbers = {name: ParameterEstimate(**one) for name, one in terms.items()}
+                found[law.equation, law.form] = Sighting(report, law, numbers)
+                break
+        else:
+            raise UserError(f"{report}: the law {written!r} is none of this version's: diagnose its recordings again")
+    return found
 
 
 # --- the effect -------------------------------------------------------------------------------------------------------
-
-REACH = 10.0
-"""Bounds of a parameter, over the largest and under the smallest value that was seen."""
 
 
 def written(found: Sequence[Sighting], agreed: Sequence[Agreement], path: Path) -> None:
@@ -211,19 +181,40 @@ def written(found: Sequence[Sighting], agreed: Sequence[Agreement], path: Path) 
     about = [f'Grown by `diagnose --grow` from the law "{law.form}" ({law.equation}), found on {len(found)} benches.',
              *(one.sentence for one in agreed)]  # fmt: skip
     numbers = {}
+    reach = 10.0  # of a parameter's bounds, over the largest and under the smallest that was seen, on its side of 0
     for one in agreed:
-        low, high = _bounds(one.name, found)
-        numbers[one.name] = {"seen": _short(one.common), "low": low, "high": high}
+        seen = [sighting.estimates[one.name] for sighting in found]
+        ends = [end for estimate in seen for end in (estimate.value, *(estimate.ci95 or ()))]
+        low, high = min(ends), max(ends)
+        near = 0.0 if one.name == "coefficient" else 1.0 / reach
+        if low < 0.0 < high:
+            low, high = -reach * max(-low, high), reach * max(-low, high)
+        else:
+            low, high = low * (near if low > 0.0 else reach), high * (reach if high > 0.0 else near)
+        # four digits: more were not seen
+        rounded = {"seen": one.common, "low": low, "high": high}
+        numbers[one.name] = {key: float(f"{value:.4g}") + 0.0 for key, value in rounded.items()}
     content = {"law": {"equation": law.equation, "form": law.form}, "sentence": law.sentence, "parameters": numbers}
     text = "".join(f"# {line}".rstrip() + "\n" for line in about)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, (text + yaml.safe_dump(content, sort_keys=False, width=110)).encode())
 
 
-def side_by_side(found: Sequence[Sighting]) -> Table:
-    """The law's numbers, one row for each bench and number."""
+def grow(chosen: argparse.Namespace) -> int:
+    """Compare the reports, write the effect, say what was found; `chosen`: by `cli.parser`."""
+    folder = chosen.out or grown.target_folder()
+    path = folder / f"{chosen.id}.yaml"
+    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", chosen.id):
+        raise UserError(f"--id {chosen.id!r}: use lower-case words joined by _, for instance port_drag")
+    if chosen.id in {one.split()[0] for one in KINDS} | {one.id for one in CANDIDATES}:
+        raise UserError(f"--id {chosen.id}: an effect of this id exists: choose another name")
+    if path.exists():
+        raise UserError(f"{path} exists: choose another --id")
+    found = sightings(chosen.reports, chosen.law)
+    agreed = agreements(found)
+    written(found, agreed, path)
     law = found[0].law
-    made = Table(
+    table = Table(
         {"report": "", "parameter": "", "value": "SI, in the unit beside it", "low": "of the 95 % interval", "high": "",
          "unit": ""},
         title=f"{law.form} ({law.equation}): {law.text}",
@@ -232,51 +223,12 @@ def side_by_side(found: Sequence[Sighting]) -> Table:
         for one in found:
             estimate = one.estimates[name]
             low, high = estimate.ci95 or (nan, nan)
-            made.add(report=one.report, parameter=name, value=estimate.value, low=low, high=high, unit=unit)
-    return made
-
-
-def _bounds(name: str, found: Sequence[Sighting]) -> tuple[float, float]:
-    """Bounds of a parameter: ten times what was seen; on one side of 0 if all values and intervals are."""
-    ends = [end for one in found for end in (one.estimates[name].value, *(one.estimates[name].ci95 or ()))]
-    low, high = min(ends), max(ends)
-    if low < 0.0 < high:
-        reach = REACH * max(-low, high)
-        return _short(-reach), _short(reach)
-    near = 0.0 if name == "coefficient" else 1.0 / REACH
-    return _short(low * (near if low > 0.0 else REACH)), _short(high * (REACH if high > 0.0 else near))
-
-
-def _short(value: float) -> float:
-    """Four digits: more were not seen."""
-    return float(f"{value:.4g}") + 0.0
-
-
-def grow(chosen: argparse.Namespace) -> int:
-    """Compare the reports, write the effect, say what was found; `chosen`: by `cli.parser`."""
-    folder = chosen.out or grown.target_folder()
-    path = folder / f"{chosen.id}.yaml"
-    _refuse_id(chosen.id, path)
-    found = sightings(chosen.reports, chosen.law)
-    agreed = agreements(found)
-    written(found, agreed, path)
-    law = found[0].law
-    side_by_side(found).show(chosen.json)
+            table.add(report=one.report, parameter=name, value=estimate.value, low=low, high=high, unit=unit)
+    table.show(chosen.json)
     print(f"\n{chosen.id}: {law.sentence}")
-    for one in agreed:
-        print(f"  {one.sentence}")
+    for agreement in agreed:
+        print(f"  {agreement.sentence}")
     print(f"{path} is the effect")
     if not grown.is_searched(folder):
         print(f"bench files may name it where {grown.VARIABLE}={folder} is set")
     return 0
-
-
-def _refuse_id(name: str, path: Path) -> None:
-    """Refuse an id that is no name, or is taken."""
-    if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", name):
-        raise UserError(f"--id {name!r}: use lower-case words joined by _, for instance port_drag")
-    taken = {one.split()[0] for one in KINDS} | {one.id for one in CANDIDATES}
-    if name in taken:
-        raise UserError(f"--id {name}: an effect of this id exists: choose another name")
-    if path.exists():
-        raise UserError(f"{path} exists: choose another --id")

@@ -45,8 +45,6 @@ from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
 
 HOST = "127.0.0.1"
-FRAME_MAX = 1 << 21
-"""Bytes in one message; the page sends files in pieces of half of that."""
 _SCRIPT = "import.js"
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
@@ -102,17 +100,14 @@ class Import:
             try:
                 request = _DECODER.decode(message)
                 name = request.name if isinstance(request, Upload) else ""
-                self._answer(request)
+                if isinstance(request, Upload):
+                    self._take(request)
+                elif isinstance(request, Check):
+                    self._send("checked", **self._remarks(_map(request.columns)))
+                else:
+                    self._diagnose(request)
             except (InputError, UserError, OSError, ValueError, msgspec.DecodeError) as error:
                 self._send("error", sentence=" ".join(str(error).replace(f"{self._folder}/", "").split()), name=name)
-
-    def _answer(self, request: Upload | Check | Diagnose) -> None:
-        if isinstance(request, Upload):
-            self._take(self._receive(request))
-        elif isinstance(request, Check):
-            self._send("checked", **self._remarks(_map(request.columns)))
-        else:
-            self._diagnose(request)
 
     def _remarks(self, columns: ColumnMap) -> Mapping[str, list[str]]:
         """What looks wrong in the first recording with this map, and what the map leaves out."""
@@ -120,8 +115,8 @@ class Import:
         doubts += self._first[1].broken.values() if self._first else []
         return {"doubts": doubts, "missing": missing(columns)}
 
-    def _receive(self, upload: Upload) -> Path:
-        """Read a file to its end; a name is only the last part of a path."""
+    def _take(self, upload: Upload) -> None:
+        """Read a file to its end, a bench file or a recording; a name is only the last part of a path."""
         path, left = self._folder / Path(upload.name).name, upload.size
         with path.open("wb") as file:
             while left > 0:
@@ -129,9 +124,6 @@ class Import:
                 if isinstance(piece, str):
                     raise InputError(f"{path.name}: the page ended the file before its end")
                 left -= file.write(piece)
-        return path
-
-    def _take(self, path: Path) -> None:
         if path.suffix in (".yaml", ".yml"):
             self._bench = read_bench(path)
             self._send("bench", name=path.name)
@@ -158,17 +150,15 @@ class Import:
         fit, check = ([self._folder / Path(name).name for name in names] for names in (request.fit, request.check))
         if not fit:
             raise InputError("no recording is there to fit: drop one")
-        found = diagnose(fit, holdout=check, bench=self._bench, columns=columns, progress=self._progress)
-        self._send(
-            "report",
-            verdict=found.report.verdict,
-            report=rendered(found),
-            corrected=corrected_yaml(found.corrected),
-            columns=as_yaml(columns),
-        )
 
-    def _progress(self, text: str) -> None:
-        self._send("progress", text=text, done=STAGES.index(text) if text in STAGES else None, stages=len(STAGES))
+        def progress(text: str) -> None:
+            self._send("progress", text=text, done=STAGES.index(text) if text in STAGES else None, stages=len(STAGES))
+
+        found = diagnose(fit, holdout=check, bench=self._bench, columns=columns, progress=progress)
+        self._send(
+            "report", verdict=found.report.verdict, report=rendered(found), corrected=corrected_yaml(found.corrected),
+            columns=as_yaml(columns),
+        )  # fmt: skip
 
     def _send(self, kind: str, **content: Any) -> None:
         self._connection.send(encode_message(kind, content))
@@ -215,7 +205,8 @@ def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Ser
                 return
 
     try:
-        return serve(attend, HOST, port, process_request=respond, max_size=FRAME_MAX)
+        # bytes in one message: the page sends files in pieces of half of that
+        return serve(attend, HOST, port, process_request=respond, max_size=1 << 21)
     except OSError as error:
         raise UserError(f"the page cannot be served at port {port}: {error.strerror or error}") from None
 

@@ -21,8 +21,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit, without_one
 from hydro_diagnosis.estimation.intervals import Interval, without_insignificant
 from hydro_diagnosis.estimation.problem import NOTICEABLE, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
-from hydro_diagnosis.selection.search import SearchSettings
-from hydro_diagnosis.significance import MATTERS
+from hydro_diagnosis.significance import CLAIMED, ITERATIONS, MATTERS
 
 NEARLY_ALL = 0.98
 """Share of the squared mismatch that names explain where something remains beside them: six sevenths of it."""
@@ -57,7 +56,11 @@ def judged(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tupl
     while True:
         count = len(found.claims)
         if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < NEARLY_ALL:
-            suspects = _suspects(problem, found)
+            suspects, noisy = set(), problem.remaining(found.residual)
+            for claim in found.judged:  # that shows mainly in channels in which something remains
+                shown = problem.mean_squares(problem.residual(found.but(claim)) - found.residual)
+                if max(shown, key=lambda name: shown[name]) in noisy:
+                    suspects.add(claim.effect.label)
             trusted = tuple(claim for claim in found.claims if claim.effect.label not in suspects)
             found = fit(problem, trusted) if suspects else found
         found, bounds = without_insignificant(problem, found)
@@ -66,7 +69,7 @@ def judged(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tupl
         named = [one for one in named if set(one.effect.needs) <= ids]
         if len(named) < len(found.claims):
             remains = problem.noticeable(found.residual) or any(not one.effect.named for one in found.claims)
-            found = fit(problem, named, iterations=0 if remains else 8)
+            found = fit(problem, named, iterations=0 if remains else ITERATIONS)
         elif worst := _most_harmful(problem, holdout, found):
             found = fit(problem, found.but(worst))
         if len(found.claims) == count:
@@ -82,19 +85,7 @@ def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> Claim | Non
         for claim in found.removable
     }
     worst = max(harm, default=0.0)
-    return harm[worst] if worst > SearchSettings().threshold else None
-
-
-def _suspects(problem: Problem, found: Fit) -> set[str]:
-    """Labels of claims that show mainly in channels in which something remains."""
-    noisy = problem.remaining(found.residual)
-    suspects = set()
-    for claim in found.judged:
-        without = problem.residual(found.but(claim))
-        shown = problem.mean_squares(without - found.residual)
-        if max(shown, key=lambda name: shown[name]) in noisy:
-            suspects.add(claim.effect.label)
-    return suspects
+    return harm[worst] if worst > CLAIMED else None
 
 
 def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:

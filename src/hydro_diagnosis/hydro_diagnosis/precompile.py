@@ -9,7 +9,8 @@ import numpy as np
 
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import PRESSURE, Claim
-from hydro_diagnosis.effects.kernels import opened, splined
+from hydro_diagnosis.effects.closure import splined
+from hydro_diagnosis.effects.dynamics import opened
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant

@@ -16,6 +16,8 @@ from hydro_core.signals import FloatArray
 TEXTS = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
 SUFFIXES = (*TEXTS, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
 SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
+LAST_THIRD = "the last third of the only recording was held back to check on"
+"""Note on the quality of a data set."""
 
 
 def named_in_full(paths: Sequence[str | Path]) -> set[Path]:
@@ -34,13 +36,7 @@ def unreadable(path: Path) -> str:
 
 MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """Channels of the sensors; the rates are computed by the box and not used."""
-UNITS = {
-    "hydraulic_force": "N",
-    "load_force": "N",
-    "pressure_a": "Pa",
-    "pressure_b": "Pa",
-    "piston_position": "m",
-}
+UNITS = dict(zip(MEASURED, ("N", "N", "Pa", "Pa", "m"), strict=True))
 
 
 class InputError(ValueError):
@@ -121,10 +117,6 @@ class Recording:
     segments: tuple[Segment, ...]
     quality: tuple[str, ...] = field(default=())
     """Faults that were found and repaired, one sentence each."""
-
-    def renamed(self, name: str) -> Recording:
-        """The same by another name."""
-        return replace(self, name=name, segments=tuple(replace(one, recording=name) for one in self.segments))
 
     @property
     def seconds(self) -> float:

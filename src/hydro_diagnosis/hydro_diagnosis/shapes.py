@@ -27,8 +27,6 @@ STRIBECK = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Speeds, over the top speed, over which a rise towards standstill may fade."""
 PROFILE = np.geomspace(0.25, 4.0, 33)
 """Factors of a number of a shape or an operator among which its interval ends."""
-STEEPEST = 2.0
-"""Largest rise towards standstill, over the friction of sliding."""
 OPPOSING = 0.9
 """Share of the sliding samples in which friction opposes the motion: tanks have 76 %."""
 
@@ -79,13 +77,13 @@ class Shape:
     def richer(self, top: float) -> Iterator[Shape]:
         """Shapes with one name more, the most usual first."""
         if not self.dry:
-            yield Shape(True, self.viscous, self.constant, self.stribeck)
+            yield replace(self, dry=True)
         if self.viscous < 2:
-            yield Shape(self.dry, self.viscous + 1, self.constant, self.stribeck)
+            yield replace(self, viscous=self.viscous + 1)
         if not self.constant:
-            yield Shape(self.dry, self.viscous, True, self.stribeck)
+            yield replace(self, constant=True)
         if self.dry and not self.stribeck:
-            yield from (Shape(self.dry, self.viscous, self.constant, share * top) for share in STRIBECK)
+            yield from (replace(self, stribeck=share * top) for share in STRIBECK)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,11 +164,20 @@ def simplest(
     room = max(len(points) // 2, 1)
 
     def possible(one: Fitted) -> bool:
-        return (_physical(one, viscous) and set(one.shape.names) <= allowed
-                and (one.shape.viscous < 2 or "directional" in allowed))  # fmt: skip
+        if not set(one.shape.names) <= allowed or (one.shape.viscous == 2 and "directional" not in allowed):
+            return False
+        value = dict(zip(one.shape.names, one.values, strict=True))
+        drags = [size for name, size in zip(one.shape.names, one.values, strict=True) if name == "viscous"]
+        dry, rise = value.get("dry", 0.0), value.get("stribeck", 0.0)
+        return dry >= 0.0 and min(drags, default=0.0) >= -viscous and 0.0 <= rise <= 2.0 * dry
 
-    whole = [one for one in (fitted(points, shape, top) for shape in _shapes(top) if shape.numbers <= room)
-             if not one.missed and possible(one)]  # fmt: skip
+    shapes = [
+        Shape(dry, drag, constant, share * top)
+        for dry, drag, constant in product((False, True), range(3), (False, True))
+        for share in ((0.0, *STRIBECK) if dry else (0.0,))
+    ]
+    whole = [fitted(points, shape, top) for shape in shapes if shape.numbers <= room]
+    whole = [one for one in whole if not one.missed and possible(one)]
     if whole:
         return min(whole, key=lambda one: (one.shape.numbers, one.squares))
     current = fitted(points, Shape(), top)
@@ -187,13 +194,6 @@ def simplest(
     return either_way if alone and not either_way.missed and possible(either_way) else current
 
 
-def _shapes(top: float) -> Iterator[Shape]:
-    """All shapes; `top`: top speed [m/s]."""
-    for dry, viscous, constant in product((False, True), range(3), (False, True)):
-        for share in (0.0, *STRIBECK) if dry else (0.0,):
-            yield Shape(dry, viscous, constant, share * top)
-
-
 def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
     """The shape without names that may be absent, that of least evidence first; intervals hold with and without it."""
     while len(found.values):
@@ -206,26 +206,14 @@ def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
         if not fewer:  # without it a point is missed grossly: it is needed, and what it may be ends at nothing
             low = np.where(found.values > 0.0, np.maximum(found.low, 0.0), found.low)
             return replace(found, low=low, high=np.where(found.values < 0.0, np.minimum(found.high, 0.0), found.high))
-        found = _spanning(min(fewer, key=lambda one: one.squares), found)
+        fewest = min(fewer, key=lambda one: one.squares)
+        low, high = fewest.low.copy(), fewest.high.copy()
+        for k, name in enumerate(fewest.shape.names):
+            for j, other in enumerate(found.shape.names):
+                if other == name:
+                    low[k], high[k] = min(low[k], found.low[j]), max(high[k], found.high[j])
+        found = replace(fewest, low=low, high=high)
     return found
-
-
-def _spanning(one: Fitted, other: Fitted) -> Fitted:
-    """The first, its intervals spanning those of the second, of the same names."""
-    low, high = one.low.copy(), one.high.copy()
-    for k, name in enumerate(one.shape.names):
-        same = [j for j, two in enumerate(other.shape.names) if two == name]
-        for j in same:
-            low[k], high[k] = min(low[k], other.low[j]), max(high[k], other.high[j])
-    return replace(one, low=low, high=high)
-
-
-def _physical(one: Fitted, viscous: float) -> bool:
-    value = dict(zip(one.shape.names, one.values, strict=True))
-    drags = [size for name, size in zip(one.shape.names, one.values, strict=True) if name == "viscous"]
-    least = min(drags, default=0.0)
-    rise = value.get("stribeck", 0.0)
-    return value.get("dry", 0.0) >= 0.0 and least >= -viscous and 0.0 <= rise <= STEEPEST * value.get("dry", 0.0)
 
 
 def named(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> Fitted | None:
@@ -244,12 +232,6 @@ def one_way(curve: ForceCurve) -> bool:
     return min(speeds) > 0.0 or max(speeds) < 0.0
 
 
-def _follows(points: Sequence[Point]) -> bool:
-    """Whether the force changes with the speed by more than matters, and against the motion all along."""
-    force = np.array([one.force * np.sign(one.at) for one in points])
-    return bool(force.min() > 0.0 and np.ptp(force) > MATTERS * force.max())
-
-
 def fading(points: Sequence[Point], found: Fitted, top: float) -> tuple[float, float]:
     """95 % interval of the speed [m/s] over which a rise towards standstill fades: the profile of the squares."""
     tried = found.shape.stribeck * PROFILE
@@ -263,8 +245,10 @@ def missing_sign(curve: ForceCurve) -> str:
     """Which sign of friction a curve lacks, in words; empty if it has them all."""
     if len(curve.points) < 2:
         return "hardly a speed is held"
-    if one_way(curve):
-        return "" if _follows(curve.points) else "all motion is one way, and the force does not follow the speed"
+    if one_way(curve):  # the force must change with the speed by more than matters, and be against the motion all along
+        force = np.array([one.force * np.sign(one.at) for one in curve.points])
+        follows = force.min() > 0.0 and np.ptp(force) > MATTERS * force.max()
+        return "" if follows else "all motion is one way, and the force does not follow the speed"
     if curve.opposing < OPPOSING:
         return (
             f"the force opposes the motion in {100.0 * curve.opposing:.0f} % of what moves: that of friction does in "

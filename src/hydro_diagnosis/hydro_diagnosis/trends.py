@@ -71,11 +71,6 @@ class Series:
         """cause.parameter."""
         return self.name.partition("[")[0]
 
-    @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """As `course` takes them."""
-        return self.time, self.value, self.sd, self.bound
-
 
 def series_of(study: Path, dates: str | None = None) -> list[Series]:
     """Each number that some recording of a study named, by name.
@@ -99,36 +94,34 @@ def series_of(study: Path, dates: str | None = None) -> list[Series]:
     options = numbers.options.str.replace(r"(^|,)form=\w*", "", regex=True).str.strip(",")
     place = ("[" + options + "]").where(options != "", "")
     numbers["cause_there"], numbers["name"] = numbers.cause + place, numbers.cause + "." + numbers.parameter + place
-    claimed = {str(cause): rows.recording for cause, rows in numbers.groupby("cause_there")}
-    return [
-        _series(str(name), rows, diagnoses, claimed[rows.cause_there.iloc[0]]) for name, rows in numbers.groupby("name")
-    ]
-
-
-def _series(name: str, rows: pd.DataFrame, diagnoses: pd.DataFrame, claimed: pd.Series[str]) -> Series:
-    """`claimed`: recordings in which the cause was named, in whatever form."""
-    named = rows.drop_duplicates("recording").set_index("recording")
-    sd = (named.high - named.low) / 3.92
-    points = pd.DataFrame({"value": named.value, "sd": np.maximum(sd, 1e-9 * named.value.abs()), "bound": 0.0}).dropna()
-    points = points[points.index.isin(diagnoses.index)]
-    neutral = NEUTRAL.get(name.partition("[")[0])
-    if neutral is not None:
-        settled = diagnoses.index[diagnoses.verdict.isin(("no_mismatch", "explained", "modelled"))]
-        absent = settled.difference(claimed)
-        away = (points.value - neutral.neutral).abs()
-        spread = np.nanmax([neutral.smallest, points.sd.median(), away.min() / QUANTILE])
-        unnamed = {"value": neutral.neutral, "sd": spread, "bound": spread * (away / points.sd).min()}
-        points = pd.concat([points, pd.DataFrame(unnamed, index=absent)])
-    points["time"] = (diagnoses.begin.loc[points.index] - pd.Timestamp(0, tz="UTC")) / _DAY
-    points = points.sort_values("time")
-    return Series(name, rows.unit.iloc[0], *(points[key].to_numpy(float) for key in ("time", "value", "sd", "bound")))
+    claimed = {cause: rows.recording for cause, rows in numbers.groupby("cause_there")}  # in whatever form
+    found = []
+    for name, rows in numbers.groupby("name"):
+        named = rows.drop_duplicates("recording").set_index("recording")
+        sd = np.maximum((named.high - named.low) / 3.92, 1e-9 * named.value.abs())
+        points = pd.DataFrame({"value": named.value, "sd": sd, "bound": 0.0}).dropna()
+        points = points[points.index.isin(diagnoses.index)]
+        neutral = NEUTRAL.get(str(name).partition("[")[0])
+        if neutral is not None:
+            settled = diagnoses.index[diagnoses.verdict.isin(("no_mismatch", "explained", "modelled"))]
+            absent = settled.difference(claimed[rows.cause_there.iloc[0]])
+            away = (points.value - neutral.neutral).abs()
+            spread = np.nanmax([neutral.smallest, points.sd.median(), away.min() / QUANTILE])
+            unnamed = {"value": neutral.neutral, "sd": spread, "bound": spread * (away / points.sd).min()}
+            points = pd.concat([points, pd.DataFrame(unnamed, index=absent)])
+        points["time"] = (diagnoses.begin.loc[points.index] - pd.Timestamp(0, tz="UTC")) / _DAY
+        points = points.sort_values("time")
+        arrays = (points[key].to_numpy(float) for key in ("time", "value", "sd", "bound"))
+        found.append(Series(str(name), rows.unit.iloc[0], *arrays))
+    return found
 
 
 def row_of(bench: str, series: Series, found: Course, limit: float | None, asked: argparse.Namespace) -> dict[str, Any]:
     """A row of the table; `asked`: new and horizon, in days."""
     line, last = found.lines[-1], found.changes[-1] if found.changes else None
     now, spread = float(line.at(line.end)), QUANTILE * float(line.sd(line.end))
-    before = course(*(one[series.time <= line.end - asked.new] for one in series.arrays))
+    then = series.time <= line.end - asked.new
+    before = course(series.time[then], series.value[then], series.sd[then], series.bound[then])
     new = before is not None and found.findings > before.findings
     ahead = (inf, inf, inf)  # days to the limit; without evidence for a slope only one that is passed counts
     if limit is not None:
@@ -164,8 +157,7 @@ def sentence(row: Mapping[str, Any], unit: str) -> str:
 
 def picture(series: Series, found: Course, limit: float | None) -> str:
     """Values with their intervals, lines between changes, the limit."""
-
-    def draw(axes: Any) -> None:
+    with svg(1, (8.0, 2.4)) as (axes, text):
         axis, zero = axes[0], pd.Timestamp(0)
         time = zero + pd.to_timedelta(series.time, "D")
         axis.errorbar(time, series.value, QUANTILE * series.sd, fmt=".", color=GRAY, elinewidth=0.5, markersize=3)
@@ -181,8 +173,7 @@ def picture(series: Series, found: Course, limit: float | None) -> str:
         if limit is not None:
             axis.axhline(limit, color=RED, linestyle=":")
         axis.set_ylabel(f"{series.key.partition('.')[2]} [{series.unit}]")
-
-    return svg(1, (8.0, 2.4), draw)
+    return text.getvalue()
 
 
 def parser() -> argparse.ArgumentParser:
@@ -220,13 +211,21 @@ def main() -> int:
     limits, told, short = dict(asked.limit), [], []
     for study in asked.studies:
         for series in series_of(study, asked.dates):
-            found = course(*series.arrays)
+            found = course(series.time, series.value, series.sd, series.bound)
             if found is None:
                 short.append(f"{study}: {series.name}: {plural(len(series.time), 'recording')}, {FEWEST} are needed")
                 continue
             row = row_of(str(study), series, found, limits.get(series.key), asked)
             told.append((row, sentence(row, series.unit), picture(series, found, row["limit"])))
-    told = ranked(told)
+
+    def urgency(row: Mapping[str, Any]) -> tuple[bool, str, float]:
+        """Order what needs attention first: new or near, then the nearest limit, then the evidence of change."""
+        return not row["new"], row["limit_on"] or "9999", -(row["evidence"] or 0.0)
+
+    worst: dict[str, tuple[bool, str, float]] = {}  # by bench
+    for row, *_ in told:
+        worst[row["bench"]] = min(worst.get(row["bench"], urgency(row)), urgency(row))
+    told.sort(key=lambda one: (worst[one[0]["bench"]], one[0]["bench"], urgency(one[0])))
     table = Table(_COLUMNS, rows=[row for row, *_ in told])
     for row, words, _ in told:
         print(f"{'! ' if row['new'] else ''}{row['bench']}: {row['number']}: {words}")
@@ -237,15 +236,3 @@ def main() -> int:
     if asked.json:
         table.write_json(asked.json)
     return ALARM if any(row["new"] for row in table.rows) else 0
-
-
-def ranked(told: list[tuple[dict[str, Any], str, str]]) -> list[tuple[dict[str, Any], str, str]]:
-    """Benches by what needs attention first: new or near, then the nearest limit, then the evidence of change."""
-
-    def urgency(row: Mapping[str, Any]) -> tuple[bool, str, float]:
-        return not row["new"], row["limit_on"] or "9999", -(row["evidence"] or 0.0)
-
-    worst: dict[str, tuple[bool, str, float]] = {}
-    for row, *_ in told:
-        worst[row["bench"]] = min(worst.get(row["bench"], urgency(row)), urgency(row))
-    return sorted(told, key=lambda one: (worst[one[0]["bench"]], one[0]["bench"], urgency(one[0])))

@@ -25,26 +25,16 @@ from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_N
 from hydro_diagnosis.recording import UNITS
 from hydro_diagnosis.significance import ITERATIONS, OUTLYING, SURE
 
-OF_THE_ERROR = 0.5
-"""Share of a window's error that the scatter of the model's own outcomes must reach."""
 MOST = 0.25
 """Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
-DRAWS = 8
-"""Starts per window."""
 HORIZON = 0.07
 """Length of a window [s]."""
 FREE_RUN = 0.5
 """Length of the free run [s]."""
-WINDOWS = 48
-"""Windows per horizon, spread evenly over the held-out recordings."""
-SETTLED = 0.995
-"""Ratio of squared errors below which a window is given another step."""
 _TRIED = tuple(1e3 * sign * size for size in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
 """Offsets [Pa] of pressure A that are tried."""
 _START_UNCERTAINTY = np.array([5e-6, 5e-3, 5e4, 5e4])
 """Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
-_STATE_SCALE = _START_UNCERTAINTY / 50.0
-"""Steps of the finite differences in the state [m, m/s, Pa, Pa]."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +69,7 @@ class _Windows:
     noise: dict[str, float]
     """Noise floors by channel."""
 
-    def simulated(self, *, shooting: bool) -> Simulated:
-        """Simulate from the recording's smoothed states, or from those that fit each window best."""
-        state = self.plant.start(self.begins)
-        state = self._shot(state) if shooting else state
-        return state, self._apart(state)
-
-    def _apart(self, starts: FloatArray) -> dict[str, FloatArray]:
+    def apart(self, starts: FloatArray) -> dict[str, FloatArray]:
         """Reading minus recording by channel, from starts of all windows, several times over: shape (4, lanes)."""
         states = self.plant.run(starts, self.begins, self.length)
         lanes = np.tile(self.begins, states.shape[2] // len(self.begins))
@@ -96,28 +80,23 @@ class _Windows:
     def unpredictable(self, state: FloatArray, apart: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
         """Return whether the uncertainty of its start explains each window's error, shape (windows,).
 
+        That is where outcomes of starts that are drawn within the sensors' noise at one instant scatter by half of it.
         `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
         """
         error = self._size(apart)
         if not np.any(error > SURE):
             return np.zeros(len(self.begins), dtype=bool)
-        scatter = self._scatter(state)
-        enough = np.maximum(OF_THE_ERROR * error, OUTLYING * np.nanmedian(scatter))
-        return np.asarray((error > SURE) & (scatter >= enough))
-
-    def _scatter(self, state: FloatArray) -> FloatArray:
-        """Root mean square of how far outcomes of drawn starts are from that of the start itself, noise floors."""
-        moved = np.random.default_rng(0).standard_normal((DRAWS, *state.shape)) * self._state_uncertainty()[:, None]
-        starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
-        shown = measurements(self.plant, self.plant.run(starts, self.begins, self.length), self.begins)
-        each = {name: one.reshape(self.length, DRAWS + 1, len(self.begins)) for name, one in shown.items()}
-        return self._size({name: (one[:, 1:] - one[:, :1]).reshape(-1, len(self.begins)) for name, one in each.items()})
-
-    def _state_uncertainty(self) -> FloatArray:
-        """Standard deviation [m, m/s, Pa, Pa] of a state as the sensors give it at one instant, smoothed."""
         position, step = self.noise.get("piston_position", 0.0), self.plant.model.step * self.plant.model.spacing
         pressures = (TOTAL_NOISE_GAIN * self.noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
-        return np.array([POSITION_NOISE_GAIN * position, VELOCITY_NOISE_GAIN * position / step, *pressures])
+        at_one_instant = [POSITION_NOISE_GAIN * position, VELOCITY_NOISE_GAIN * position / step, *pressures]
+        draws, windows = 8, len(self.begins)
+        moved = np.random.default_rng(0).standard_normal((draws, *state.shape)) * np.array(at_one_instant)[:, None]
+        starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
+        shown = measurements(self.plant, self.plant.run(starts, self.begins, self.length), self.begins)
+        each = {name: one.reshape(self.length, draws + 1, windows) for name, one in shown.items()}
+        scatter = self._size({name: (one[:, 1:] - one[:, :1]).reshape(-1, windows) for name, one in each.items()})
+        enough = np.maximum(0.5 * error, OUTLYING * np.nanmedian(scatter))
+        return np.asarray((error > SURE) & (scatter >= enough))
 
     def _size(self, apart: dict[str, FloatArray]) -> FloatArray:
         """Root mean square per window over time and channels, noise floors."""
@@ -125,7 +104,7 @@ class _Windows:
         squares = [np.mean(np.square(one / noise[name]), axis=0) for name, one in apart.items() if noise.get(name, 0.0)]
         return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
-    def _shot(self, recorded: FloatArray) -> FloatArray:
+    def shot(self, recorded: FloatArray) -> FloatArray:
         """Initial states by least squares per window, near the recording's smoothed state as far as that is known.
 
         Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
@@ -137,26 +116,27 @@ class _Windows:
             costs = np.sum(np.square(self._misses(np.concatenate(tries, axis=1), recorded)), axis=0)
             first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
             state = np.stack(tries)[first, :, np.arange(len(self.begins))].T
+        scale = _START_UNCERTAINTY / 50.0  # steps of the finite differences
         best, cost = state.copy(), np.full(len(self.begins), np.inf)
         for _ in range(ITERATIONS):
-            moved = [state] + [state + _STATE_SCALE[:, None] * (np.arange(4) == j)[:, None] for j in range(4)]
+            moved = [state] + [state + scale[:, None] * (np.arange(4) == j)[:, None] for j in range(4)]
             misses = self._misses(np.concatenate(moved, axis=1), recorded)
             reached = np.sum(np.square(misses[:, 0]), axis=0)
             gained = reached < cost
-            if not np.any(reached < SETTLED * cost):
+            if not np.any(reached < 0.995 * cost):
                 break
             best[:, gained], cost[gained] = state[:, gained], reached[gained]
             state = 0.5 * (state + best)
             for w in np.flatnonzero(gained):
                 slopes = misses[:, 1:, w] - misses[:, :1, w]
                 if np.all(np.isfinite(slopes)):
-                    state[:, w] -= _STATE_SCALE * np.linalg.lstsq(slopes, misses[:, 0, w], rcond=1e-10)[0]
+                    state[:, w] -= scale * np.linalg.lstsq(slopes, misses[:, 0, w], rcond=1e-10)[0]
         reached = np.sum(np.square(self._misses(state, recorded)[:, 0]), axis=0)
         return np.where(reached < cost, state, best)
 
     def _misses(self, states: FloatArray, recorded: FloatArray) -> FloatArray:
         """Readings and initial state against the recording, in units of their doubt, shape (n, variants, windows)."""
-        apart = self._apart(states)
+        apart = self.apart(states)
         parts = [apart[name] / self.noise[name] for name in apart if self.noise.get(name, 0.0) > 0.0]
         variants = states.shape[1] // len(self.begins)
         parts.append((states - np.tile(recorded, variants)) / _START_UNCERTAINTY[:, None])
@@ -184,7 +164,9 @@ def compare(
                 stretch = _Windows(Plant.of(model, claims), begins, length, noise)
                 key = (number, seconds, shooting, *values_key(claims))
                 if key not in known:
-                    known[key] = stretch.simulated(shooting=shooting)
+                    state = stretch.plant.start(begins)  # as recorded, smoothed
+                    state = stretch.shot(state) if shooting else state
+                    known[key] = state, stretch.apart(state)
                 found.append(known[key])
             (_, old), (state, new) = found
             none = np.zeros(len(begins), dtype=bool)
@@ -195,7 +177,12 @@ def compare(
         seen = [replace(one, left_out=np.zeros_like(one.left_out)) for one in seen]
     names = dict.fromkeys(name for one in seen for name in one.before)
     channels = {name: _channel(name, [one for one in seen if name in one.before], noise) for name in names}
-    return Comparison(channels, count, [window for one in seen for window in one.windows()])
+    open_: list[dict[str, Any]] = []
+    for one in seen:
+        segment = one.model.segment
+        starts = segment.start + segment.step * one.begins[one.left_out]
+        open_ += [{"recording": segment.recording, "start": round(float(start), 6)} for start in starts]
+    return Comparison(channels, count, open_)
 
 
 @dataclass(frozen=True)
@@ -207,12 +194,6 @@ class _Seen:
     before: dict[str, FloatArray]
     after: dict[str, FloatArray]
     left_out: npt.NDArray[np.bool_]
-
-    def windows(self) -> list[dict[str, Any]]:
-        """Return the windows that are left out."""
-        segment = self.model.segment
-        starts = segment.start + segment.step * self.begins[self.left_out]
-        return [{"recording": segment.recording, "start": round(float(start), 6)} for start in starts]
 
 
 def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> dict[str, Any]:
@@ -260,26 +241,23 @@ def held_out(
         why = "a forward simulation needs a law of the load, which was measured here" if rod else why
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
-    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True, known=known)
-    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, known=known)
-    return {
-        "holdout": horizon.channels,
-        "horizon_s": HORIZON,
-        "unpredictable": _unpredictable(horizon),
-        "free_run": {"seconds": FREE_RUN, **free.channels},
-        "equations": equations,
-    }
-
-
-def _unpredictable(horizon: Comparison) -> dict[str, Any]:
-    """Windows that the corrected model itself cannot predict, and why in a sentence."""
+    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=48, shooting=True, known=known)
     left_out = horizon.left_out
     why = (
         f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
         "cannot tell apart the model comes to outcomes as far from one another as from the recording (the piston "
         "sticks or breaks loose). They are left out of the errors over 70 ms."
+        if left_out
+        else ""
     )
-    return {"windows": horizon.windows, "count": len(left_out), "left_out": left_out, "why": why if left_out else ""}
+    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, known=known)
+    return {
+        "holdout": horizon.channels,
+        "horizon_s": HORIZON,
+        "unpredictable": {"windows": horizon.windows, "count": len(left_out), "left_out": left_out, "why": why},
+        "free_run": {"seconds": FREE_RUN, **free.channels},
+        "equations": equations,
+    }
 
 
 def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, dict[str, Any]]:
@@ -292,16 +270,18 @@ def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, dict
     in every figure. `before` and `after` have the same weights.
     """
     before, after = problem.residual(()), problem.residual(claims)
-    return {
-        name: {
+    found = {}
+    for name in (CHANNELS[index] for index in np.unique(problem.layout.channel)):
+        measured = _MEASURED.get(name, name)
+        parts = [model.smooth(model.channels[measured]) for model in problem.models if measured in model.channels]
+        found[name] = {
             "unit": _EQUATION_UNITS[name],
             "rmse_before": _weighted(problem, name, before),
             "rmse_after": _weighted(problem, name, after),
             "noise_floor": problem.noise[name],
-            "signal": _signal(problem, name),
+            "signal": float(np.sqrt(np.mean(np.square(np.concatenate(parts))))) if parts else float("nan"),
         }
-        for name in (CHANNELS[index] for index in np.unique(problem.layout.channel))
-    }
+    return found
 
 
 def _weighted(problem: Problem, name: str, residual: FloatArray) -> float:
@@ -313,9 +293,3 @@ def _weighted(problem: Problem, name: str, residual: FloatArray) -> float:
         squares += float(np.sum(np.square(residual[own])))
         weights += float(np.sum(np.square(1.0 / problem.deviations[own])))
     return float(np.sqrt(squares / weights))
-
-
-def _signal(problem: Problem, name: str) -> float:
-    measured = _MEASURED.get(name, name)
-    parts = [model.smooth(model.channels[measured]) for model in problem.models if measured in model.channels]
-    return float(np.sqrt(np.mean(np.square(np.concatenate(parts))))) if parts else float("nan")

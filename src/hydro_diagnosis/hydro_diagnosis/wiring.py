@@ -17,6 +17,7 @@ import numpy as np
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import UnknownNumberError, guarded
 from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.columns import means
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.io.units import to_si
 from hydro_diagnosis.recording import MEASURED
@@ -126,11 +127,6 @@ class Inspection:
     units: dict[str, str] = field(default_factory=dict)
     """By field, the unit in which its column was taken; none for SI."""
 
-    def add(self, other: Inspection) -> None:
-        """Add that of another recording."""
-        self.doubts += other.doubts
-        self.units.update(other.units)
-
 
 def inspect_table(table: RawTable, bench: Bench) -> Inspection:
     """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
@@ -183,7 +179,14 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
         return
     position, stroke = channels["piston_position"], bench.stroke
     low, high = float(position.min()) / stroke, float(position.max()) / stroke
-    factor, offset = _by_spring(channels, bench)
+    factor = 0.0  # by which the position would compress the spring as the load's force says
+    zero = 0.5 * stroke - 0.5 * float(position.min() + position.max())  # m, by the middle, else by the spring
+    if "load_force" in channels:
+        slope, left = line(position, channels["load_force"])
+        if not left > 1.0 - TOGETHER**2:
+            factor = slope / bench.spring_stiffness
+            rest = float(np.median(channels["load_force"] / bench.spring_stiffness - factor * position))
+            zero = bench.spring_rest_position + rest
     if low >= -MARGIN and high <= 1.0 + MARGIN:
         if "piston_position" in taken and high < MARGIN:
             yield tuple(_lengths(factor, max(-low, high), taken))
@@ -192,24 +195,11 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
     if max(-low, high) > BEYOND:
         yield (velocity, *_lengths(factor, max(-low, high), taken))
         return
-    zero = offset if factor else 0.5 * stroke - 0.5 * float(position.min() + position.max())
     sign = -1.0 if factor < 0.0 else 1.0
     judged = "the spring's force" if factor else "the middle of what it travels"
     which = " and the wrong sign" if sign < 0.0 else ""
     said = f"piston_position has its zero elsewhere{which} (judged by {judged}: write what was measured)"
     yield velocity, Repair("piston_position", said, factor=sign, offset=float(f"{zero:.3g}"))
-
-
-def _by_spring(channels: Channels, bench: Bench) -> tuple[float, float]:
-    """Factor and offset [m] by which the position would compress the spring as the load's force says; else 0, 0."""
-    if "load_force" not in channels:
-        return 0.0, 0.0
-    slope, left = line(channels["piston_position"], channels["load_force"])
-    if left > 1.0 - TOGETHER**2:
-        return 0.0, 0.0
-    factor = slope / bench.spring_stiffness
-    rest = float(np.median(channels["load_force"] / bench.spring_stiffness - factor * channels["piston_position"]))
-    return factor, bench.spring_rest_position + rest
 
 
 def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[Repair]:
@@ -238,12 +228,6 @@ def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iter
             Repair("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),
         )
         yield tuple(one for one in scales if one.factor * largest <= BEYOND * limit)
-
-
-def means(values: FloatArray, samples: int) -> FloatArray:
-    """Means over so many samples each; what is left at the end is not used."""
-    averaged: FloatArray = values[: len(values) // samples * samples].reshape(-1, samples).mean(axis=1)
-    return averaged
 
 
 def line(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:

@@ -14,8 +14,7 @@ from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.kernels import along, held_lag
-from hydro_diagnosis.effects.memory import Memory
+from hydro_diagnosis.effects.memory import Memory, along, held_lag
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem

@@ -17,7 +17,7 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import completed
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.curves import ForceCurve, Motion, Point, Terms, motions, splines
-from hydro_diagnosis.effects.kernels import splined
+from hydro_diagnosis.effects.closure import splined
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable

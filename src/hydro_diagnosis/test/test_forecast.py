@@ -13,7 +13,7 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.ros.messages import LAW_STATES
 from hydro_core.signals import Law, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.forecast import LAW_STATE_TOPIC, MISSED, NoForecastError, forecasts, recorded_loop
+from hydro_diagnosis.forecast import LAW_STATE_TOPIC, MISSED, forecasts, recorded_loop
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -59,10 +59,10 @@ def test_recording_that_is_entered_late_has_the_same_forecast(worn: Problem, hel
 def test_loop_of_an_unknown_law_is_not_forecast(held: StateArray) -> None:
     other = segment(held)
     channels = {**other.channels, "nominal_valve_current": 1.2 * other.channels["nominal_valve_current"]}
-    with pytest.raises(NoForecastError, match=r"misses the recorded nominal current by 1\d %"):
+    with pytest.raises(ValueError, match=r"misses the recorded nominal current by 1\d %"):
         recorded_loop(replace(other, channels=channels), Bench.nominal())
     bare = {name: values for name, values in other.channels.items() if name != "reference_force"}
-    with pytest.raises(NoForecastError, match=r"no force law or reference is recorded \(reference_force\)"):
+    with pytest.raises(ValueError, match=r"no force law or reference is recorded \(reference_force\)"):
         recorded_loop(replace(other, channels=bare), Bench.nominal())
 
 
@@ -80,7 +80,7 @@ def test_compensated_law_is_that_of_the_recording(worn: Problem, tmp_path: Path)
     reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=220.0, frequency=0.7)
     schedule = Schedule(reference=reference, gains=(300.0, 10.0), seconds=8.0, law=Law.COMPENSATED)
     states = simulate(AnalyticPlant(TRUTH), Bench.nominal(), schedule, seed=4)
-    with pytest.raises(NoForecastError, match="the paper law"):
+    with pytest.raises(ValueError, match="the paper law"):
         recorded_loop(segment(states, "bag"), Bench.nominal())
     with BagWriter(tmp_path / "bag") as bag:
         bag.write_states(states)

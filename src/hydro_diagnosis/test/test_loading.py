@@ -146,8 +146,8 @@ def test_windows_of_a_long_bag_are_what_it_holds(
     monkeypatch.setattr(streaming, "STRETCH", 5_000)
     monkeypatch.setattr(streaming, "WINDOW", 2.0)
     kept = read_bag_within(path, BENCH)
-    assert len(kept.segments) == streaming.FITTED + streaming.HELD
-    assert sum(one.start >= 40.0 for one in kept.segments) == streaming.HELD
+    assert len(kept.segments) == 15
+    assert sum(one.start >= 40.0 for one in kept.segments) == 5
     assert "15 windows of 2 s were kept" in kept.quality[-1]
     long = whole.segments[0]
     for one in kept.segments:

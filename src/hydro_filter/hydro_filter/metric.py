@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,7 +37,7 @@ from hydro_core.signals import FloatArray
 from hydro_filter.model.coordinates import LOOP_FIELDS, LOOP_SIZE, Q_HYDRAULIC, Q_LOAD
 from hydro_filter.model.loop import Loop, closing_current, coordinate_names, make_samples, rest_measurement
 from hydro_filter.model.records import FILTER, library, linearize, make_record
-from hydro_sim.box.firmware import Records, address_of
+from hydro_sim.box.firmware import address_of
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor, parse_provenance
 from hydro_sim.files.weights import WeightsError
@@ -260,32 +259,28 @@ class ScheduledMetric:
             "velocity_compensation": self.velocity_compensation,
         }  # fmt: skip
 
-    @cached_property
-    def _record(self) -> Records:
-        """For `matrix`: no loop is needed."""
-        width = {"loop.coordinates": len(self.coordinates)}
-        return make_record(FILTER, self.firmware_fields | width, {"table": self.table})
-
     def matrix(self, gain: float) -> FloatArray:
         """Return M(K_p), shape (n, n), at K_p = `gain` [1/s]."""
-        made = np.empty((len(self.coordinates), len(self.coordinates)))
-        library().hydro_c_filter_metric(address_of(self._record), gain, self.velocity_compensation, address_of(made))
+        width = len(self.coordinates)
+        record = make_record(FILTER, self.firmware_fields | {"loop.coordinates": width}, {"table": self.table})
+        made = np.empty((width, width))
+        library().hydro_c_filter_metric(address_of(record), gain, self.velocity_compensation, address_of(made))
         return made
 
     def save(self, path: str | Path) -> None:
         """Write the metric to a safetensors file."""
-        tensors, header = self._contents()
-        if self.another is not None:
-            others, header[SECOND_METRIC] = self.another._contents()
-            tensors |= {f"{SECOND_METRIC}.{name}": tensor for name, tensor in others.items()}
+        tensors: weights.Tensors = {}
+        headers: list[dict[str, Any]] = []
+        for prefix, one in zip(("", f"{SECOND_METRIC}."), self.certificates, strict=False):
+            tensors |= {prefix + name: getattr(one, name) for name in ARRAYS}
+            headers.append({
+                "floor": one.floor, "coordinates": list(one.coordinates), "thresholds": asdict(one.thresholds),
+                "training": one.training, "velocity_compensation": one.velocity_compensation,
+            })  # fmt: skip
+        header, *second = headers
+        if second:
+            header[SECOND_METRIC] = second[0]
         weights.save(path, tensors, {"structure": STRUCTURE, **header}, self.made)
-
-    def _contents(self) -> tuple[weights.Tensors, dict[str, Any]]:
-        header = {
-            "floor": self.floor, "coordinates": list(self.coordinates), "thresholds": asdict(self.thresholds),
-            "training": self.training, "velocity_compensation": self.velocity_compensation,
-        }  # fmt: skip
-        return {name: getattr(self, name) for name in ARRAYS}, header
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> ScheduledMetric:

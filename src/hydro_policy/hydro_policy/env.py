@@ -34,7 +34,6 @@ from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.sac.peers import policy_of
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange, TaskSettings, events
-from hydro_sim.box.box import BoxConfig
 from hydro_sim.excitation import Reference
 from hydro_sim.model.bench import NOMINAL
 
@@ -44,20 +43,6 @@ LawName = Literal["paper", "wide", "compensated"]
 
 Values = npt.NDArray[np.float32]
 Marks = npt.NDArray[np.bool_]
-
-
-def task_of(law: LawName, config: BoxConfig, size: Any) -> TaskSettings:
-    """Return gains and rewards under a law: the two configurations of pretraining, or the box's compensated law.
-
-    The latter has the reward of `wide`, and the whole range of gains that the box allows under it.
-
-    Raises SettingsError: there is no such law.
-    """
-    if law not in get_args(LawName):
-        raise SettingsError(f"law is one of {', '.join(get_args(LawName))}, not {law!r}")
-    name = "paper" if law == "paper" else "wide"
-    task = configuration(name, base=(config.base_kp, config.base_ki), size=size).task
-    return task if law != "compensated" else replace(task, gains=GainRange.enclosing(config.compensated))
 
 
 class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[Any]]):
@@ -73,8 +58,8 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
     box
         Bench file that the boxes believe; None: the nominal one, whatever is simulated.
     law
-        `paper` or `wide`: gains and reward of pretraining's configuration of that name. `compensated`: gains of the
-        compensated law, whose coefficients follow the bench, with the reward of `wide`.
+        `paper` or `wide`: gains and reward of pretraining's configuration of that name. `compensated`: all gains that
+        the box allows under its compensated law, whose coefficients follow the bench, with the reward of `wide`.
     reference
         `random`: a sine of 2/3 to 1 of the bench's force and 0.5 to 2 Hz, another in every episode; or the fields of a
         reference: waveform (hold, sine, multisine, smooth_step), amplitude [N], offset [N], frequency [Hz], phase
@@ -107,7 +92,12 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
             model=str(bench or "analytic"), box=None if box is None else str(box), randomise=randomise
         )
         believed, config = source.believed(), source.box_config()
-        self.simulation, self.law, self.task = source, law, task_of(law, config, believed.size)
+        if law not in get_args(LawName):
+            raise SettingsError(f"law is one of {', '.join(get_args(LawName))}, not {law!r}")
+        name = "paper" if law == "paper" else "wide"
+        task = configuration(name, base=(config.base_kp, config.base_ki), size=believed.size).task
+        task = task if law != "compensated" else replace(task, gains=GainRange.enclosing(config.compensated))
+        self.simulation, self.law, self.task = source, law, task
         fixed = reference != "random"
         self._reference = from_mapping(Reference, reference, "reference").signal if fixed else None
         ranges = rescale(events.Randomisation(), NOMINAL, believed.size) if randomise else None

@@ -38,11 +38,7 @@ def _estimator() -> None:
     Compensator().step(samples, samples, np.ones(1, bool), samples)
 
 
-def _analytic() -> Plant:
-    return AnalyticPlant(Bench.nominal())
-
-
-_PLANTS: dict[str, Callable[[], Plant]] = {"analytic": _analytic, "learned": make_plant}
+_PLANTS: dict[str, Callable[[], Plant]] = {"analytic": lambda: AnalyticPlant(Bench.nominal()), "learned": make_plant}
 
 STEPS: dict[str, Callable[[], None]] = {
     "learner": _learner,

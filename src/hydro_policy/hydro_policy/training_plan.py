@@ -26,7 +26,7 @@ import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
-from hydro_policy.evaluation.exploration import Explorer
+from hydro_policy.evaluation.exploration import EpisodeRecord, Explorer
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison, Plan, Trial
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
@@ -124,7 +124,10 @@ class TrainingPlan(Plan):
         """See `Plan`: the first agent is good until a better one is known; the learner's present state is examined."""
         self.start()
         if self.exam is None:
-            self.explorer.begin(self.progress.episode + 1, trial.case.signal)
+            number, signal = self.progress.episode + 1, trial.case.signal
+            self.explorer.current = EpisodeRecord(
+                episode=number, amplitude=signal.amplitude, frequency=signal.frequency
+            )
         elif not self.scores:
             if (parameters := self.propose()) is not None:
                 self.policy.load_flat(parameters)

@@ -40,12 +40,8 @@ def remove_stale_caches(*packages: Path) -> None:
     """Delete numba's caches of the first package where a source that they depend on has changed.
 
     Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
-    its caches elsewhere, and nothing is done: sources that cannot be written do not change.
-
-    Parameters
-    ----------
-    *packages
-        Folder of the package, and those of the packages that it imports.
+    its caches elsewhere, and nothing is done: sources that cannot be written do not change. `packages`: folder of the
+    package, and those of the packages that it imports.
     """
     packages = tuple(package.resolve() for package in packages)  # a built package is a link to its sources
     stamp = packages[0] / "__pycache__" / STAMP

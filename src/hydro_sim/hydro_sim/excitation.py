@@ -39,12 +39,9 @@ class Reference:
     def signal(self) -> ReferenceSignal:
         """Reference signal as sent to the box."""
         return ReferenceSignal(
-            waveform=Waveform[self.waveform.upper()],
-            amplitude=self.amplitude,
-            offset=self.offset,
-            frequency=self.frequency,
-            phase=self.phase,
-        )
+            waveform=Waveform[self.waveform.upper()], amplitude=self.amplitude, offset=self.offset,
+            frequency=self.frequency, phase=self.phase,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +110,6 @@ class ExcitationRange:
 
 WAVEFORM_SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Waveform.SMOOTH_STEP: 0.15}
 """Probability of each waveform."""
-
 WAVEFORM_STEEPNESS = {Waveform.HOLD: 0.0, Waveform.SINE: 1.0, Waveform.MULTISINE: 1.8, Waveform.SMOOTH_STEP: 4.0}
 """Peak rate of each waveform over amplitude times 2 pi frequency (protocol.md)."""
 

@@ -23,14 +23,8 @@ if TYPE_CHECKING:  # matplotlib is imported with the first figure: commands that
     from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GRAY = (
-    "#0072b2",
-    "#e69f00",
-    "#009e73",
-    "#d55e00",
-    "#cc79a7",
-    "#56b4e9",
-    "#8a8f98",
-)
+    "#0072b2", "#e69f00", "#009e73", "#d55e00", "#cc79a7", "#56b4e9", "#8a8f98"
+)  # fmt: skip
 """Colors of Okabe and Ito: safe for color-blind readers and in print."""
 
 UNITS: dict[str, tuple[str, str, float]] = {
@@ -52,27 +46,14 @@ UNITS: dict[str, tuple[str, str, float]] = {
 """Display of a BenchState field: name, unit, factor from SI."""
 
 STYLE: dict[str, Any] = {
-    "axes.axisbelow": True,
-    "axes.edgecolor": "#5b6068",
-    "axes.grid": True,
-    "axes.labelcolor": "#2b2f36",
+    "axes.axisbelow": True, "axes.edgecolor": "#5b6068", "axes.grid": True, "axes.labelcolor": "#2b2f36",
     "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GRAY]),
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 11,
-    "axes.titleweight": "semibold",
-    "figure.constrained_layout.use": True,
-    "figure.dpi": 150,
-    "font.size": 9,
-    "grid.color": "#e3e5e8",
-    "grid.linewidth": 0.7,
-    "legend.frameon": False,
-    "legend.handlelength": 1.4,
-    "lines.linewidth": 1.2,
-    "xtick.color": "#5b6068",
-    "ytick.color": "#5b6068",
-}
+    "axes.spines.right": False, "axes.spines.top": False,
+    "axes.titlelocation": "left", "axes.titlesize": 11, "axes.titleweight": "semibold",
+    "figure.constrained_layout.use": True, "figure.dpi": 150, "font.size": 9,
+    "grid.color": "#e3e5e8", "grid.linewidth": 0.7, "legend.frameon": False, "legend.handlelength": 1.4,
+    "lines.linewidth": 1.2, "xtick.color": "#5b6068", "ytick.color": "#5b6068",
+}  # fmt: skip
 
 
 @contextmanager
@@ -81,16 +62,8 @@ def figure(
 ) -> Iterator[tuple[Figure, Any]]:
     """Open a figure of `rows` axes above one another (shape (rows,)) in the house style; saved to `path` at the end.
 
-    Parameters
-    ----------
-    path
-        File to write, its suffix decides the format; missing folders are made.
-    rows
-        Number of axes.
-    size
-        Width and height [inch].
-    layout
-        Passed on to `Figure.subplots`.
+    `path`: file to write, its suffix decides the format; missing folders are made. `size`: width and height [inch].
+    `layout`: passed on to `Figure.subplots`.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -31,7 +31,6 @@ def _simulation() -> None:
 
 
 def _learning() -> None:
-    """`learn` and `validate` in small."""
     reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
     run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_SECONDS)
     data = recordings.split({"recording": simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), run)})

@@ -13,21 +13,13 @@ from hydro_core.cli.launch_arguments import refuse_unknown_arguments
 
 def generate_launch_description() -> LaunchDescription:
     refuse_unknown_arguments(__file__, ("pace", "dashboard"))
-    pace = LaunchConfiguration("pace")
+    pace, dashboard = LaunchConfiguration("pace"), LaunchConfiguration("dashboard")
+    served = str(dashboard_enabled()).lower()
     return LaunchDescription(
         [
             DeclareLaunchArgument("pace", default_value="plant", description="plant, real, or times real time"),
-            DeclareLaunchArgument(
-                "dashboard",
-                default_value=str(dashboard_enabled()).lower(),
-                description="whether to serve the live page",
-            ),
-            Node(
-                package="hydro_bridge",
-                executable="dashboard",
-                output="screen",
-                condition=IfCondition(LaunchConfiguration("dashboard")),
-            ),
+            DeclareLaunchArgument("dashboard", default_value=served, description="whether to serve the live page"),
+            Node(package="hydro_bridge", executable="dashboard", output="screen", condition=IfCondition(dashboard)),
             Node(package="hydro_sim", executable="sim", arguments=["--pace", pace], output="screen"),
         ]
     )

@@ -91,22 +91,6 @@ class FixedLayout:
             out["time"][part] = values["sec"] + 1e-9 * values["nanosec"] if self.has_header else 1e-9 * log_times[part]
         return out
 
-    def encode(self, table: npt.NDArray[np.void], frame_id: str = "bench") -> ByteRows:
-        """Encode a table with a header as serialized messages, little endian, shape (n, bytes)."""
-        text = frame_id.encode() + b"\0"
-        wire = self.wire(len(text))
-        values = np.zeros(len(table), wire)
-        seconds = np.floor(table["time"])
-        values["sec"] = seconds
-        values["nanosec"] = np.minimum(np.rint((table["time"] - seconds) * 1e9), 999_999_999)
-        for name, _ in self.fields:
-            values[name] = table[name]
-        rows = values.view(np.uint8).reshape(len(table), wire.itemsize)
-        rows[:, 1] = 1
-        rows[:, 12:_FRAME_ID] = np.frombuffer(np.uint32(len(text)).tobytes(), np.uint8)
-        rows[:, _FRAME_ID : _FRAME_ID + len(text)] = np.frombuffer(text, np.uint8)
-        return rows
-
 
 def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:
     """Return the layout of a type from its ros2msg text, by default that of its known definition.
@@ -125,5 +109,17 @@ def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:
 
 
 def encode_states(states: StateArray, frame_id: str = "bench") -> ByteRows:
-    """Encode `STATE_DTYPE` records as serialized BenchState messages, shape (n, bytes)."""
-    return fixed_layout(STATE_TYPE).encode(states, frame_id)
+    """Encode `STATE_DTYPE` records as serialized BenchState messages, little endian, shape (n, bytes)."""
+    layout, text = fixed_layout(STATE_TYPE), frame_id.encode() + b"\0"
+    wire = layout.wire(len(text))
+    values = np.zeros(len(states), wire)
+    seconds = np.floor(states["time"])
+    values["sec"] = seconds
+    values["nanosec"] = np.minimum(np.rint((states["time"] - seconds) * 1e9), 999_999_999)
+    for name, _ in layout.fields:
+        values[name] = states[name]
+    rows = values.view(np.uint8).reshape(len(states), wire.itemsize)
+    rows[:, 1] = 1
+    rows[:, 12:_FRAME_ID] = np.frombuffer(np.uint32(len(text)).tobytes(), np.uint8)
+    rows[:, _FRAME_ID : _FRAME_ID + len(text)] = np.frombuffer(text, np.uint8)
+    return rows

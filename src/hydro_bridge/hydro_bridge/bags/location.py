@@ -53,7 +53,7 @@ def open_file(path: Path) -> tuple[BinaryIO, int]:
     """Open a file on disk or in an S3 store; return the binary stream and its size in bytes. Raises OSError."""
     if not is_remote(path):
         return path.open("rb"), path.stat().st_size
-    file = _store().open_input_file(_key(path))
+    file = _store().open_input_file(_STORED.sub("", str(path)))
     return cast(BinaryIO, io.BufferedReader(file, _AHEAD)), file.size()
 
 
@@ -64,12 +64,8 @@ def list_remote_bags(word: str) -> list[Path]:
     whole, _ = split_location(word)
     if whole.suffix == ".mcap":
         return [Path(word)]
-    found: list[Any] = _store().get_file_info(FileSelector(_key(whole), recursive=True))
+    found: list[Any] = _store().get_file_info(FileSelector(_STORED.sub("", str(whole)), recursive=True))
     return sorted(Path(f"s3:/{one.path}") for one in found if one.path.endswith(".mcap"))
-
-
-def _key(path: Path) -> str:
-    return _STORED.sub("", str(path))
 
 
 @cache

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE
-from hydro_bridge.bags.storage import BagSource, MessageDecoder, Table, decode_span
+from hydro_bridge.bags.storage import BagSource, Table, decode_span
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter
 from hydro_bridge.serial.stream import LinkCounts, SequenceTracker
@@ -194,9 +194,8 @@ def read_serialized(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
 def read_messages(path: Path | str, topic: str, *, salvages: bool = False) -> Iterator[tuple[float, Any]]:
     """Yield log time [s] and message object of a topic of any type such as /diagnostics; errors as `read_bag`."""
     source = BagSource(Path(path), salvages)
-    decoder = MessageDecoder(source)
     for scan, channel, block, span in source.spans(topic):
-        yield from decoder.decode(scan, channel, block, span)
+        yield from source.messages(scan, channel, block, span)
 
 
 def as_states(table: Table, path: Path) -> StateArray:

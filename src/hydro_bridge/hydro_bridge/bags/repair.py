@@ -22,7 +22,7 @@ import yaml
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from hydro_bridge.bags.storage import MIXED_FILES, McapScan, listed_topics, mcap_files, message_head
+from hydro_bridge.bags.storage import MESSAGE_HEAD, MIXED_FILES, McapScan, listed_topics, mcap_files
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.bags.writer import TopicEntry, bag_metadata, try_lock
 
@@ -38,17 +38,14 @@ class CopiedFile:
 
     path: Path
     topics: dict[str, TopicEntry] = field(default_factory=dict)
+    count: int = 0
+    """Number of messages."""
     span: tuple[int, int] = (2**63 - 1, 0)
     """Log times of first and last message [ns]."""
     missing: list[str] = field(default_factory=list)
     """Sentences on what could not be read."""
     custom: dict[str, str] = field(default_factory=dict)
     """Metadata record `hydro`."""
-
-    @property
-    def count(self) -> int:
-        """Number of messages."""
-        return sum(topic.count for topic in self.topics.values())
 
 
 def repair(folder: Path | str) -> tuple[int, list[str]]:
@@ -135,10 +132,11 @@ def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> CopiedFi
                         channel.topic, channel.message_encoding, schema_id, channel.metadata
                     )
                     copy.topics.setdefault(channel.topic, TopicEntry.of_channel(channel, schema))
-                sequence, log_time, publish_time = message_head(block, start)
+                _, sequence, log_time, publish_time = MESSAGE_HEAD.unpack_from(block, start - MESSAGE_HEAD.size)
                 data = block[start : start + size]
                 writer.add_message(channels[number], log_time, data, publish_time, sequence)
                 copy.topics[channel.topic].count += 1
+                copy.count += 1
                 copy.span = (min(copy.span[0], log_time), max(copy.span[1], log_time))
         for name, data in scan.attachments.items():
             writer.add_attachment(0, 0, name, "", data)
@@ -183,24 +181,17 @@ def _at_rest(path: Path) -> Iterator[None]:
     with path.open("rb") as file:
         if not try_lock(file):
             raise RecordingError(f"{path} is being written by a recorder: end that first")
-        if writer := _writer_of(path):
-            raise RecordingError(f"{path} is open for writing in process {writer}: end that first")
         before = path.stat()
+        for entry in Path("/proc").glob("[0-9]*/fd/*"):  # of the processes that this user may look at
+            with suppress(OSError, ValueError, IndexError):
+                found = entry.stat()
+                if (found.st_dev, found.st_ino) == (before.st_dev, before.st_ino):
+                    flags = (entry.parent.parent / "fdinfo" / entry.name).read_text().split("flags:")[1].split()[0]
+                    if int(flags, 8) & (os.O_WRONLY | os.O_RDWR):
+                        writer = entry.parent.parent.name
+                        raise RecordingError(f"{path} is open for writing in process {writer}: end that first")
         if time.time() - before.st_mtime < _RECENT:  # on another machine, say
             time.sleep(_GROWS)
             if path.stat().st_size != before.st_size:
                 raise RecordingError(f"{path} grows: end the recorder that writes it first")
         yield
-
-
-def _writer_of(path: Path) -> str:
-    """Return a process that has the file open for writing, of those that this user may look at; empty if none has."""
-    wanted = path.stat()
-    for entry in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError, ValueError, IndexError):
-            found = entry.stat()
-            if (found.st_dev, found.st_ino) == (wanted.st_dev, wanted.st_ino):
-                flags = (entry.parent.parent / "fdinfo" / entry.name).read_text().split("flags:")[1].split()[0]
-                if int(flags, 8) & (os.O_WRONLY | os.O_RDWR):
-                    return entry.parent.parent.name
-    return ""

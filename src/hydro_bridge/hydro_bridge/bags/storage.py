@@ -25,6 +25,7 @@ from mcap.records import Attachment, Channel, Chunk, ChunkIndex, Metadata, Schem
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from mcap.summary import Summary
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
 from hydro_bridge.bags.location import is_remote, open_file, split_location
@@ -119,15 +120,8 @@ def listed_topics(folder: Path) -> list[tuple[str, str]]:
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = Struct("<BQ")
-_MESSAGE = Struct("<HIQQ")
-
-
-def message_head(block: bytes, start: int) -> tuple[int, int, int]:
-    """Return sequence, log time and publish time [ns] of the message whose data begin at `start` of a block."""
-    _, sequence, log_time, publish_time = _MESSAGE.unpack_from(block, start - _MESSAGE.size)
-    return sequence, log_time, publish_time
-
-
+MESSAGE_HEAD = Struct("<HIQQ")
+"""Channel, sequence, log time and publish time [ns] before the data of a message."""
 _LOOSE = 1 << 20  # bytes of messages outside chunks that are handed on together
 
 
@@ -309,16 +303,14 @@ class McapScan:
         """Return the messages of each channel with `begin` <= log time < `end` [ns]; keep what describes them."""
         places: dict[int, list[tuple[int, int, int]]] = {}
         place, size = 0, len(block)
-        record, message, kind = (_RECORD.unpack_from, _MESSAGE.unpack_from, int(Opcode.MESSAGE))
+        record, message, kind = (_RECORD.unpack_from, MESSAGE_HEAD.unpack_from, int(Opcode.MESSAGE))
         while place + _RECORD.size <= size:
             opcode, length = record(block, place)
             place += _RECORD.size
             if opcode == kind:
                 channel, _, log_time, _ = message(block, place)
-                entry = (place + _MESSAGE.size, length - _MESSAGE.size, log_time)
-                if channel not in places:
-                    places[channel] = []
-                places[channel].append(entry)
+                entry = (place + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size, log_time)
+                places.setdefault(channel, []).append(entry)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._keep(opcode, block[place : place + length])
             place += length
@@ -361,6 +353,7 @@ class BagSource:
     scans: list[McapScan] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
+    _types: Typestore = field(default_factory=lambda: get_typestore(Stores.EMPTY))
 
     def __post_init__(self) -> None:
         whole, part = split_location(self.path)
@@ -446,24 +439,18 @@ class BagSource:
                 raise RecordingError(f"{scan.path}: the definition of {name} cannot be read: {error}") from None
         return self._layouts[name, text]
 
+    def messages(self, scan: McapScan, channel: Channel, block: bytes, span: Span) -> Iterator[tuple[float, Any]]:
+        """Yield log time [s] and message object of one channel of any type in one block; raises RecordingError.
 
-class MessageDecoder:
-    """Decoder of messages of any type into objects; a topic's type is that of its first channel."""
-
-    def __init__(self, source: BagSource) -> None:
-        self._source, self._store = source, get_typestore(Stores.EMPTY)
-        self._known: set[str] = set()
-
-    def decode(self, scan: McapScan, channel: Channel, block: bytes, span: Span) -> Iterator[tuple[float, Any]]:
-        """Yield log time [s] and message of one channel in one block; raises RecordingError."""
-        name, text = self._source.type_of(scan, channel)
-        if name not in self._known:
+        A type is that of its first channel.
+        """
+        name, text = self.type_of(scan, channel)
+        if name not in self._types.types:
             types = get_types_from_msg(text, name)
-            self._store.register({kind: types[kind] for kind in types.keys() - self._store.types.keys()})
-            self._known.add(name)
+            self._types.register({kind: types[kind] for kind in types.keys() - self._types.types.keys()})
         places = zip(span.starts.tolist(), span.sizes.tolist(), span.log_times.tolist(), strict=True)
         for start, size, time_ns in places:
-            yield 1e-9 * time_ns, self._store.deserialize_cdr(block[start : start + size], name)
+            yield 1e-9 * time_ns, self._types.deserialize_cdr(block[start : start + size], name)
 
 
 def decode_span(path: Path, topic: str, layout: FixedLayout, block: bytes, span: Span) -> Table:

@@ -102,7 +102,7 @@ def definition(type_name: str) -> Definition:
 
     Raises UnknownTypeError: neither package data nor the ament index has it.
     """
-    packaged = _packaged()
+    packaged = json.loads(_SCHEMAS.read_text(encoding="utf-8"))
     return Definition(**packaged[type_name]) if type_name in packaged else installed_definition(type_name)
 
 
@@ -124,11 +124,6 @@ def _installed(type_name: str, suffix: str) -> str:
         if prefix and path.is_file():
             return path.read_text(encoding="utf-8")
     raise UnknownTypeError(f"no definition of {type_name} in AMENT_PREFIX_PATH: is its package built and sourced?")
-
-
-@cache
-def _packaged() -> dict[str, dict[str, str]]:
-    return dict(json.loads(_SCHEMAS.read_text(encoding="utf-8")))
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ import fcntl
 import os
 import subprocess
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -67,7 +68,7 @@ def try_lock(file: BinaryIO) -> bool:
     return True
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager["BagWriter"]):
     """A recording in progress; use as context manager, or call `close`.
 
     `folder`: created here; must not exist. `metadata`: run's parameters, code version, digests: MCAP metadata record
@@ -152,9 +153,6 @@ class BagWriter:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._file.close()
         self._write_metadata_yaml(self._metadata)
-
-    def __enter__(self) -> BagWriter:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -378,13 +378,13 @@ def _demand(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[f
     low, safe, high, _ = law.shaping
     if late or command is None or command.law is not Law.COMPENSATED:
         return safe, (law.base_kp, law.base_ki)
-
-    def taken(number: float, safe: float, low: float, high: float) -> float:
-        return min(max(number, low), high) if isfinite(number) else safe
-
-    kp = law.base_kp + taken(command.delta_kp, 0.0, law.delta_kp_min, law.delta_kp_max)
-    ki = law.base_ki + taken(command.delta_ki, 0.0, law.delta_ki_min, law.delta_ki_max)
-    return [taken(*each) for each in zip(command.shaping, safe, low, high, strict=True)], (kp, ki)
+    wanted = (command.delta_kp, command.delta_ki, *command.shaping)
+    least, most = (law.delta_kp_min, law.delta_ki_min, *low), (law.delta_kp_max, law.delta_ki_max, *high)
+    kp, ki, *shaping = (
+        min(max(number, low), high) if isfinite(number) else safe
+        for number, safe, low, high in zip(wanted, (0.0, 0.0, *safe), least, most, strict=True)
+    )
+    return shaping, (law.base_kp + kp, law.base_ki + ki)
 
 
 def check_compensated_reference(host: Host, tolerance: float = 0.02) -> None:

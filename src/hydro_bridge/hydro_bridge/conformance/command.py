@@ -17,21 +17,13 @@ import msgspec
 import yaml
 
 from hydro_bridge.conformance.checks import CHECKS, InconclusiveError, NotReportedError, ViolationError, state_value
-from hydro_bridge.conformance.host import (
-    READ_INTERVAL_MAX,
-    VERBS,
-    Host,
-    NoFrameError,
-    NoStateError,
-    close_session,
-    open_session,
-)
+from hydro_bridge.conformance.host import READ_INTERVAL_MAX, VERBS, Host, NoFrameError, NoStateError, open_session
 from hydro_bridge.conformance.reference import force_gain
 from hydro_bridge.serial.port import Port, PortSettings, describe_non_port
 from hydro_core.cli.console import Table, add_json_argument, command, make_parser, progress
 from hydro_core.errors import UserError
 from hydro_core.files import bench_file
-from hydro_core.signals import Flag
+from hydro_core.signals import Command, Flag
 
 NOMINAL_FORCE_GAIN = 10.53e6
 """g of the nominal bench [N/s/A]: a correction of 0.2 mA moves the force there by up to g 0.2 mA / K_p, 140 N."""
@@ -137,11 +129,18 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
                 checked.append((host.snapshot(), words))
             else:
                 VERBS[verb](host, words)
-        close_session(host)
+        host.command = Command()  # disarmed
+        host.receive(10, host.send)
     except NoStateError as error:
         silent = str(error)
-    if case.moving and (tripped := _force_limit_trip(host)):
-        return FAIL, tripped
+    wanted, armed = Flag.TRIPPED | Flag.FORCE_LIMIT, 0
+    for state in host.states if case.moving else ():  # no case provokes a trip by the force limit
+        if state.flags & wanted == wanted:
+            limit = f"beyond its limit of {host.details.load_force_limit:g} N, {armed} samples after it was armed"
+            force = f"{state_value(state, 'load_force'):.0f} N"
+            hint = "are sign and null of the valve right?"
+            return FAIL, f"it tripped at {force}, {limit}: the rest was not tried; {hint}"
+        armed += bool(state.flags & Flag.ARMED)
     try:  # only now: while this host computes, the box would receive no command
         for seen, words in checked:
             for name, parameters in words.items():
@@ -154,18 +153,6 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
         return NOT_JUDGED, str(undecided)
     notes = [note for seen, _ in checked for note in seen.notes]
     return (FAIL, silent) if silent else (PASS, "; ".join(notes))
-
-
-def _force_limit_trip(host: Host) -> str:
-    """Return why the box tripped by its force limit, which no case provokes; empty: it has not."""
-    wanted, armed = Flag.TRIPPED | Flag.FORCE_LIMIT, 0
-    for state in host.states:
-        if state.flags & wanted == wanted:
-            limit = f"beyond its limit of {host.details.load_force_limit:g} N, {armed} samples after it was armed"
-            hint = "are sign and null of the valve right?"
-            return f"it tripped at {state_value(state, 'load_force'):.0f} N, {limit}: the rest was not tried; {hint}"
-        armed += bool(state.flags & Flag.ARMED)
-    return ""
 
 
 _LATE = 3

@@ -12,11 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import count
 from random import Random
-from typing import Any, Protocol
+from typing import Any
 
 from cobs import cobs
 
 from hydro_bridge.serial import protocol
+from hydro_bridge.serial.port import Port
 from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
 from hydro_core.signals import Command, Law, Waveform
@@ -28,16 +29,6 @@ _LOOK = 0.005
 """s, longest wait of one read of the line."""
 READ_INTERVAL_MAX = 0.015
 """s, longest interval between two reads with which this host is in time: a read ends whatever the box does."""
-
-
-class Transport(Protocol):
-    """Byte transport: a `serial.port.Port`, or a box that is run in step."""
-
-    def read(self, timeout: float) -> bytes:
-        """Return the bytes received; none after `timeout` seconds."""
-
-    def write(self, frame: bytes) -> bool:
-        """Send bytes without waiting; return False if they were dropped."""
 
 
 class NoStateError(UserError):
@@ -62,10 +53,10 @@ class SentCommand:
 class Host:
     """One session with a box: commands sent, states received.
 
-    `line`: transport of the bytes. `clock`: returns seconds; the line's own clock where the box is run in step.
+    `line`: a port, or a box that is run in step. `clock`: returns seconds; the line's own clock of such a box.
     """
 
-    line: Transport
+    line: Port
     clock: Callable[[], float] = time.monotonic
     bench: Mapping[str, Any] = field(default_factory=dict)
     """Numbers of the bench file that the box believes; empty: unknown."""
@@ -199,28 +190,6 @@ _CHANGED = {"waveform 4": (_WAVEFORM, 4), "version 9": (_VERSION, 9), "type 200"
 """Offset and value of each change; the types from 200 are free for experiments."""
 
 
-def corrupt_frame(frame: bytes, how: str) -> bytes:
-    """Return a corrupted frame; `how`: `bit flipped`, `truncated`, `too long`, `too short`, or one of `_CHANGED`.
-
-    All but the first two have a valid check sum. Raises KeyError for an unknown kind of damage.
-    """
-    if how == "truncated":
-        return frame[:-9] + b"\0"
-    raw = bytearray(cobs.decode(frame[1:-1]))
-    if how == "bit flipped":
-        raw[_TIME] ^= 0x10
-        return b"\0" + cobs.encode(bytes(raw)) + b"\0"
-    body = raw[:-4]
-    if how == "too long":
-        body.append(1)
-    elif how == "too short":
-        del body[-4:]
-    else:
-        place, value = _CHANGED[how]
-        body[place] = value
-    return protocol.encode_frame(bytes(body))
-
-
 REPLY_SAMPLES = 300
 """Samples within which a HELLO must be answered, and a command confirmed."""
 _APART = 1000
@@ -257,12 +226,6 @@ def wait_for_confirmation(host: Host, each: Callable[[], None] | None = None) ->
             return at - first.after
         host.receive(1, each)
     return 0
-
-
-def close_session(host: Host) -> None:
-    """Disarm the box at the end of a case."""
-    host.command = Command()
-    host.receive(10, host.send)
 
 
 def _at_every(every: int, act: Callable[[], None]) -> Callable[[], None]:
@@ -328,11 +291,30 @@ def _garbage(host: Host, words: dict[str, Any]) -> None:
 
 
 def _damaged(host: Host, words: dict[str, Any]) -> None:
-    """Send a command that would change the gains, damaged in a way that a box must detect."""
-    changes = {key: value for key, value in words.items() if key != "how"}
+    """Send a command that would change the gains, damaged in a way that a box must detect.
+
+    `how`: `bit flipped` and `truncated`, or with a valid check sum `too long`, `too short`, or one of `_CHANGED`.
+    """
+    changes, how = {key: value for key, value in words.items() if key != "how"}, words["how"]
     frame = protocol.encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
+    raw = bytearray(cobs.decode(frame[1:-1]))
+    body = raw[:-4]
+    if how == "truncated":
+        frame = frame[:-9] + b"\0"
+    elif how == "bit flipped":
+        raw[_TIME] ^= 0x10
+        frame = b"\0" + cobs.encode(bytes(raw)) + b"\0"
+    else:
+        if how == "too long":
+            body.append(1)
+        elif how == "too short":
+            del body[-4:]
+        else:
+            place, value = _CHANGED[how]
+            body[place] = value
+        frame = protocol.encode_frame(bytes(body))
     host.begin_step()
-    host.line.write(corrupt_frame(frame, words["how"]))
+    host.line.write(frame)
     host.receive(10 + host.lag)
 
 

@@ -32,23 +32,17 @@ def evaluate_signal(signal: ReferenceSignal, time: float) -> Derivatives:
         inner = [ratio * omega * time + (i + 1) * signal.phase for i, ratio in enumerate(_RATIOS)]
         parts = [_sine(each, ratio * omega, w) for w, ratio, each in zip(_WEIGHTS, _RATIOS, inner, strict=True)]
         form = tuple(map(sum, zip(*parts, strict=True)))
-    else:
-        form = _smooth_step(angle, omega)
+    else:  # from -1 to 1 in the eighth of a period after angle 0, and back after pi
+        turn = angle / (2.0 * pi) % 1.0
+        side, inside = (1.0, turn) if turn < 0.5 else (-1.0, turn - 0.5)
+        moves = inside < 0.125
+        form = _sine(8.0 * pi * inside - pi / 2, 4.0 * omega, side) if moves else (side, 0.0, 0.0, 0.0)
     value, *rates = (signal.amplitude * each for each in form)
     return signal.offset + value, *rates
 
 
 def _sine(angle: float, omega: float, weight: float = 1.0) -> Derivatives:
     return tuple(weight * omega**n * sin(angle + n * pi / 2) for n in range(4))
-
-
-def _smooth_step(angle: float, omega: float) -> Derivatives:
-    """Return a step from -1 to 1 in the eighth of a period after angle 0, and back after pi."""
-    turn = angle / (2.0 * pi) % 1.0
-    side, inside = (1.0, turn) if turn < 0.5 else (-1.0, turn - 0.5)
-    if inside >= 0.125:
-        return side, 0.0, 0.0, 0.0
-    return _sine(8.0 * pi * inside - pi / 2, 4.0 * omega, side)
 
 
 def cross_fade(old: Derivatives, new: Derivatives, time: float, end: float) -> Derivatives:
@@ -90,28 +84,25 @@ def _volumes(bench: Mapping[str, Any], position: float) -> tuple[float, float]:
     )
 
 
-def gain_floor(bench: Mapping[str, Any]) -> float:
-    """Return g_min [N/s/A], from the bench at rest with p_a = alpha p_b, p_a + p_b = p_s and the spring relaxed."""
-    alpha = bench["area_ratio"]
-    pressure_b = bench["supply_pressure"] / (1.0 + alpha)
-    return FLOOR_SHARE * _gain(bench, bench["spring_rest_position"], (alpha * pressure_b, pressure_b), 1.0)
-
-
 def nominal_current(
     bench: Mapping[str, Any], values: Mapping[str, float], integral: float, force: str, scales: Sequence[float] = (1, 1)
 ) -> float:
     """Return u_nom [A] of one STATE, by field name, where `reference_force` and its rate are f_c and f_c'.
 
-    `integral` is I [N/s], `force` the name of the feedback force's field, `scales` are C_1 and C_2.
+    `integral` is I [N/s], `force` the name of the feedback force's field, `scales` are C_1 and C_2. g is limited below
+    by a share of that of the bench at rest with p_a = alpha p_b, p_a + p_b = p_s and the spring relaxed.
     """
+    alpha = bench["area_ratio"]
+    pressure_b = bench["supply_pressure"] / (1.0 + alpha)
+    floor = FLOOR_SHARE * _gain(bench, bench["spring_rest_position"], (alpha * pressure_b, pressure_b), 1.0)
     position = min(max(values["piston_position"], 0.0), bench["stroke"])
     volume_a, volume_b = _volumes(bench, position)
-    stiffness = bench["bulk_modulus"] * bench["piston_area"] ** 2 * (1 / volume_a + bench["area_ratio"] ** 2 / volume_b)
+    stiffness = bench["bulk_modulus"] * bench["piston_area"] ** 2 * (1 / volume_a + alpha**2 / volume_b)
     error = values["reference_force"] - values[force]
     wanted = values["reference_force_rate"] + values["proportional_gain"] * error + integral
     driven = wanted + scales[0] * stiffness * values["piston_velocity"]
     gain = scales[1] * _gain(bench, position, (values["pressure_a"], values["pressure_b"]), driven)
-    return driven / max(gain, gain_floor(bench))
+    return driven / max(gain, floor)
 
 
 def force_gain(bench: Mapping[str, Any]) -> float:

@@ -17,13 +17,11 @@ visible.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.bags.cdr import FixedLayout
 from hydro_core.signals import Flag, FloatArray
 
 
@@ -72,23 +70,13 @@ def column_descriptions() -> list[list[dict[str, str]]]:
     return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in SERIES]
 
 
-def decode_messages(layout: FixedLayout, messages: Sequence[bytes]) -> npt.NDArray[np.void]:
-    """Decode serialized messages into a table; messages of another length than the last are skipped."""
-    alike = [message for message in messages if len(message) == len(messages[-1])]
-    rows = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), -1)
-    return layout.decode(rows, np.zeros(len(alike), np.int64))
-
-
-def state_values(table: npt.NDArray[np.void]) -> FloatArray:
-    """Return the columns STATE_COLUMNS, STATE_EXTRA of states, shape (n, 12)."""
-    flags = table["flags"]
-    extra = (table["reference_force"] - table["load_force"], (flags & Flag.ARMED) != 0, (flags & Flag.TRIPPED) != 0)
-    return np.column_stack([*(table[column.field] * column.scale for column in STATE_COLUMNS), *extra])
-
-
-def column_values(columns: Sequence[Column], table: npt.NDArray[np.void]) -> FloatArray:
-    """Return the columns of a message table in the page's units, shape (n, columns)."""
-    return np.column_stack([table[column.field] * column.scale for column in columns])
+def column_values(number: int, table: npt.NDArray[np.void]) -> FloatArray:
+    """Return the columns `SERIES[number]` of a message table in the page's units, shape (n, columns)."""
+    values = [table[column.field] * column.scale for column in SERIES[number] if column.field]
+    if number == 0:
+        flags, error = table["flags"], table["reference_force"] - table["load_force"]
+        values += [error, (flags & Flag.ARMED) != 0, (flags & Flag.TRIPPED) != 0]
+    return np.column_stack(values)
 
 
 SLOT_TIME = 0.01

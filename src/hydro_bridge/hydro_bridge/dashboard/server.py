@@ -39,6 +39,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
+from functools import partial
 from importlib import resources
 from ipaddress import ip_address
 from pathlib import Path
@@ -154,19 +155,16 @@ class PageServer:
         self._lock = threading.Lock()
         self._loop = asyncio.new_event_loop()
         try:
-            self._server = self._listen(host, port)
+            self._server = self._loop.run_until_complete(self._listen(host, port))
         except OSError as error:
             self._loop.close()
             where = f"{host} port {port}" if port else host
             raise UserError(f"the page cannot be served at {where}: {error.strerror or error}") from None
         self.port: int = next(iter(self._server.sockets)).getsockname()[1]
+        self.address = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
+        """Of the page."""
         self._thread = threading.Thread(target=self._loop.run_forever, name="page server", daemon=True)
         self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """Address of the page."""
-        return f"http://{f'[{self._host}]' if ':' in self._host else self._host}:{self.port}/"
 
     @property
     def viewers(self) -> int:
@@ -183,30 +181,25 @@ class PageServer:
 
     def close(self) -> None:
         """Close all connections and end the thread."""
-        with suppress(FutureTimeoutError):
-            asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(5.0)
+        self._loop.call_soon_threadsafe(self._server.close)
+        with suppress(FutureTimeoutError, asyncio.TimeoutError):
+            closed = asyncio.wait_for(self._server.wait_closed(), 2.0)
+            asyncio.run_coroutine_threadsafe(closed, self._loop).result(5.0)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(5.0)
         self._loop.close()
 
-    def _listen(self, host: str, port: int | None) -> Server:
+    async def _listen(self, host: str, port: int | None) -> Server:
+        listen = partial(
+            serve, self._attend, host, process_request=self._answer, compression=None, max_size=SIZE_MAX,
+            ping_interval=5.0, ping_timeout=5.0, close_timeout=0.5, server_header=None,
+        )  # fmt: skip
         try:
-            return self._loop.run_until_complete(self._serve(host, PORT if port is None else port))
+            return await listen(port=PORT if port is None else port)
         except OSError:
             if port is not None:
                 raise
-            return self._loop.run_until_complete(self._serve(host, 0))
-
-    async def _serve(self, host: str, port: int) -> Server:
-        return await serve(
-            self._attend, host, port, process_request=self._answer, compression=None, max_size=SIZE_MAX,
-            ping_interval=5.0, ping_timeout=5.0, close_timeout=0.5, server_header=None,
-        )  # fmt: skip
-
-    async def _end(self) -> None:
-        self._server.close(close_connections=True)
-        with suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._server.wait_closed(), 2.0)
+            return await listen(port=0)
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the page's files; None for its WebSocket, which the library handles."""

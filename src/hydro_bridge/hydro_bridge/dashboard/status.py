@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status of the graph for the page, besides the series: holder of the lease, state of the nodes, learning progress.
+"""Status of the graph for the page, besides the series: messages, names of flags, learning progress.
 
-All of it is bounded: the latest status of each node, and a curve of at most `CURVE_POINTS_MAX` episodes.
+The learning curve is bounded: at most `CURVE_POINTS_MAX` episodes.
 """
 
 from __future__ import annotations
@@ -12,14 +12,10 @@ from typing import Any
 
 import msgspec
 
-from hydro_core.signals import CorrectionStatus, Flag
+from hydro_core.signals import Flag
 
 CURVE_POINTS_MAX = 1000
 """Maximum number of points of the learning curve; beyond it every second one is dropped."""
-NODES_MAX = 32
-"""Number of nodes whose diagnostics are kept: those heard last."""
-VALUES_MAX = 60
-"""Number of values kept of each node."""
 PHASES = ("waiting", "training", "evaluating", "paused", "finished")
 """TrainingStatus.phase in words."""
 PLANT_TIMEOUT = 0.5
@@ -68,27 +64,3 @@ class LearningCurve:
     def content(self) -> dict[str, Any]:
         """Return the curve for the page: a list of values for each key of `KEYS`."""
         return {key: [row[column] for row in self._rows] for column, key in enumerate(self.KEYS)}
-
-
-class NodeStatuses:
-    """Latest status of each node on /diagnostics."""
-
-    def __init__(self) -> None:
-        self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
-
-    def update(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
-        """Add a status; `now` [s] of any one clock."""
-        kept = dict(list(values.items())[:VALUES_MAX])
-        self._heard.pop(name, None)
-        self._heard[name] = (now, {"name": name, "level": level, "message": message, "values": kept})
-        while len(self._heard) > NODES_MAX:
-            del self._heard[next(iter(self._heard))]
-
-    def content(self, now: float) -> list[dict[str, Any]]:
-        """Return the statuses for the page, sorted by node, each with its `age` [s]."""
-        return [{**said, "age": round(now - heard, 1)} for _, (heard, said) in sorted(self._heard.items())]
-
-
-def count_statuses(statuses: Mapping[int, int]) -> dict[str, int]:
-    """Return the filter's decision counts by status name, from counts by status number."""
-    return {known.name.lower(): statuses[known] for known in CorrectionStatus if known in statuses}

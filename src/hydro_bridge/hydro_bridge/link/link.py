@@ -14,6 +14,7 @@ command is sent for each sample, with the sample's time, once the graph has answ
 
 from __future__ import annotations
 
+import os
 import re
 import threading
 import time
@@ -24,7 +25,7 @@ from enum import Enum
 from functools import partial
 from math import inf, isclose
 
-from hydro_bridge.safety.guard import CommandGuard, GuardSettings, intersect_limits
+from hydro_bridge.safety.guard import CommandGuard, intersect_limits
 from hydro_bridge.safety.pace import Pace
 from hydro_bridge.safety.plant_side import PlantSide
 from hydro_bridge.serial import protocol
@@ -42,31 +43,6 @@ def incomplete_handshake(details: BoxDetails | None) -> str:
     """Return an error message for a box whose HELLO is not followed by DETAILS, or DETAILS by LAW."""
     said, missing = ("DETAILS", "LAW") if details else ("HELLO", "DETAILS")
     return f"the box sends no {missing} behind its {said}: no command is sent"
-
-
-def connection_warnings(wanted: GuardSettings, info: BoxInfo, details: BoxDetails, law: BoxLaw | None) -> list[str]:
-    """Return log messages on a new connection: limits narrower than the guard's, and a missing compensated law."""
-    said = [] if law else [NO_COMPENSATED_LAW]
-    changed = [
-        f"{name} {before:g} -> {after:g}"
-        for (name, before), after in zip(
-            vars(wanted).items(), vars(intersect_limits(wanted, info)).values(), strict=True
-        )
-        if before != after and not isclose(before, after, rel_tol=1e-6)  # HELLO has float32
-    ]
-    if changed:
-        said.append(f"the box narrows the guard: {', '.join(changed)}")
-    if 0.0 < details.force_range < wanted.reference_force_max:
-        said.append(
-            f"the box refuses references beyond {details.force_range:g} N, the guard those beyond "
-            f"{wanted.reference_force_max:g} N"
-        )
-    if 0.0 < details.load_force_limit < wanted.reference_force_max:
-        said.append(
-            f"the box trips beyond a load force of {details.load_force_limit:g} N, the guard takes references up to "
-            f"{wanted.reference_force_max:g} N"
-        )
-    return said
 
 
 NO_HELLO_REPLY = (
@@ -115,29 +91,6 @@ class LinkReport:
     """From receiving a state frame to sending the command frame that corrects it: publishing, the filter, and back."""
     round_trip: Latency = field(default_factory=Latency)
     """From sending a command frame to the first state frame that confirms it; up to one sample of it is the box's."""
-    _arrived: dict[int, float] = field(default_factory=dict)
-    _sent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_RECENT))
-
-    def state_arrived(self, sequence: int, last_command: int, now: float) -> None:
-        """Record a sample, and the newest command that the box had received by then."""
-        self._arrived[sequence] = now
-        self._arrived.pop((sequence - _RECENT) & _WRAP, None)
-        while self._sent and (last_command - self._sent[0][0]) & _WRAP < _RECENT:
-            command, at = self._sent.popleft()
-            if command == last_command:
-                self.round_trip.add(now - at)
-
-    def command_sent(self, sequence: int, corrects: int | None, now: float) -> None:
-        """Record a command, and the sample whose correction triggered it."""
-        self._sent.append((sequence, now))
-        arrived = self._arrived.get(corrects) if corrects is not None else None
-        if arrived is not None:
-            self.turnaround.add(now - arrived)
-
-    def discard_pending(self) -> None:
-        """Discard pending measurements: sequence numbers restart."""
-        self._arrived.clear()
-        self._sent.clear()
 
 
 class Link(PlantSide):
@@ -177,6 +130,8 @@ class Link(PlantSide):
         """What an emulator says of its clock; None: the box runs in real time."""
         self.counts = LinkCounts()
         self.report = LinkReport()
+        self._arrived: dict[int, float] = {}  # s of the monotonic clock, by sequence of the last samples
+        self._sent: deque[tuple[int, float]] = deque(maxlen=_RECENT)  # last commands that no sample confirms
         self.clock = BoxClock()
         self.box: BoxInfo | None = None
         self.details: BoxDetails | None = None
@@ -271,7 +226,7 @@ class Link(PlantSide):
             if self.state is not LinkState.CONNECTED:
                 return
             now = self.now()
-            self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+            self._sequence = (self._sequence + 1) & _WRAP
             command = self.guard.command(now)
             if command.law is not Law.PAPER and self.law is None:
                 command = Command()  # this box would add the changes to the paper's gains
@@ -283,7 +238,10 @@ class Link(PlantSide):
             except PortLostError:
                 return  # the reading thread detects it as well, and reopens
             self.report.commands += 1
-            self.report.command_sent(self._sequence, corrects, time.monotonic())
+            sent = time.monotonic()
+            self._sent.append((self._sequence, sent))
+            if corrects is not None and corrects in self._arrived:
+                self.report.turnaround.add(sent - self._arrived[corrects])
 
     def _confirms(self, arm: bool, before: int) -> bool:
         heard = self.paced or self.samples > before  # what was heard earlier is no answer
@@ -303,7 +261,6 @@ class Link(PlantSide):
         return no_frames_message(self.counts, self._framed, age)
 
     def _converse(self) -> None:
-        """Read until the port is lost."""
         opened = alive = time.monotonic()
         next_hello, next_sign, frames = 0.0, 0.0, list[Frame]()
         self._framed = replace(self.counts)
@@ -342,9 +299,20 @@ class Link(PlantSide):
             if self.state is LinkState.CONNECTED:
                 self._take_state(frame, now)
         elif isinstance(frame, ClockFrame):
-            self._clock_told = frame if self.port.pseudo_terminal else None  # a device runs in real time
+            emulated = os.path.realpath(self.port.settings.path).startswith("/dev/pts/")
+            self._clock_told = frame if emulated else None  # a device runs in real time
         elif isinstance(frame, protocol.Hello) and frame.info is not None:
-            self._take_hello(frame, frame.info)
+            if not frame.version_min <= protocol.VERSION <= frame.version_max:
+                self._complain(protocol.version_mismatch_message(frame.version_max))
+                return
+            if self.state is LinkState.CONNECTED:
+                if frame.sequence != 0:
+                    return
+                self._restarted()
+            if frame.sequence != 0:  # the HELLO of power-on answers no greeting
+                if self._greeted is not None:
+                    self._complain(incomplete_handshake(self._told))
+                self._greeted, self._told = frame.info, None
         elif isinstance(frame, protocol.Details):
             if self.state is LinkState.CONNECTED:
                 if self.details is not None and frame.details.epoch != self.details.epoch:
@@ -372,7 +340,12 @@ class Link(PlantSide):
         with self.lock:
             self._offset_us = max(self._offset_us, self._box_us - frame.time_us)  # a restarted box begins anew
             self._box_us = frame.time_us + self._offset_us
-            self.report.state_arrived(frame.sequence, frame.last_command, now)
+            self._arrived[frame.sequence] = now
+            self._arrived.pop((frame.sequence - _RECENT) & _WRAP, None)
+            while self._sent and (frame.last_command - self._sent[0][0]) & _WRAP < _RECENT:
+                confirmed, sent = self._sent.popleft()
+                if confirmed == frame.last_command:
+                    self.report.round_trip.add(now - sent)
             self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
         before, self.refused = self.refused[1], (frame.refused, frame.refused_references)
         if before == 0 and frame.refused_references > 0:  # once per connection; the counts are on /diagnostics
@@ -392,21 +365,9 @@ class Link(PlantSide):
             self.report.heartbeats += 1
             self._send()
 
-    def _take_hello(self, frame: protocol.Hello, info: BoxInfo) -> None:
-        if not frame.version_min <= protocol.VERSION <= frame.version_max:
-            self._complain(protocol.version_mismatch_message(frame.version_max))
-            return
-        if self.state is LinkState.CONNECTED:
-            if frame.sequence != 0:
-                return
-            self._restarted()
-        if frame.sequence != 0:  # the HELLO of power-on answers no greeting
-            if self._greeted is not None:
-                self._complain(incomplete_handshake(self._told))
-            self._greeted, self._told = info, None
-
     def _connect(self, info: BoxInfo, details: BoxDetails, law: BoxLaw | None = None) -> None:
         self._greeted = self._told = None
+        wanted, limits = self._wanted_limits, intersect_limits(self._wanted_limits, info)
         with self.lock:
             self.box, self.details, self.law = info, details, law
             self.state = LinkState.CONNECTED
@@ -415,33 +376,43 @@ class Link(PlantSide):
             if self.emulated is not None and before is None:
                 waits = ", and waits for answers" if self.emulated.waits else ""
                 self._log(f"it is emulated: time is its own{waits}")
-            self.guard.settings = intersect_limits(self._wanted_limits, info)
-            self.guard.valve_current_max = info.valve_current_max
+            self.guard.settings, self.guard.valve_current_max = limits, info.valve_current_max
             self.guard.set_arm(False)
         self.report.reconnects += self._connected_before
         self._connected_before, self._corrected, self.complaint = True, False, ""
         self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}; disarmed")
-        for sentence in connection_warnings(self._wanted_limits, info, details, law):
-            self._log(sentence)
+        if law is None:
+            self._log(NO_COMPENSATED_LAW)
+        changed = [
+            f"{name} {before:g} -> {after:g}"
+            for (name, before), after in zip(vars(wanted).items(), vars(limits).values(), strict=True)
+            if before != after and not isclose(before, after, rel_tol=1e-6)  # HELLO has float32
+        ]
+        if changed:
+            self._log(f"the box narrows the guard: {', '.join(changed)}")
+        most = wanted.reference_force_max
+        if 0.0 < details.force_range < most:
+            beyond = f"the guard those beyond {most:g} N"
+            self._log(f"the box refuses references beyond {details.force_range:g} N, {beyond}")
+        if 0.0 < (trips := details.load_force_limit) < most:
+            self._log(f"the box trips beyond a load force of {trips:g} N, the guard takes references up to {most:g} N")
         self._on_box(info)
 
     def _restarted(self) -> None:
-        """Disarm and restart the conversation: the box may be another one."""
         self._warn("the box was restarted, by itself or by its power: it stays disarmed until it is armed again")
         self._leave(LinkState.OPEN)
 
     def _leave(self, state: LinkState) -> None:
-        """Disarm, and forget the box."""
         with self.lock:
             self.guard.set_arm(False)  # before the closed line becomes visible
             self.state, self._greeted, self._told, self._clock_told = state, None, None, None
             if state is LinkState.CLOSED:
                 self.port.close()
             self.guard.note_sample(None)
-            self.report.discard_pending()
+            self._arrived.clear()  # sequence numbers restart
+            self._sent.clear()
             self.flags, self.refused = 0, (None, None)
-        self._tracker.reset()
-        self.clock.reset()
+        self._tracker, self.clock = SequenceTracker(self.counts), BoxClock()
         with self._news:
             self._news.notify_all()
 

@@ -10,28 +10,21 @@ ros2 run hydro_bridge arm --off
 
 from __future__ import annotations
 
-import argparse
-
 from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import CLAIM_SERVICE
 from hydro_core.cli.console import UserError, bounded_number, command, make_parser
 from hydro_msgs.srv import Claim
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the argument parser."""
-    result = make_parser("arm", __doc__)
-    result.add_argument("--off", action="store_true", help="disarm: the valve closes")
-    result.add_argument("--for", dest="whom", default="", metavar="NODE", help="arm only if this node commands it")
-    result.add_argument("--timeout", type=bounded_number(0.01), default=10.0, metavar="S", help="for each step (10 s)")
-    return result
-
-
 @command()
 def main() -> None:
     """Entry point."""
+    parser = make_parser("arm", __doc__)
+    parser.add_argument("--off", action="store_true", help="disarm: the valve closes")
+    parser.add_argument("--for", dest="whom", default="", metavar="NODE", help="arm only if this node commands it")
+    parser.add_argument("--timeout", type=bounded_number(0.01), default=10.0, metavar="S", help="for each step (10 s)")
     own, ros = ros_arguments()
-    asked = parser().parse_args(own)
+    asked = parser.parse_args(own)
     if asked.off and asked.whom:
         raise UserError("--off disarms for everybody: leave --for out")
     act = Claim.Request.DISARM if asked.off else Claim.Request.ARM

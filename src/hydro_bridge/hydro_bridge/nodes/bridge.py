@@ -67,12 +67,7 @@ class BridgeNode(PlantNode):
     """Plant node over a serial line; `bench` holds the numbers of the box's bench file, if known."""
 
     def __init__(
-        self,
-        settings: PortSettings,
-        bench: Mapping[str, Any] | None = None,
-        corrector: Corrector | None = None,
-        *,
-        realtime: bool,
+        self, settings: PortSettings, bench: Mapping[str, Any] | None, corrector: Corrector | None, *, realtime: bool
     ) -> None:
         super().__init__("bridge", corrector)
         size = Size.of_known_bench(bench)
@@ -92,7 +87,6 @@ class BridgeNode(PlantNode):
         do(stamp_ns, sample.sequence, sample.values, flags, sample.law_state)
 
     def _on_box(self, info: BoxInfo) -> None:
-        """Handle a new connection, possibly to another box."""
         self.link.foreign = bench_mismatches(info, self._bench, self.link.details)
         if self.link.foreign:
             self.get_logger().warning(
@@ -120,11 +114,17 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def refuse_unusable_port(settings: PortSettings) -> None:
-    """End the program if the path is not a serial port, or if another program keeps the port for 2 s.
+def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
+    """Return a factory of the node for this command line; it takes the filter in this process, or None.
 
-    A second bridge would answer /hydro/arm as well. A missing port may still appear: the link waits for it.
+    Raises UserError: the path is not a serial port, or another program keeps the port for 2 s; a second bridge would
+    answer /hydro/arm as well. A missing port may still appear: the link waits for it.
     """
+    options = parser().parse_args(own)
+    site.apply_site_option(options, bench=site.BENCH)
+    settings = PortSettings(path=options.port, baud=options.baud)
+    file = options.bench or bench_file.shipped_bench_file()
+    bench = bench_file.read_box_bench(file) if file else None
     if (kind := describe_non_port(settings.path)) is not None:
         raise UserError(f"{settings.path} is {kind}, not a serial port")
     port, end = Port(settings), time.monotonic() + 2.0
@@ -136,23 +136,11 @@ def refuse_unusable_port(settings: PortSettings) -> None:
                 raise UserError(f"{error}; end that first, a box can have one bridge only") from None
             time.sleep(0.1)
         except PortLostError:
-            return
+            break
         else:
             port.close()
-            return
-
-
-def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
-    """Return a factory of the node for this command line; it takes the filter in this process, or None.
-
-    Ends the program if the port cannot be used.
-    """
-    options = parser().parse_args(own)
-    site.apply_site_option(options, bench=site.BENCH)
-    port, file = PortSettings(path=options.port, baud=options.baud), options.bench or bench_file.shipped_bench_file()
-    bench = bench_file.read_box_bench(file) if file else None
-    refuse_unusable_port(port)
-    return lambda corrector: BridgeNode(port, bench, corrector, realtime=options.realtime)
+            break
+    return lambda corrector: BridgeNode(settings, bench, corrector, realtime=options.realtime)
 
 
 @command()

@@ -7,7 +7,6 @@ ros2 run hydro_bridge dashboard --port 8080
 
 from __future__ import annotations
 
-import argparse
 import secrets
 import threading
 import time
@@ -20,7 +19,6 @@ from math import inf
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.client import Client
 from rclpy.clock import Clock, ClockType
@@ -48,7 +46,7 @@ from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import Mailbox, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_core.cli.console import bounded_number, command, make_parser
-from hydro_core.signals import STATUS_MASK
+from hydro_core.signals import STATUS_MASK, CorrectionStatus
 from hydro_msgs.msg import Authority, TrainingStatus
 from hydro_msgs.srv import Claim, OverrideGains
 
@@ -60,12 +58,12 @@ class SampleReceiver:
     """Subscribes to the topics published at every sample, and downsamples them for the page."""
 
     def __init__(self) -> None:
-        self._mailbox = Mailbox("dashboard")
+        self.mailbox = Mailbox("dashboard")
         qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._queues = {}
         for topic in (topics.STATE, topics.CORRECTION, topics.LAW_STATE):
             kind = topics.GRAPH[topic][0]
-            self._queues[topic] = self._mailbox.subscribe(topic, kind, qos), fixed_layout(topics.type_name(kind))
+            self._queues[topic] = self.mailbox.subscribe(topic, kind, qos), fixed_layout(topics.type_name(kind))
         self._sequence = -1
         self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES)
         """Thinners of the samples, of the corrections and of the compensated law."""
@@ -80,40 +78,33 @@ class SampleReceiver:
         self.count = 0
         self.lost = 0
         """Samples missing in the sequence."""
-
-    @property
-    def has_several_plants(self) -> bool:
+        self.contested = False
         """Whether more than one plant publishes samples."""
-        return bool(self._queues[topics.STATE][0].get_publisher_count() > 1)
 
     def poll(self, now: float) -> None:
         """Process all queued messages; `now`: monotonic time [s]."""
-        if (table := self._fetched(topics.STATE)) is not None:
-            sequence = table["sequence"].astype(np.int64)
-            gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
-            self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
-            self.count += len(table)
-            self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
-            self.series[0].add(table["time"], series.state_values(table))
-        if (table := self._fetched(topics.CORRECTION)) is not None:
-            self.decided.update((table["status"] & STATUS_MASK).tolist())
-            self.series[1].add(table["time"], series.column_values(series.CORRECTION_COLUMNS, table))
-        if (table := self._fetched(topics.LAW_STATE)) is not None:
-            self.compensated_at = now
-            self.series[2].add(table["time"], series.column_values(series.LAW_COLUMNS, table))
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._mailbox.close()
-
-    def _fetched(self, topic: str) -> npt.NDArray[np.void] | None:
-        """Return the queued messages as a table; None if there are none, or of a plant of another version."""
-        subscription, layout = self._queues[topic]
-        messages = [data for data, _ in self._mailbox.fetch(subscription, QUEUE_DEPTH)]
-        try:
-            return series.decode_messages(layout, messages) if messages else None
-        except ValueError:  # unknown layout
-            return None
+        self.contested = bool(self._queues[topics.STATE][0].get_publisher_count() > 1)
+        for number, (topic, (subscription, layout)) in enumerate(self._queues.items()):
+            messages = [data for data, _ in self.mailbox.fetch(subscription, QUEUE_DEPTH)]
+            alike = [message for message in messages if len(message) == len(messages[-1])]
+            if not alike:
+                continue
+            try:
+                rows = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), -1)
+                table = layout.decode(rows, np.zeros(len(alike), np.int64))
+            except ValueError:  # of a plant of another version
+                continue
+            if topic == topics.STATE:
+                sequence = table["sequence"].astype(np.int64)
+                gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
+                self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
+                self.count += len(table)
+                self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
+            elif topic == topics.CORRECTION:
+                self.decided.update((table["status"] & STATUS_MASK).tolist())
+            else:
+                self.compensated_at = now
+            self.series[number].add(table["time"], series.column_values(number, table))
 
 
 _WHO = "a person, by the live page"
@@ -129,6 +120,7 @@ PERIOD = 0.05
 _WORDS_EVERY = 10  # frames: twice a second
 _UNWATCHED = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE_DEPTH`
 _SHOWN = (topics.STATE, topics.CORRECTION, topics.GAINS, topics.REFERENCE)
+_NODES_MAX, _VALUES_MAX = 32, 60  # nodes whose diagnostics are kept, those heard last, and values of each
 
 
 class DashboardNode(Node):
@@ -143,14 +135,15 @@ class DashboardNode(Node):
         self._authority = self._word = Authority()
         self._box: dict[str, Any] = {}
         self._training: dict[str, Any] = {}
-        self._curve, self._nodes = status.LearningCurve(), status.NodeStatuses()
+        self._curve = status.LearningCurve()
+        self._nodes: dict[str, tuple[float, dict[str, Any]]] = {}  # time [s] and last status of each, by name
         self._frames = 0
         self._words_heard = create_subscription(self, topics.AUTHORITY, self._on_authority)
         subscribe_to_box(self, self._on_box)
-        self.create_subscription(TrainingStatus, topics.TRAINING, self._on_training, _best_effort(topics.TRAINING))
-        self.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, _best_effort(topics.DIAGNOSTICS)
-        )
+        for topic, hear in ((topics.TRAINING, self._on_training), (topics.DIAGNOSTICS, self._on_diagnostics)):
+            kind, offered = topics.GRAPH[topic]
+            qos = QoSProfile(depth=offered.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+            self.create_subscription(kind, topic, hear, qos)
         self._claim = self.create_client(Claim, topics.CLAIM_SERVICE)
         self._override = self.create_client(OverrideGains, topics.OVERRIDE_SERVICE)
         self._end = self.create_client(Trigger, topics.END_SERVICE)
@@ -167,7 +160,7 @@ class DashboardNode(Node):
 
     def close(self) -> None:
         """Disconnect the viewers."""
-        self._samples.close()
+        self._samples.mailbox.close()
         self._server.close()
 
     def _act(self, text: str | bytes) -> Promise[str]:
@@ -267,7 +260,7 @@ class DashboardNode(Node):
             "age": round(age, 3) if age < inf else None,
             "alive": age < status.PLANT_TIMEOUT,
             "sent": round(1e3 * now),
-            "contested": self._samples.has_several_plants,
+            "contested": self._samples.contested,
             "flags": status.flag_labels(self._samples.flags),
             "epoch": str(self._authority.epoch),
             "holder": self._authority.holder,
@@ -281,9 +274,9 @@ class DashboardNode(Node):
             "box": self._box,
             "training": self._training,
             "curve": self._curve.content(),
-            "filter": status.count_statuses(decided),
+            "filter": {known.name.lower(): decided[known] for known in CorrectionStatus if known in decided},
             "law": "compensated" if now - self._samples.compensated_at < status.PLANT_TIMEOUT else "paper",
-            "nodes": self._nodes.content(now),
+            "nodes": [{**said, "age": round(now - heard, 1)} for _, (heard, said) in sorted(self._nodes.items())],
             "publishers": published,
             "missed": self._samples.lost,
             "viewers": self._server.viewers,
@@ -330,27 +323,21 @@ class DashboardNode(Node):
         now = time.monotonic()
         for node in message.status:
             values = {entry.key: entry.value for entry in node.values}
-            self._nodes.update(node.name, int.from_bytes(node.level, "little"), node.message, values, now)
-
-
-def _best_effort(topic: str) -> QoSProfile:
-    offered = topics.GRAPH[topic][1]
-    return QoSProfile(depth=offered.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
-def parser() -> argparse.ArgumentParser:
-    """Return the argument parser."""
-    result = make_parser("dashboard", __doc__)
-    result.add_argument("--host", default=HOST, metavar="ADDRESS", help=f"to listen at (default {HOST}: here only)")
-    result.add_argument(
-        "--port", type=bounded_number(0, 65535), metavar="N", help=f"default {PORT}, if taken a free one; 0: any"
-    )
-    return result
+            kept, level = dict(list(values.items())[:_VALUES_MAX]), int.from_bytes(node.level, "little")
+            self._nodes.pop(node.name, None)
+            self._nodes[node.name] = now, {"name": node.name, "level": level, "message": node.message, "values": kept}
+            while len(self._nodes) > _NODES_MAX:
+                del self._nodes[next(iter(self._nodes))]
 
 
 @command()
 def main() -> None:
     """Entry point."""
+    parser = make_parser("dashboard", __doc__)
+    parser.add_argument("--host", default=HOST, metavar="ADDRESS", help=f"to listen at (default {HOST}: here only)")
+    parser.add_argument(
+        "--port", type=bounded_number(0, 65535), metavar="N", help=f"default {PORT}, if taken a free one; 0: any"
+    )
     own, ros = ros_arguments()
-    options = parser().parse_args(own)
+    options = parser.parse_args(own)
     run_node(partial(DashboardNode, options.host, options.port), ros)

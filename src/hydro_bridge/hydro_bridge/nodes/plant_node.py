@@ -108,7 +108,8 @@ class LeaseServer:
         self.lease = plant.guard.lease
         self._following = threading.Lock()
         self._armed, self._crowd = False, ""
-        self._heard: dict[str, Subscription] = {}
+        self.heard: dict[str, Subscription] = {}
+        """Source of the commands of each topic; without one they come from this process."""
         self._publisher = create_publisher(node, topics.AUTHORITY)
         self._told: Counter[str] = Counter()
         self._corrected = False  # corrections were refused in the second before
@@ -121,14 +122,9 @@ class LeaseServer:
         node.create_timer(_LOOK, self._look, clock=steady)
         node.create_timer(1.0, self._tell_refused, clock=steady)
 
-    def listen(self, topic: str, subscription: Subscription) -> None:
-        """Register `subscription` as the source of the commands of `topic`; without one they come from this process."""
-        self._heard[topic] = subscription
-
     def admits(self, topic: str, epoch: int) -> bool:
         """Return whether a received command is the holder's; a second publisher of its topic disarms the plant."""
-        heard = self._heard.get(topic)
-        if heard is not None and heard.get_publisher_count() > 1:
+        if topic in self.heard and self.heard[topic].get_publisher_count() > 1:
             self.lease.refused[topic] += 1
             self._give_up(topic)
             return False
@@ -138,11 +134,6 @@ class LeaseServer:
     def crowd(self) -> str:
         """Return a sentence about the topics with more than one publisher; empty if there is none."""
         return publisher_conflicts(self._node, *topics.COMMANDS, topics.STATE, topics.AUTHORITY)
-
-    def values(self) -> dict[str, object]:
-        """Values for /diagnostics."""
-        refused = {f"refused {topic}": self.lease.refused[topic] for topic in topics.COMMANDS}
-        return {"authority": self.lease.holder or "nobody", **refused}
 
     def follow(self) -> None:
         """End the session on a disarm, whoever requested it, and on a trip."""
@@ -307,11 +298,11 @@ class PlantNode(Node):
             )
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self.leases = LeaseServer(self, side, lambda: bool(self._flags & Flag.TRIPPED))
+        heard = self.leases.heard  # no callback runs before the node is spun
         if self._corrector is None:
-            self.leases.listen(topics.CORRECTION, subscribe(self, topics.CORRECTION, CORRECTIONS, self._on_correction))
+            heard[topics.CORRECTION] = subscribe(self, topics.CORRECTION, CORRECTIONS, self._on_correction)
         for topic in (topics.GAINS, topics.REFERENCE, topics.LAW):
-            heard = create_subscription(self, topic, partial(self._on_command, topic))
-            self.leases.listen(topic, heard)  # no callback runs before the node is spun
+            heard[topic] = create_subscription(self, topic, partial(self._on_command, topic))
         self._answers = create_subscription(self, topics.ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._look_for_peers, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -417,10 +408,8 @@ class PlantNode(Node):
 
     def _look_for_peers(self) -> None:
         """Forget peers that were not in the graph at two looks: a new one may not have its name there yet."""
-        before, self._peers = (
-            self._peers,
-            {info.node_name for info in self.get_publishers_info_by_topic(topics.ANSWERED)},
-        )
+        before, now = self._peers, self.get_publishers_info_by_topic(topics.ANSWERED)
+        self._peers = {info.node_name for info in now}
         self.side.pace.retain_peers(before | self._peers)
 
     def _status(self) -> Status:
@@ -431,7 +420,10 @@ class PlantNode(Node):
         message = status.message + ("" if required else ", FILTER NOT REQUIRED") + (f": {given_up}" if given_up else "")
         least = Level.WARN if given_up or not required or side.flags & _TROUBLED else Level.OK
         values = {"flags": flag_names(side.flags), "require filter": required, **status.values}
-        values |= {f"guard {name}": count for name, count in guard.items()} | self.leases.values()
+        values |= {f"guard {name}": count for name, count in guard.items()}
+        lease = self.leases.lease
+        values |= {"authority": lease.holder or "nobody"}
+        values |= {f"refused {topic}": lease.refused[topic] for topic in topics.COMMANDS}
         if self._defect:
             least, message = Level.ERROR, f"{message}, NOTHING IS CORRECTED: {self._defect}"
         status = Status(level=max(status.level, least), message=message, values=values)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
@@ -39,31 +38,11 @@ _FLUSH_PERIOD = 0.5  # s: longest loss through `kill -9`; at worst twice that on
 _NICE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
 
 
-class PlantClock:
-    """Log times in the plant's time where it runs by its own clock, so that the recording has the plant's duration.
-
-    They begin at the first sample's arrival and advance with each sample.
-    """
-
-    def __init__(self) -> None:
-        self.paced = False
-        """Whether the last sample was of such a plant."""
-        self._offset = self._now = 0  # ns
-
-    def update(self, stamp: int, flags: int, arrived: int) -> None:
-        """Update the clock by a sample; `stamp`, `arrived`: its stamp and arrival time [ns]."""
-        before, self.paced = self.paced, bool(flags & Flag.PACED)
-        if self.paced and (not before or stamp + self._offset < self._now):
-            self._offset = max(arrived, self._now) - stamp
-        self._now = stamp + self._offset if self.paced else arrived
-
-    def log_time(self, arrived: int) -> int:
-        """Return the log time [ns] of a message that arrived at `arrived` [ns]."""
-        return self._now if self.paced else arrived
-
-
 class RecorderNode(Node):
     """Fetches serialized messages and writes them unchanged, until writing fails.
+
+    Log times are times of arrival. Where the plant runs by its own clock they begin at the first sample's arrival and
+    advance with each sample, so that the recording has the plant's duration.
 
     A write error ends the recording with one sentence, `failed` set and `done` completed. The exit status differs from
     that of a wrong command line, by which the processes that wait for the recorder tell the two apart.
@@ -80,14 +59,19 @@ class RecorderNode(Node):
         self.done: Future = Future()
         self._mailbox, self._heard = Mailbox("recorder"), dict[str, Subscription]()
         for topic, (kind, offered) in GRAPH.items():
-            self._subscribe(topic, kind, offered)
+            reliability, durability = offered.reliability, offered.durability
+            qos = QoSProfile(depth=_QUEUE, reliability=reliability, durability=durability)
+            names = reliability.name.lower(), durability.name.lower()
+            recorded = TopicQos(reliability=names[0], durability=names[1], depth=offered.depth or 10)
+            self._writer.add_topic(topic, type_name(kind), recorded)
+            self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_PERIOD, self._fetch, clock=steady)
         self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._answers, self._answered = PaceResponder(self, RECORDER_WINDOW, self._heard[STATE]), -1
-        self._plant_clock = PlantClock()
+        self._paced, self._offset, self._now = False, 0, 0  # ns: log time minus stamp of a paced plant, last log time
         self.get_logger().info(f"recording into {self._writer.folder}; {scheduling}")
 
     def close(self) -> None:
@@ -102,14 +86,6 @@ class RecorderNode(Node):
             f"{counts.reordered} late"
         )
 
-    def _subscribe(self, topic: str, kind: type[Any], offered: QoSProfile) -> None:
-        reliability, durability = offered.reliability, offered.durability
-        qos = QoSProfile(depth=_QUEUE, reliability=reliability, durability=durability)
-        names = reliability.name.lower(), durability.name.lower()
-        recorded = TopicQos(reliability=names[0], durability=names[1], depth=offered.depth or 10)
-        self._writer.add_topic(topic, type_name(kind), recorded)
-        self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
-
     def _fetch(self) -> None:
         """Write what has arrived, by its time of arrival, and tell a plant that waits for it."""
         arrived = [
@@ -119,7 +95,7 @@ class RecorderNode(Node):
         ]
         for time_ns, topic, data in sorted(arrived, key=itemgetter(0)):
             self._write(self._take, topic, data, time_ns)
-        if self._plant_clock.paced and self._newest != self._answered:
+        if self._paced and self._newest != self._answered:
             self._answers.acknowledge(self._newest)
             self._answered = self._newest
 
@@ -127,8 +103,11 @@ class RecorderNode(Node):
         if topic == STATE and (state := STATES.unpack(data)) is not None:
             self._newest = state.sequence
             self._tracker.accept(state.sequence)
-            self._plant_clock.update(state.stamp, state.flags, time_ns)
-        self._writer.write(topic, data, self._plant_clock.log_time(time_ns))
+            before, self._paced = self._paced, bool(state.flags & Flag.PACED)
+            if self._paced and (not before or state.stamp + self._offset < self._now):
+                self._offset = max(time_ns, self._now) - state.stamp
+            self._now = state.stamp + self._offset if self._paced else time_ns
+        self._writer.write(topic, data, self._now if self._paced else time_ns)
         self._messages[topic] += 1
         self._bytes += len(data)
 
@@ -152,7 +131,9 @@ class RecorderNode(Node):
         return Status(level=Level.WARN if lost else Level.OK, message=message, values=values)
 
 
-def _parser() -> argparse.ArgumentParser:
+@command(OSError)
+def main() -> None:
+    """Entry point."""
     parser = argparse.ArgumentParser(
         prog="recorder",
         description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM. After kill -9 all "
@@ -169,14 +150,8 @@ def _parser() -> argparse.ArgumentParser:
         "--attach", nargs="+", action="extend", default=[], type=Path, metavar="FILE", help="kept too, e.g. bench.yaml"
     )
     parser.add_argument("--realtime", action="store_true", help="run before ordinary processes, if this user may")
-    return parser
-
-
-@command(OSError)
-def main() -> None:
-    """Entry point."""
     own, ros = ros_arguments()
-    options = _parser().parse_args(own)
+    options = parser.parse_args(own)
     if options.repair:
         count, missing = repair(options.repair)
         print("\n".join([f"{options.repair}: kept {count} messages", *missing]), file=sys.stderr)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from struct import Struct
 from threading import Event
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -73,11 +74,13 @@ class ReplayerNode(Node):
         super().__init__("replayer")
         self._bag, self._speed, self._loop = options.bag, options.speed, options.loop
         self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in TOPICS}
-        self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
-        self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
+        self.create_service(SetBool, ARM_SERVICE, self._refuse)
+        self.create_service(Claim, CLAIM_SERVICE, self._refuse)
         self._published, self._stopping = 0, Event()
         self.done: Future = Future()
-        self._diagnostics = DiagnosticsPublisher(self, self._status)
+        self._diagnostics = DiagnosticsPublisher(
+            self, lambda: Status(message="replaying", values={"published": self._published})
+        )
         request_realtime(realtime=False)
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
 
@@ -110,21 +113,17 @@ class ReplayerNode(Node):
         self._publishers_by_topic[topic].publish(data)
         self._published += 1
 
-    def _refuse_to_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        response.success = not request.data
-        response.message = "a recording cannot be armed" if request.data else "disarmed"
-        return response
-
-    def _refuse_authority(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
-        response.success = request.act == Claim.Request.DISARM
+    def _refuse(self, request: Any, response: Any) -> Any:
+        """Refuse all but disarming, by either service."""
+        claims = isinstance(request, Claim.Request)
+        response.success = request.act == Claim.Request.DISARM if claims else not request.data
         response.message = "disarmed" if response.success else "a recording cannot be armed"
         return response
 
-    def _status(self) -> Status:
-        return Status(message="replaying", values={"published": self._published})
 
-
-def _parser() -> argparse.ArgumentParser:
+@command()
+def main() -> None:
+    """Entry point."""
     parser = argparse.ArgumentParser(
         prog="replayer",
         description="Publish a recording in the place of the bench: filter, trainer and recorder see the same topics.",
@@ -135,13 +134,7 @@ def _parser() -> argparse.ArgumentParser:
         "--speed", type=bounded_number(1e-3), default=1.0, help="recorded s per second (default: %(default)s)"
     )
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
-    return parser
-
-
-@command()
-def main() -> None:
-    """Entry point."""
     own, ros = ros_arguments()
-    options = _parser().parse_args(own)
+    options = parser.parse_args(own)
     read_bag(options.bag, topics=())  # fails at once if there is nothing to read
     run_node(lambda: ReplayerNode(options), ros)

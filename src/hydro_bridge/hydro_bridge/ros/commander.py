@@ -20,7 +20,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from hydro_bridge.ros import topics
-from hydro_bridge.ros.messages import fill_law_command, reference_to_message
+from hydro_bridge.ros.messages import reference_to_message
 from hydro_bridge.ros.node import node_executor
 from hydro_bridge.ros.topics import create_publisher, create_subscription
 from hydro_bridge.safety.readiness import NotReadyError
@@ -139,7 +139,12 @@ class Commander:
         """Publish the force law to run if this node may; without this, it is the paper's."""
         if self.held and topics.LAW not in self._publishers:
             self._publishers[topics.LAW] = create_publisher(self._node, topics.LAW)
-        self._send(topics.LAW, fill_law_command(self._law, command), step)
+        message = self._law
+        message.law = int(command.law)
+        message.a_0, message.a_1, message.a_2, message.a_3 = command.coefficients
+        message.velocity_compensation = command.velocity_compensation
+        message.valve_gain_scale = command.valve_gain_scale
+        self._send(topics.LAW, message, step)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track; without the lease, as soon as it is granted."""
@@ -221,22 +226,18 @@ class Commander:
         elif response.claim != self._claim:
             self._claim, self.epoch, self._sent = response.claim, response.epoch, 0
             self._on_authority(self._said)  # the message about this claim may arrive before its answer
-            self._begin()
+            first = not self._publishers
+            if first:
+                for topic in (topics.GAINS, topics.REFERENCE):
+                    self._publishers[topic] = create_publisher(self._node, topic)
+            if self._reference is not None:
+                self.reference(self._reference)
+            if first and self._end is not None:
+                self._end_service = self._node.create_service(Trigger, topics.END_SERVICE, self._on_end)
+            if first:
+                self._changed("")
         elif self.epoch == self._known:  # no other holder was announced meanwhile; a message may have been lost
             self.epoch = response.epoch
-
-    def _begin(self) -> None:
-        first = not self._publishers
-        if first:
-            self._publishers = {
-                topic: create_publisher(self._node, topic) for topic in (topics.GAINS, topics.REFERENCE)
-            }
-        if self._reference is not None:
-            self.reference(self._reference)
-        if first:
-            if self._end is not None:
-                self._end_service = self._node.create_service(Trigger, topics.END_SERVICE, self._on_end)
-            self._changed("")
 
     def _lose(self, why: str) -> None:
         self._claim = self.epoch = self._sent = 0

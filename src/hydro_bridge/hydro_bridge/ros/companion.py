@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -47,7 +47,7 @@ def executable_path(package: str, executable: str) -> Path:
     raise CompanionError(f"{package} has no executable {executable} here: build, and source install/setup.bash")
 
 
-class Companion:
+class Companion(AbstractContextManager["Companion"]):
     """One process, started on construction; use as context manager, or call `stop`.
 
     Construct it in a thread that outlives the companion: the kernel ties the companion to this thread.
@@ -117,9 +117,6 @@ class Companion:
         status = self.process.wait()
         self._echo.join(1.0)
         return status
-
-    def __enter__(self) -> Companion:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()

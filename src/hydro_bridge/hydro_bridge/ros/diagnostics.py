@@ -45,6 +45,9 @@ class DiagnosticsPublisher:
     def publish(self) -> None:
         """Publish now."""
         status = self._collect()
+        shown = {
+            key: f"{value:.6g}" if isinstance(value, float) else str(value) for key, value in status.values.items()
+        }
         array = DiagnosticArray()
         array.header.stamp = self._node.get_clock().now().to_msg()
         array.status = [
@@ -53,14 +56,10 @@ class DiagnosticsPublisher:
                 name=self._name,
                 message=status.message,
                 hardware_id="hydro",
-                values=[KeyValue(key=key, value=_shown(value)) for key, value in status.values.items()],
+                values=[KeyValue(key=key, value=value) for key, value in shown.items()],
             )
         ]
         self._publisher.publish(array)
-
-
-def _shown(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def publisher_conflicts(node: Node, *topics: str) -> str:
@@ -91,18 +90,16 @@ class RosoutLogger:
         self._node = node
         self._publisher = create_publisher(node, LOG)
 
-    def log(self, sentence: str, warning: bool = False) -> None:
-        """Log a message."""
-        self._publish("", sentence, Log.WARN if warning else Log.INFO)
-
-    def log_call(self, sentence: str) -> None:
-        """Log a service call: caller, request and answer."""
-        self._publish(f".{CALL_LOGGER}", sentence, Log.INFO)
-
-    def _publish(self, logger: str, sentence: str, level: int | bytes) -> None:
+    def log(self, sentence: str, warning: bool = False, logger: str = "") -> None:
+        """Log a message; `logger`: appended to the node's name."""
+        level: int | bytes = Log.WARN if warning else Log.INFO
         level, name = level if isinstance(level, int) else level[0], self._node.get_name() + logger
         stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(Log(stamp=stamp, level=level, name=name, msg=sentence))
+
+    def log_call(self, sentence: str) -> None:
+        """Log a service call: caller, request and answer."""
+        self.log(sentence, logger=f".{CALL_LOGGER}")
 
 
 _PERIOD = 1.0  # s

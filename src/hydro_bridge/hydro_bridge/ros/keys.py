@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Security by SROS2: enclave of this process, and whether its keys are usable.
+"""Security by SROS2: enclaves of the executables, and whether security is enabled.
 
 A process' enclave is its executable's, however it was started (network.md). ROS's own variables enable security, for a
 process and its children. ROS reads only `true` as on, and silently runs unsecured if a key is missing, unless the
@@ -9,11 +9,7 @@ strategy is exactly `Enforce`. Here unrecognised values are refused, and Enforce
 from __future__ import annotations
 
 import os
-import re
-import sys
-from pathlib import Path
 
-from hydro_bridge.ros.topics import RIGHTS, hidden_node
 from hydro_core.settings import SettingsError
 
 ENABLE = "ROS_SECURITY_ENABLE"
@@ -28,15 +24,6 @@ def enclave_name(executable: str) -> str:
     return f"/hydro/{executable}"
 
 
-def enclave_arguments() -> list[str]:
-    """Return the ROS arguments that select this executable's enclave, unless the user has given others.
-
-    The enclave is named with and without keys, so that both use the same start-up path.
-    """
-    executable = Path(sys.argv[0]).stem
-    return ["--ros-args", "--enclave", enclave_name(executable)] if executable in RIGHTS else []
-
-
 def security_enabled() -> bool:
     """Whether security is enabled; if so, enforce it for this process and its children unless the user has chosen.
 
@@ -49,24 +36,3 @@ def security_enabled() -> bool:
         return False
     os.environ.setdefault(STRATEGY, ENFORCE)
     return True
-
-
-def verify_keys() -> None:
-    """Create and destroy a context with this enclave, so that missing or rejected keys fail at the start.
-
-    Raises SettingsError: this enclave has no keys, or the middleware has no security.
-    """
-    try:
-        hidden_node("_hydro_keys").destroy_node()
-    except RuntimeError as error:
-        raise key_error(error) from None
-
-
-def key_error(error: RuntimeError) -> SettingsError:
-    """Return ROS's error about unusable keys as one sentence."""
-    said = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
-    keystore = os.environ.get(KEYSTORE) or "not set"
-    return SettingsError(
-        f"ROS does not start with keys ({KEYSTORE}: {keystore}): {said}; "
-        "`ros2 security` makes them, as docs/manual/explanation/network.md says"
-    )

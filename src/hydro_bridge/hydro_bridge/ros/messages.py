@@ -119,15 +119,6 @@ def law_to_message(law: BoxLaw | None, stamp: Any) -> msg.BoxLaw:
     return message
 
 
-def fill_law_command(message: msg.LawCommand, command: LawCommand) -> msg.LawCommand:
-    """Write a command into a message, all but its stamp, step and epoch; returns it."""
-    message.law = int(command.law)
-    message.a_0, message.a_1, message.a_2, message.a_3 = command.coefficients
-    message.velocity_compensation = command.velocity_compensation
-    message.valve_gain_scale = command.valve_gain_scale
-    return message
-
-
 def law_command_from_message(message: msg.LawCommand) -> LawCommand | None:
     """Return the plain command of a force law; None for an unknown law."""
     if message.law not in tuple(Law):

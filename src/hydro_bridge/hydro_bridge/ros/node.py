@@ -20,6 +20,7 @@ from dataclasses import fields, replace
 from difflib import get_close_matches
 from importlib import resources
 from itertools import pairwise
+from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
@@ -35,8 +36,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from hydro_bridge.ros.keys import enclave_arguments, key_error, security_enabled, verify_keys
-from hydro_bridge.ros.topics import RIGHTS
+from hydro_bridge.ros.keys import KEYSTORE, enclave_name, security_enabled
+from hydro_bridge.ros.topics import RIGHTS, hidden_node
 from hydro_core.errors import UserError
 from hydro_core.process import endings, start
 from hydro_core.process.realtime import limit_run_time
@@ -110,7 +111,14 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
     """
     here = [node.get_fully_qualified_name() for node in nodes]
     ours = {node for table in RIGHTS.values() for node in table}
-    for source, patterns in parameter_targets(ros_arguments()[1]):
+    for option, value in pairwise(ros_arguments()[1]):
+        if option in ("-p", "--param") and ":" in (rule := value.partition(":=")[0]):
+            source, patterns = f"-p {value}", ["/" + rule.partition(":")[0].lstrip("/")]
+        elif option == "--params-file":
+            with open(value, encoding="utf-8") as file:
+                source, patterns = value, sorted(_sections(yaml.safe_load(file)))
+        else:  # without a node's name a parameter is for all nodes
+            continue
         # In a parameter file `/**` stands for any parts of a name, `/*` for one.
         forms = {
             pattern: re.escape(pattern).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+") for pattern in patterns
@@ -131,21 +139,6 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
             close = get_close_matches(name, known, 1)
             hint = f"; is {close[0]} meant?" if close else ""
             raise SettingsError(f"{' and '.join(node.get_name() for node in nodes)} has no parameter {name}{hint}")
-
-
-def parameter_targets(ros: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return each argument that sets parameters with the node name patterns that it addresses.
-
-    `ros`: arguments from `--ros-args` on. Without a name a parameter is for all nodes, and not listed.
-    """
-    found = []
-    for option, value in pairwise(ros):
-        if option in ("-p", "--param") and ":" in (rule := value.partition(":=")[0]):
-            found.append((f"-p {value}", ["/" + rule.partition(":")[0].lstrip("/")]))
-        elif option == "--params-file":
-            with open(value, encoding="utf-8") as file:
-                found.append((value, sorted(_sections(yaml.safe_load(file)))))
-    return found
 
 
 def _sections(content: Any, above: str = "") -> Iterator[str]:
@@ -209,7 +202,8 @@ def ros_arguments() -> tuple[list[str], list[str]]:
 def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
     """Context in which ROS runs, without its signal handlers: ours leave time to disarm.
 
-    See `restrict_to_localhost` for the discovery range, `keys.enclave_arguments` for the keys if security is enabled.
+    See `restrict_to_localhost` for the discovery range. Unless the user gives another, the enclave is this executable's
+    (`keys`), with and without keys, so that both use the same start-up path.
 
     Raises SettingsError: the domain, the arguments (`--ros-args` and what follows) or the keys cannot be used.
     """
@@ -217,17 +211,21 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
     if not (domain.isascii() and domain.isdecimal() and int(domain) <= DOMAIN_MAX):
         raise SettingsError(f"ROS_DOMAIN_ID={domain}: must be a whole number from 0 to {DOMAIN_MAX}")
     restrict_to_localhost()
-    keys = security_enabled()
+    keys, executable = security_enabled(), Path(sys.argv[0]).stem
+    enclave = ["--ros-args", "--enclave", enclave_name(executable)] if executable in RIGHTS else []
     try:
-        rclpy.init(args=["hydro", *enclave_arguments(), *ros], signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # of which all of rclpy's are
-        if keys:
-            raise key_error(error) from None
-        sentence = re.sub(r",? at /\S+:\d+", "", str(error))
-        raise SettingsError(f"ROS refuses its arguments: {' '.join(sentence.split())}") from None
-    try:
-        if keys:
-            verify_keys()
+        try:
+            rclpy.init(args=["hydro", *enclave, *ros], signal_handler_options=SignalHandlerOptions.NO)
+            if keys:  # a node with this enclave fails where keys are missing or rejected
+                hidden_node("_hydro_keys").destroy_node()
+        except RuntimeError as error:  # of which all of rclpy's are
+            sentence = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
+            if not keys:
+                raise SettingsError(f"ROS refuses its arguments: {sentence}") from None
+            raise SettingsError(
+                f"ROS does not start with keys ({KEYSTORE}: {os.environ.get(KEYSTORE) or 'not set'}): {sentence}; "
+                "`ros2 security` makes them, as docs/manual/explanation/network.md says"
+            ) from None
         yield
     finally:
         rclpy.try_shutdown()

@@ -6,7 +6,6 @@ python -m hydro_bridge.ros.policy FILE
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -28,20 +27,18 @@ def policy_xml() -> bytes:
         profiles = ElementTree.SubElement(enclave, "profiles")
         for name, allowed in nodes.items():
             profile = ElementTree.SubElement(profiles, "profile", ns="/", node=name)
-            _allow(profile, "topic", "publish", allowed.publishes)
-            _allow(profile, "topic", "subscribe", allowed.subscribes)
-            _allow(profile, "service", "reply", allowed.answers)
-            _allow(profile, "service", "request", allowed.calls)
+            for kind, what, listed in (
+                ("topic", "publish", allowed.publishes),
+                ("topic", "subscribe", allowed.subscribes),
+                ("service", "reply", allowed.answers),
+                ("service", "request", allowed.calls),
+            ):
+                if listed:  # the schema forbids empty lists
+                    expressions = ElementTree.SubElement(profile, f"{kind}s", {what: "ALLOW"})
+                    for expression in sorted(set(listed)):
+                        ElementTree.SubElement(expressions, kind).text = expression
     ElementTree.indent(policy)
     return ElementTree.tostring(policy, encoding="utf-8", xml_declaration=True) + b"\n"
-
-
-def _allow(profile: ElementTree.Element, kind: str, what: str, names: Iterable[str]) -> None:
-    """Add one list of expressions; the schema forbids empty ones."""
-    if listed := sorted(set(names)):
-        expressions = ElementTree.SubElement(profile, f"{kind}s", {what: "ALLOW"})
-        for name in listed:
-            ElementTree.SubElement(expressions, kind).text = name
 
 
 @command()

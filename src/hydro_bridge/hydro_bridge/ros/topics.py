@@ -48,7 +48,8 @@ END_SERVICE = "/hydro/end"
 FREEZE_SERVICE = "/hydro/freeze_compensation"
 
 
-def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
+def qos_profile(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
+    """Return the quality of service that keeps the last `depth` messages; `latched`: also for later subscribers."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -57,9 +58,9 @@ def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
     )
 
 
-_SAMPLES = _qos(200, reliable=False)  # an old sample has no value; 200 ms of samples for a delayed reader
-_LATCHED = _qos(1, reliable=True, latched=True)
-_EVENTS = _qos(10, reliable=True)
+_SAMPLES = qos_profile(200, reliable=False)  # an old sample has no value; 200 ms of samples for a delayed reader
+_LATCHED = qos_profile(1, reliable=True, latched=True)
+_EVENTS = qos_profile(10, reliable=True)
 
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     STATE: (msg.BenchState, _SAMPLES),
@@ -67,20 +68,21 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     BOX_LAW: (msg.BoxLaw, _LATCHED),
     LAW_STATE: (msg.LawState, _SAMPLES),
     AUTHORITY: (msg.Authority, _LATCHED),
-    CORRECTION: (msg.Correction, _qos(50, reliable=False)),
+    CORRECTION: (msg.Correction, qos_profile(50, reliable=False)),
     GAINS: (msg.Gains, _EVENTS),
     LAW: (msg.LawCommand, _EVENTS),
     REFERENCE: (msg.ReferenceSignal, _LATCHED),
     TRAINING: (msg.TrainingStatus, _EVENTS),
-    POLICY: (msg.PolicyStep, _qos(100, reliable=True)),
+    POLICY: (msg.PolicyStep, qos_profile(100, reliable=True)),
     DIAGNOSTICS: (DiagnosticArray, _EVENTS),
-    LOG: (Log, _qos(1000, reliable=True, latched=True)),
+    LOG: (Log, qos_profile(1000, reliable=True, latched=True)),
 }
 """Type and quality of service of every topic that is recorded."""
 
 _ALL = {
     **GRAPH,
-    ANSWERED: (msg.Answered, _qos(10, reliable=True, latched=True)),  # of several nodes: none's takes another's place
+    # Of several nodes: none's message takes another's place.
+    ANSWERED: (msg.Answered, qos_profile(10, reliable=True, latched=True)),
     CLOCK: (Clock, _EVENTS),
 }
 

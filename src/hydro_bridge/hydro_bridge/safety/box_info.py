@@ -60,7 +60,8 @@ def known_box(
     if bench is None or (believed and believed != bench_file.digest(bench)):
         return KnownBox(info=info, plant=plant, bench_digest=believed)
     numbers = dict(bench)
-    if not _same(info.valve_current_max, numbers.get("valve_current_max")):
+    told = numbers.get("valve_current_max")
+    if told is None or not isclose(info.valve_current_max, told, rel_tol=_FLOAT32):
         numbers["valve_current_max"] = info.valve_current_max
     text = yaml.safe_dump(numbers, sort_keys=False)
     return KnownBox(info=info, plant=plant, bench_digest=bench_file.digest(numbers), bench=text)
@@ -72,12 +73,8 @@ def bench_mismatches(info: BoxInfo, bench: Mapping[str, Any] | None, details: Bo
     believed, told = details.bench_digest if details else "", bench.get("valve_current_max")
     if believed and bench and believed != (digest := bench_file.digest(bench)):
         found.append(f"its force law believes the bench {believed}, the bench file is {digest}")
-    if told is not None and not _same(info.valve_current_max, told):
+    if told is not None and not isclose(info.valve_current_max, told, rel_tol=_FLOAT32):
         found.append(f"its valve_current_max is {info.valve_current_max:g} A, the bench file says {told:g} A")
-    if not _same(info.sample_period, SAMPLE_PERIOD):
+    if not isclose(info.sample_period, SAMPLE_PERIOD, rel_tol=_FLOAT32):
         found.append(f"its sample period is {info.sample_period:g} s, here {SAMPLE_PERIOD:g} s is expected")
     return "; ".join(found)
-
-
-def _same(one: float, other: float | None) -> bool:
-    return other is not None and isclose(one, other, rel_tol=_FLOAT32)

@@ -13,21 +13,15 @@ corrections of one that is made for it pass, too. It is taken up and left only w
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from math import inf, isfinite
 
 import numpy as np
 
 from hydro_bridge.safety.lease import Lease
-from hydro_bridge.safety.limits import (
-    GuardSettings,
-    clamp_to_paper_ranges,
-    intersect_limits,
-    reference_error,
-    with_frequency,
-)
+from hydro_bridge.safety.limits import PAPER_RANGES, GuardSettings, intersect_limits, reference_error
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal
+from hydro_core.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "intersect_limits"]
 
@@ -53,15 +47,6 @@ MISMATCHED_LAW = "the filter said that its model is not this bench's: base gains
 STALE_LAW = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
 
 MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
-
-
-def _sound(law: BoxLaw) -> bool:
-    """Return whether all numbers are finite, the limits in order, and the safe record is within them."""
-    numbers = np.hstack(astuple(law))
-    low, safe, high, _ = law.shaping
-    ordered = all(least <= number <= most for least, number, most in zip(low, safe, high, strict=True))
-    gains = law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
-    return bool(np.isfinite(numbers).all()) and ordered and gains
 
 
 def safe_command(law: BoxLaw) -> LawCommand:
@@ -202,8 +187,16 @@ class CommandGuard:
         self._law_at = now
 
     def offer(self, law: BoxLaw | None) -> None:
-        """Take a box's compensated law, None if it has none, and begin with the paper's."""
-        sound = law is None or _sound(law)
+        """Take a box's compensated law, None if it has none, and begin with the paper's.
+
+        It is used if all numbers are finite, the limits in order, and the safe record is within them.
+        """
+        sound = True
+        if law is not None:
+            low, safe, high, _ = law.shaping
+            ordered = all(least <= number <= most for least, number, most in zip(low, safe, high, strict=True))
+            gains = law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
+            sound = bool(np.isfinite(np.hstack(astuple(law))).all()) and ordered and gains
         self._tell("law record", not sound, UNSOUND_LAW, "the box's record of its compensated law is sound")
         self.offered = law if sound else None
         self.release_law()
@@ -211,10 +204,6 @@ class CommandGuard:
     def release_law(self) -> None:
         """Return to the paper's law, with which every holder and every box begins; it acts once disarmed."""
         self._law, self._law_at, self._gains, self._gains_at = LawCommand(), -inf, (0.0, 0.0), -inf
-
-    def law_fresh(self, now: float) -> bool:
-        """Return whether the force law was commanded within `gains_age_max`; the paper's law needs no command."""
-        return not self.compensated or now - self._law_at <= self.settings.gains_age_max
 
     def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
         """Set the filter's correction [A] for sample `sequence`; without a decision, the last one keeps ageing."""
@@ -269,34 +258,33 @@ class CommandGuard:
             self.counts.references_refused += 1
             self._events[f"reference refused, the last one stays: {reason}"] = True
             return False
-        self._reference = with_frequency(signal)
+        # Of a HOLD, which has none, a frequency that every box accepts.
+        hold = signal.waveform == Waveform.HOLD
+        self._reference = replace(signal, frequency=ReferenceSignal().frequency) if hold else signal
         return True
 
     def correction_fresh(self, now: float) -> bool:
         """Return whether the filter decided within `correction_age_max`, and its model is this bench's.
 
-        Under the compensated law, which needs none: whether the law is commanded. Otherwise FILTER_STALE is shown.
+        Under the compensated law, which needs none: whether that law was commanded within `gains_age_max`. Otherwise
+        FILTER_STALE is shown.
         """
-        return self.law_fresh(now) if self.compensated else self._answered(now) and not self._mismatched
+        if self.compensated:
+            return now - self._law_at <= self.settings.gains_age_max
+        return self._answered(now) and not self._mismatched
 
     def _answered(self, now: float) -> bool:
         return now - self._correction_at <= self.settings.correction_age_max
-
-    def _acts(self, now: float) -> bool:
-        """Return whether the correction is recent enough to act: decided for one sample, it is an impulse if held."""
-        held = min(self.settings.correction_hold, self.settings.correction_age_max)
-        behind = 0 if self._newest is None else (self._newest - self._corrects) & 0xFFFFFFFF
-        return now - self._correction_at <= held and behind < round(held / SAMPLE_PERIOD)
-
-    def gains_fresh(self, now: float) -> bool:
-        """Return whether gains arrived within `gains_age_max`."""
-        return now - self._gains_at <= self.settings.gains_age_max
 
     def command(self, now: float) -> Command:
         """Return the command that may be sent at time `now`."""
         if self.armed and self._gained and now - self._gains_at > self.settings.gains_timeout:
             self.give_up(f"no gains for {self.settings.gains_timeout:g} s, whoever chose them is gone")
-        gained = self.gains_fresh(now)
+        gained = now - self._gains_at <= self.settings.gains_age_max
+        # Decided for one sample, a correction is an impulse if it is held.
+        held = min(self.settings.correction_hold, self.settings.correction_age_max)
+        behind = 0 if self._newest is None else (self._newest - self._corrects) & 0xFFFFFFFF
+        acts = now - self._correction_at <= held and behind < round(held / SAMPLE_PERIOD)
         self.counts.commands += 1
         self.counts.stale_gains += not gained
         law, (delta_kp, delta_ki) = (
@@ -306,7 +294,7 @@ class CommandGuard:
             arm=self.armed,
             delta_kp=delta_kp,
             delta_ki=delta_ki,
-            delta_u=self._delta_u if self._acts(now) else 0.0,
+            delta_u=self._delta_u if acts else 0.0,
             reference=self._reference,
             corrects=self._corrects,
             filter_fresh=self.correction_fresh(now),
@@ -329,13 +317,18 @@ class CommandGuard:
             self._tell("stale gains", not gained, missed, "gains are fresh again")
         self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
         passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
-        gains = clamp_to_paper_ranges(passed) if self._mismatched else passed
+        gains, narrow = passed, PAPER_RANGES
+        if self._mismatched:
+            gains = (
+                min(max(passed[0], narrow.delta_kp_min), narrow.delta_kp_max),
+                min(max(passed[1], narrow.delta_ki_min), narrow.delta_ki_max),
+            )
         self.counts.narrowed += gains != passed
         return self._law, gains
 
     def _compensated_law(self, now: float, gained: bool) -> tuple[LawCommand, tuple[float, float]]:
         """Return the compensated law and its gains: with coefficients and scales they are fresh or safe together."""
-        fresh = gained and self.law_fresh(now)
+        fresh = gained and self.correction_fresh(now)
         self.counts.stale_law += not fresh
         stale = self.armed and self._gained and not fresh
         self._tell("stale law", stale, STALE_LAW, "the compensated law is commanded")

@@ -33,17 +33,13 @@ BY_HAND = "a person disarmed the plant: arm it on the live page, or by `ros2 run
 _LATE = 0.5  # s in which commands of the previous epoch count as late, not as foreign
 
 
-def _draw() -> int:
-    return secrets.randbelow(2**64 - 1) + 1
-
-
 class Lease:
     """The right to command one plant. Times are seconds of any one monotonic clock.
 
     `draw`: returns non-zero numbers that do not repeat.
     """
 
-    def __init__(self, draw: Callable[[], int] = _draw) -> None:
+    def __init__(self, draw: Callable[[], int] = lambda: secrets.randbelow(2**64 - 1) + 1) -> None:
         self._draw = draw
         self.holder = ""
         """Name of the node that may command; empty: none."""

@@ -56,14 +56,6 @@ PAPER_RANGES = GuardSettings()
 and K_i 5 to 15 on base gains of 15 and 5. They apply, however wide the guard is set, while the filter says MISMATCH."""
 
 
-def clamp_to_paper_ranges(gains: tuple[float, float]) -> tuple[float, float]:
-    """Return changes of K_p [1/s] and K_i [1/s^2], clamped to `PAPER_RANGES`."""
-    return (
-        min(max(gains[0], PAPER_RANGES.delta_kp_min), PAPER_RANGES.delta_kp_max),
-        min(max(gains[1], PAPER_RANGES.delta_ki_min), PAPER_RANGES.delta_ki_max),
-    )
-
-
 def intersect_limits(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
     """Return the intersection of the guard's limits with the box's."""
     return replace(
@@ -90,8 +82,3 @@ def reference_error(signal: ReferenceSignal, limits: GuardSettings) -> str:
         if not 0.0 < frequency <= limits.reference_frequency_max and signal.waveform != Waveform.HOLD:
             return f"frequency {frequency:g} Hz is outside (0, {limits.reference_frequency_max:g}]"
     return ""
-
-
-def with_frequency(signal: ReferenceSignal) -> ReferenceSignal:
-    """Return the reference with a frequency that every box accepts, for a HOLD, which has none."""
-    return replace(signal, frequency=ReferenceSignal().frequency) if signal.waveform == Waveform.HOLD else signal

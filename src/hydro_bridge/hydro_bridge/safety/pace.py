@@ -252,11 +252,17 @@ class Pace:
         return _LOOK if behind or not waiting else max(0.0, min(_LOOK, self._deadline - time.monotonic()))
 
     def _check(self) -> None:
-        """Go on if the newest sample has all its answers."""
+        """Go on if the newest sample has all its answers, or an arming or disarming is not confirmed yet."""
         with self._lock:
             if self._resend is None:
                 return
-            excused = self._excused()
+            excused = self._exempt is not None
+            if self._exempt is not None and (self._exempt() or self._exempt_left == 0):
+                excused = False
+                with self._confirmed:
+                    self._exempt = None
+                    self._confirmed.notify_all()
+            self._exempt_left -= excused
             if self._behind() and not excused:
                 return
             fast = excused or any(peer.window == COMMANDER_WINDOW for peer in self._peers.values())
@@ -274,18 +280,6 @@ class Pace:
             for name, peer in self._peers.items()
             if (self._newest - peer.answered) & 0xFFFFFFFF >= peer.window or peer.commands > self._commands
         ]
-
-    def _excused(self) -> bool:
-        """Return whether this sample may go on because an arming or disarming is not confirmed yet."""
-        if self._exempt is None:
-            return False
-        if self._exempt() or self._exempt_left == 0:
-            with self._confirmed:
-                self._exempt = None
-                self._confirmed.notify_all()
-            return False
-        self._exempt_left -= 1
-        return True
 
     def _forget(self, name: str, why: str) -> None:
         with self._lock:

@@ -10,7 +10,7 @@ from typing import Any
 
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.pace import Pace, PaceSettings
-from hydro_core.clock import HostClock, clock_step_message
+from hydro_core.clock import HostClock
 from hydro_core.signals import Flag, flag_names
 
 Say = Callable[[str], None]
@@ -103,7 +103,6 @@ class PlantSide(ABC):
         return bool(self.flags & Flag.ARMED) == arm
 
     def _show(self, flags: int) -> None:
-        """Take the flags of a new sample."""
         changed, self.flags = flags ^ self.flags, flags
         if changed & (Flag.ARMED | Flag.TRIPPED) or self._asked:
             with self._news:
@@ -112,5 +111,5 @@ class PlantSide(ABC):
     def _ros_time(self, monotonic_ns: int) -> int:
         """Return the ROS time [ns] of a monotonic time [ns], after a look whether the host's clock was set."""
         if step := self.host_clock.detect_step():
-            self._warn(clock_step_message(step))
-        return self.host_clock.ros_time(monotonic_ns)
+            self._warn(f"the host's clock was set by {1e-9 * step:+.3f} s: the samples' stamps follow at once")
+        return monotonic_ns + self.host_clock.offset

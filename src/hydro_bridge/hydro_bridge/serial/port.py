@@ -17,8 +17,6 @@ from hydro_core.errors import UserError
 from hydro_core.settings import check, quantity
 
 _READ_SIZE = 65536
-
-
 _TAKEN = (errno.EAGAIN, errno.EBUSY)
 
 
@@ -59,11 +57,6 @@ class Port:
         """Frames not written because the line was full: the box does not read."""
         self._serial: serial.Serial | None = None
         self._unwritten = b""
-
-    @property
-    def pseudo_terminal(self) -> bool:
-        """Whether the port is a pseudo-terminal, as an emulator's is."""
-        return os.path.realpath(self.settings.path).startswith("/dev/pts/")
 
     def open(self) -> None:
         """Open the port; raises PortLostError with the reason, PortTakenError if another program has it."""

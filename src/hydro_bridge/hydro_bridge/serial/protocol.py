@@ -321,24 +321,10 @@ def encode_state(
     refused: tuple[int, int] = (0, 0),
     law_state: LawState = DISARMED_LAW,
 ) -> bytes:
-    """Encode one sample.
+    """Encode one sample, a `State`; `values` are sent as float32, beyond its range as infinity.
 
-    Parameters
-    ----------
-    sequence
-        Counts box samples, wraps at 2^32.
-    time_us
-        Box clock, microseconds.
-    values
-        Floats in STATE_FIELDS order, shape (14,); sent as float32, beyond its range as infinity.
-    flags
-        Bits of `signals.Flag`.
-    last_command
-        Sequence of the newest command received, 0 before the first; the host measures the round trip with it.
-    refused
-        Numbers of values and of references that the box refused since its power-on.
-    law_state
-        Force law as it acts.
+    `sequence` counts box samples and wraps at 2^32, `time_us` is the box's clock. `last_command` is 0 before the first;
+    the host measures the round trip with it. `refused`: values and references.
     """
     law, value, rate, coefficients, *scales = law_state
     counts = flags, last_command, *(count & 0xFFFFFFFF for count in refused)

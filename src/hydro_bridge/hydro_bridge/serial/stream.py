@@ -144,7 +144,3 @@ class SequenceTracker:
         self._seen = (self._seen << ahead | 1) & ((1 << self.window) - 1) if ahead < self.window else 1
         self._newest = sequence
         return True
-
-    def reset(self) -> None:
-        """Treat the next number as the first (a new connection); counts are kept."""
-        self._newest = None

@@ -74,9 +74,12 @@ class MarkCollector:
         self._weights: int | None = None
         self._weights_changed, self._weight_changes = 0.0, 0
 
-    def sorted(self) -> list[Mark]:
-        """Return all marks by time."""
-        return sorted(self._marks, key=lambda mark: mark.time)
+    def cropped(self, begin: float, seconds: float) -> list[Mark]:
+        """Return the marks from `begin` [s] for `seconds` by time, relative to `begin`; the lease's holder is first."""
+        marks = sorted(self._marks, key=lambda mark: mark.time)
+        held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
+        shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
+        return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
 
     def states(self, states: StateArray) -> None:
         """Add the marks of `STATE_DTYPE` records, from their flags."""
@@ -179,12 +182,6 @@ _DIAGNOSTICS: dict[str, tuple[str, Callable[[str], str]]] = {
 
 REPORT_FILE = "report.json"
 _SAME = 1e-3  # s between two stamps of one sample
-
-
-def find_report(bag: Path) -> Path | None:
-    """Return the report in the same folder as a recording, if there is one."""
-    report = bag.absolute().parent / REPORT_FILE
-    return report if report.is_file() else None
 
 
 Windows = list[tuple[str, float | None, list[Mark]]]

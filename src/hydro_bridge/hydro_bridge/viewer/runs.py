@@ -7,7 +7,6 @@ ros2 run hydro_bridge runs archive --json archive.json
 
 from __future__ import annotations
 
-import argparse
 import errno
 import json
 import shlex
@@ -38,17 +37,14 @@ class RunEntry:
     summary: str
     changed: float
     """s since 1970."""
+    when: str
+    """The same as text."""
     pages: tuple[str, ...]
     pictures: tuple[str, ...]
     recordings: tuple[str, ...]
     """Recordings without a page."""
     score: float | None = None
     """Of a training's best policy: mean of its RMSE over that of the fixed gains, by its examinations."""
-
-    @property
-    def when(self) -> str:
-        """Time of the last change, as text."""
-        return datetime.fromtimestamp(self.changed, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def list_runs(folder: Path) -> list[RunEntry]:
@@ -115,11 +111,13 @@ def _entry(folder: Path, run: Path) -> RunEntry | None:
     def relative(paths: list[Path]) -> tuple[str, ...]:
         return tuple(path.relative_to(folder).as_posix() for path in paths)
 
+    changed = max(path.stat().st_mtime for path in (run, run / _KINDS[kind]))
     return RunEntry(
         name=run.name,
         kind=kind,
         summary=summary,
-        changed=max(path.stat().st_mtime for path in (run, run / _KINDS[kind])),
+        changed=changed,
+        when=datetime.fromtimestamp(changed, timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         pages=relative(pages),
         pictures=relative(sorted(run.glob("*.png"))),
         recordings=relative(unseen),
@@ -155,21 +153,16 @@ COLUMNS = {
 }
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the argument parser."""
-    result = make_parser("runs", __doc__)
-    result.add_argument(
-        "folder", nargs="?", type=Path, default=Path(RUNS_FOLDER), help=f"of runs (default {RUNS_FOLDER})"
-    )
-    result.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
-    add_json_argument(result)
-    return result
-
-
 @command()
 def main() -> None:
     """Entry point."""
-    options = parser().parse_args()
+    parser = make_parser("runs", __doc__)
+    parser.add_argument(
+        "folder", nargs="?", type=Path, default=Path(RUNS_FOLDER), help=f"of runs (default {RUNS_FOLDER})"
+    )
+    parser.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
+    add_json_argument(parser)
+    options = parser.parse_args()
     if not options.folder.is_dir():
         raise UserError(f"{options.folder} is not a folder: name one that holds runs")
     index = write_index(options.folder)

@@ -7,7 +7,6 @@ ros2 run hydro_bridge view runs/monday --from 600 --to 660   # a part of it, in 
 
 from __future__ import annotations
 
-import argparse
 import base64
 import gzip
 import webbrowser
@@ -26,11 +25,11 @@ import numpy.typing as npt
 
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
 from hydro_bridge.bags.steady import MonotonicTimes
-from hydro_bridge.bags.storage import BagSource, MessageDecoder, decode_span
+from hydro_bridge.bags.storage import BagSource, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.pages import environment
-from hydro_bridge.viewer.marks import Mark, MarkCollector, find_report, read_windows, select_windows
+from hydro_bridge.viewer.marks import REPORT_FILE, Mark, MarkCollector, read_windows, select_windows
 from hydro_core.cli.console import UserError, bounded_number, command, make_parser, writable_file
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
@@ -130,21 +129,12 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     """
     windows = [] if report is None else read_windows(report)
     source = BagSource(Path(path))
-    decoder, marks, curve, clock = MessageDecoder(source), MarkCollector(), status.LearningCurve(), SampleClock()
+    marks, curve, clock = MarkCollector(), status.LearningCurve(), SampleClock()
     steady = {topic: MonotonicTimes(GAP_MAX) for topic in _SERIES}
     thinners: tuple[series.GrowingDownsampler, ...] = ()  # none before the first sample
     first = 0.0  # s, of the first sample
     messages: Counter[str] = Counter()
     foreign: set[str] = set()  # topics whose messages are of another version or type
-
-    def take_object(topic: str, time: float, message: Any) -> None:
-        if topic == LOG_TOPIC:
-            marks.log(time, int(message.level), message.name, message.msg)
-        elif topic == AUTHORITY_TOPIC:
-            marks.authority(time, message.holder)
-        else:
-            for node in message.status:
-                marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
 
     for scan, channel, block, part in source.spans():
         topic = channel.topic
@@ -153,9 +143,16 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
             try:
                 if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
                     raise AttributeError
-                for logged, message in decoder.decode(scan, channel, block, part):
+                for logged, message in source.messages(scan, channel, block, part):
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
-                    take_object(topic, float(clock.sample_times(stamp.sec + 1e-9 * stamp.nanosec, logged)), message)
+                    time = float(clock.sample_times(stamp.sec + 1e-9 * stamp.nanosec, logged))
+                    if topic == LOG_TOPIC:
+                        marks.log(time, int(message.level), message.name, message.msg)
+                    elif topic == AUTHORITY_TOPIC:
+                        marks.authority(time, message.holder)
+                    else:
+                        for node in message.status:
+                            marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
             except AttributeError:  # another type, or fields of another version
                 foreign.add(topic)
         if topic not in _NEEDED:
@@ -179,15 +176,14 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
         table = table[(since >= span[0]) & (since <= span[1])]
         if not (thinners and len(table)):
             continue
-        if topic == STATE_TOPIC:
-            thinners[0].add(table["time"], series.state_values(table))
-            marks.states(table)
-        elif topic in _SERIES:
+        if topic in _SERIES:
             number = _SERIES.index(topic)
-            thinners[number].add(table["time"], series.column_values(series.SERIES[number], table))
+            thinners[number].add(table["time"], series.column_values(number, table))
+        if topic == STATE_TOPIC:
+            marks.states(table)
         elif topic == POLICY_TOPIC:
             marks.steps(table)
-        else:
+        elif topic == TRAINING_TOPIC:
             for row in table:
                 marks.training({name: row[name] for name in row.dtype.names})
                 results = [float(row[name]) for name in ("force_rmse", "episode_return", "critic_loss", "actor_loss")]
@@ -215,20 +211,13 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
         seconds=seconds,
         slot=slot,
         values=values,
-        marks=crop_marks(marks.sorted(), begin, seconds),
+        marks=marks.cropped(begin, seconds),
         curve=curve.content(),
         messages=dict(messages),
         metadata={key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()},
         attachments=[name for scan in source.scans for name in scan.attachments],
         notes=notes,
     )
-
-
-def crop_marks(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
-    """Return the marks from `begin` [s] for `seconds`, times relative to `begin`; the lease's holder comes first."""
-    held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
-    shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
-    return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
 
 
 _POLICY = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:"
@@ -249,11 +238,13 @@ def render_page(recorded: RecordingPage) -> str:
         "curve": recorded.curve,
     }
     modules = {f"./{file}": _text(f"dashboard/page/{file}") for file in ("plots.js", "series.js")}
-    imports = {file: f"data:text/javascript;base64,{_base64(text.encode())}" for file, text in modules.items()}
+    imports = {
+        file: f"data:text/javascript;base64,{base64.b64encode(text.encode()).decode()}"
+        for file, text in modules.items()
+    }
     styles = ("dashboard/page/uPlot.min.css", "dashboard/page/page.css", "viewer/page/view.css")
-    states, corrections, laws = (
-        _base64(gzip.compress(np.ascontiguousarray(values, "<f4").tobytes(), 6, mtime=0)) for values in recorded.values
-    )
+    zipped = (gzip.compress(np.ascontiguousarray(table, "<f4").tobytes(), 6, mtime=0) for table in recorded.values)
+    states, corrections, laws = (base64.b64encode(content).decode() for content in zipped)
     return environment("hydro_bridge", "viewer/page").get_template("view.html").render(
         policy=_POLICY,
         title=f"{name} - hydro",
@@ -273,39 +264,27 @@ def render_page(recorded: RecordingPage) -> str:
     )  # fmt: skip
 
 
-def _base64(content: bytes) -> str:
-    return base64.b64encode(content).decode()
-
-
 @cache
 def _text(name: str) -> str:
     return resources.files("hydro_bridge").joinpath(name).read_text(encoding="utf-8")
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the argument parser."""
-    result = make_parser("view", __doc__)
-    result.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
-    result.add_argument(
-        "--html", type=writable_file, metavar="FILE", help="the page (default: beside BAG, as BAG.html)"
-    )
-    result.add_argument(
-        "--from", dest="begin", type=bounded_number(0.0), default=0.0, metavar="S", help="s from first sample"
-    )
-    result.add_argument(
-        "--to", dest="end", type=bounded_number(0.0), default=inf, metavar="S", help="s from first sample"
-    )
-    result.add_argument(
-        "--report", type=Path, metavar="FILE", help="report.json of a diagnosis (default: the one beside BAG)"
-    )
-    result.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
-    return result
-
-
 @command()
 def main() -> None:
     """Entry point."""
-    options = parser().parse_args()
+    parser = make_parser("view", __doc__)
+    parser.add_argument("bag", type=Path, metavar="BAG", help="a rosbag2 folder or an .mcap file")
+    parser.add_argument(
+        "--html", type=writable_file, metavar="FILE", help="the page (default: beside BAG, as BAG.html)"
+    )
+    span: dict[str, Any] = {"type": bounded_number(0.0), "metavar": "S", "help": "s from first sample"}
+    parser.add_argument("--from", dest="begin", default=0.0, **span)
+    parser.add_argument("--to", dest="end", default=inf, **span)
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="report.json of a diagnosis (default: the one beside BAG)"
+    )
+    parser.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
+    options = parser.parse_args()
     if options.end <= options.begin:
         raise UserError(f"--from {options.begin:g} --to {options.end:g}: the end must come behind the begin")
     bag = options.bag.absolute()
@@ -315,7 +294,8 @@ def main() -> None:
             "the report of `diagnose` shows its signals"
         )
     page = Path(options.html or writable_file(str(bag.with_name(f"{bag.stem if bag.is_file() else bag.name}.html"))))
-    report = options.report or find_report(bag)
+    beside = bag.parent / REPORT_FILE
+    report = options.report or (beside if beside.is_file() else None)
     recorded = read_page(options.bag, (options.begin, options.end), report)
     page.parent.mkdir(parents=True, exist_ok=True)
     write_whole(page, render_page(recorded).encode())

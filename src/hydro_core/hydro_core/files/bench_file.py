@@ -40,12 +40,17 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
     """
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        numbers = {key: value for key, value in content.items() if key != _ABOUT}
-        return {str(key): value if key in _LISTS else _number(value) for key, value in numbers.items()}
+        numbers: dict[str, Any] = {str(key): value for key, value in content.items() if key != _ABOUT}
+        for key, value in numbers.items():
+            if isinstance(value, bool) and key not in _LISTS:
+                raise ValueError(f"{value!r} is not a number")
+            if value is not None and key not in _LISTS:
+                numbers[key] = float(value)  # PyYAML (YAML 1.1) reads some numbers as text, such as 1e9
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     except (AttributeError, TypeError, ValueError, yaml.YAMLError) as error:
         raise UserError(f"{path} is not a bench.yaml: {' '.join(str(error).split())}") from error
+    return numbers
 
 
 def read_box_bench(path: str | Path) -> dict[str, Any]:
@@ -67,10 +72,3 @@ def shipped_bench_file() -> Path | None:
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     found = (Path(prefix, "share", "hydro_sim", "config", "bench.yaml") for prefix in prefixes if prefix)
     return next((path for path in found if path.is_file()), None)
-
-
-def _number(value: Any) -> float | None:
-    """Convert a number that PyYAML (YAML 1.1) reads as text, such as 1e9."""
-    if isinstance(value, bool):
-        raise ValueError(f"{value!r} is not a number")
-    return None if value is None else float(value)

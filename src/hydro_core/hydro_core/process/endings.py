@@ -16,6 +16,7 @@ import termios
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from traceback import walk_stack
 from types import FrameType
 from typing import Any
 
@@ -67,7 +68,8 @@ def raise_terminated(number: int, _: FrameType | None = None) -> None:
     if os.getpid() != _program:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
-    if _importing() or signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
+    importing = any(frame.f_code.co_filename == _IMPORT_SYSTEM for frame, _ in walk_stack(sys._getframe()))
+    if importing or signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
         _raise_later(number, _INSIST_AFTER)
         return
     detach_closed_terminal()
@@ -146,16 +148,6 @@ def print_error(sentence: str) -> None:
     """Print the reason why the program ends to standard error, if that is still writable."""
     with suppress(OSError, ValueError):
         print(f"error: {sentence}", file=sys.stderr, flush=True)
-
-
-def _importing() -> bool:
-    """Whether the main thread is inside an import statement."""
-    frame: FrameType | None = sys._getframe()
-    while frame is not None:
-        if frame.f_code.co_filename == _IMPORT_SYSTEM:
-            return True
-        frame = frame.f_back
-    return False
 
 
 def _raise_later(number: int, seconds: float) -> None:

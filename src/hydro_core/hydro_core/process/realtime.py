@@ -3,7 +3,7 @@
 
 A busy-looping real-time thread blocks its core for all others, including the shell that would end it. RLIMIT_RTTIME
 counts the CPU time of a real-time thread since it last slept. At `RUN_TIME_MAX` the kernel sends SIGXCPU: the process
-drops to ordinary scheduling and ends cleanly (`RunTimeExceededError`). A compiled loop, which Python cannot interrupt,
+drops to ordinary scheduling and ends cleanly (`Terminated`). A compiled loop, which Python cannot interrupt,
 is killed at `KILL_TIME`; the box trips 200 ms after its last command.
 """
 
@@ -65,10 +65,6 @@ KILL_TIME = 3.0
 _PR_SET_TIMERSLACK = 29
 
 
-class RunTimeExceededError(Terminated):
-    """A real-time process ran too long without blocking: a busy loop."""
-
-
 def limit_run_time() -> None:
     """Limit the uninterrupted run time of this process and its children under SCHED_FIFO or SCHED_RR.
 
@@ -97,7 +93,7 @@ def drop_realtime() -> None:
 
 def _end(number: int, _: FrameType | None) -> None:
     drop_realtime()
-    raise RunTimeExceededError(
+    raise Terminated(
         number, f"ran {RUN_TIME_MAX:g} s by SCHED_FIFO without a pause: something in it spins; it ends here"
     )
 

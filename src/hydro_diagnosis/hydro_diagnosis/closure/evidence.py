@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evidence that a term without a name must show: on held-out blocks, beside the names, against ruled-out causes.
 
-Residuals are linear in a term's parameters to first order. So four-fold cross-validation of any set of columns needs no
-further residual: each fold's products of all columns are summed once, by channel, and every set is solved from them.
-
 A term that does to the residual what a cause ruled out by `--without` would do is that cause under another form: it is
 refused. Where such a cause would take a good part of what remains, no law is looked for in its equations.
 """
@@ -17,54 +14,10 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
-from hydro_diagnosis.estimation.fit import FORM_ERROR, SHORTEST, Fit, fit, orthogonal
-from hydro_diagnosis.estimation.problem import CHANNELS, FOLDS, Problem
+from hydro_diagnosis.estimation.fit import FORM_ERROR, Fit, fit, held_out_deviance, orthogonal
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
-from hydro_diagnosis.significance import QUANTILE
-
-EDGE = 1e-3
-"""Distance to a bound, as a share of a parameter's size or range, below which it counts as at the bound."""
-UNSEEN = 1e-14
-"""Fisher information of a parameter, over the largest one, below which it is not observable."""
-VAGUE = 0.5
-"""Half-width of a shape parameter's 95 % interval, over its size or range, from which it is not identified."""
-
-
-def cross_validated(products: FloatArray, weight: FloatArray, count: FloatArray, size: float = 1.0) -> FloatArray:
-    """-2 log likelihood, up to a constant, of blocks that columns were not fitted to, shape (sets,).
-
-    Parameters
-    ----------
-    products
-        Of a residual (the first) and columns with each other, by fold and channel, for sets of columns: shape
-        (folds, channels, columns, columns, sets).
-    weight, count
-        Of each channel: over its variance, and its residuals.
-    size
-        Factor of all products.
-    """
-    length = np.sqrt(np.maximum(np.einsum("fciim->im", products), SHORTEST))
-    length[0] = 1.0
-    scaled = np.moveaxis(products / (length[:, None] * length), -1, 0)  # sets, folds, channels, columns, columns
-    weighted = np.einsum("mfcij,c->mfij", scaled, weight)
-    fitted = weighted.sum(axis=1, keepdims=True) - weighted
-    theta = -np.linalg.pinv(fitted[..., 1:, 1:], rcond=1e-10, hermitian=True) @ fitted[..., 1:, :1]
-    full = np.concatenate([np.ones((*theta.shape[:2], 1)), theta[..., 0]], axis=-1)
-    squares = size * np.einsum("mfi,mfcij,mfj->mc", full, scaled, full, optimize=True)
-    variance = np.maximum(squares / np.maximum(count, 1.0), 1.0)
-    return np.asarray(np.sum(count * np.log(variance) + squares / variance, axis=-1))
-
-
-def held_out_deviance(problem: Problem, found: Fit) -> float:
-    """-2 log likelihood, up to a constant, of blocks that the parameters of a fit were not fitted to."""
-    layout = problem.layout
-    everything = np.column_stack([found.residual, found.jacobian])
-    group = layout.channel * FOLDS + layout.folds()
-    sorted_rows = everything[np.argsort(group, kind="stable")]
-    parts = np.split(sorted_rows, np.cumsum(np.bincount(group, minlength=len(CHANNELS) * FOLDS))[:-1])
-    products = np.stack([one.T @ one for one in parts]).reshape(len(CHANNELS), FOLDS, *[everything.shape[1]] * 2)
-    weight = 1.0 / problem.variances(found.residual)
-    return float(cross_validated(products.swapaxes(0, 1)[..., None], weight, layout.count)[0])
+from hydro_diagnosis.significance import ALIKE, DECISIVE, QUANTILE, VAGUE
 
 
 def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
@@ -75,24 +28,20 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
     weight = 1.0 / problem.variances(found.residual)[problem.layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0.0))
-    deviations[np.diag(normal) <= UNSEEN * np.max(np.diag(normal), initial=0.0)] = np.inf  # the pseudo-inverse has 0
+    unseen = np.diag(normal) <= 1e-14 * np.max(np.diag(normal), initial=0.0)  # there the pseudo-inverse has 0
+    deviations[unseen] = np.inf
     for one, deviation in zip(claim.effect.parameters, deviations[found.columns(claim)], strict=True):
         value, width = claim.values[one.name], one.high - one.low
         size = abs(value) if one.low > 0.0 else width
-        inside = one.low + EDGE * min(size, width) < value < one.high - EDGE * min(size, width)
+        edge = 1e-3 * min(size, width)
+        inside = one.low + edge < value < one.high - edge
         if one.smallest == 0.0 and not (inside and QUANTILE * deviation * one.span < VAGUE * size):
             return False
     return True
 
 
-ALIKE = 0.8
-"""Share of a term's squared signature, orthogonal to the other columns, from which a cause is equivalent to it."""
-GOOD_PART = 0.25
-"""Share of the remainder in its equations, noise subtracted, from which a ruled-out cause bars laws from them."""
-
-
 def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
-    """Return the blocks in which a ruled-out cause would explain a good part of the remainder of a fit."""
+    """Return the blocks in which a ruled-out cause would explain a quarter of a fit's remainder, noise subtracted."""
     blocks: set[str] = set()
     remaining = problem.layout.squares(found.residual) - problem.layout.count
     left = orthogonal(found.jacobian, found.residual)
@@ -102,7 +51,7 @@ def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
         excess = float(sum(remaining[channels]))
         for columns in _columns(problem, found.claims, found.residual, effect):
             rest = orthogonal(np.column_stack([found.jacobian, columns]), found.residual)
-            if excess > 0.0 and float(left @ left - rest @ rest) > GOOD_PART * excess:
+            if excess > 0.0 and float(left @ left - rest @ rest) > 0.25 * excess:
                 blocks |= own
                 break
     return frozenset(blocks)
@@ -136,7 +85,7 @@ def _columns(problem: Problem, others: Sequence[Claim], before: FloatArray, effe
         yield np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
 
 
-THRESHOLD = 30.0
+THRESHOLD = 3.0 * DECISIVE
 """Least gain of a term in held-out deviance, and of any claim in BIC."""
 
 

@@ -5,7 +5,7 @@ The residuals' responses to a smooth function (`grammar.CURVES`) are computed on
 textbook shape is a sum of these splines, wherever its threshold or level lies: so what a formula gains beside a fit, to
 first order, follows from products of the same responses. Laws that are no function of one signal at an instant
 (`grammar.BESIDE`), or are too steep for splines, have responses of their own. Gains are those of four-fold
-cross-validation (`evidence`), of each term alone. Only the best few are fitted.
+cross-validation (`fit.cross_validated`), of each term alone. Only the best few are fitted.
 """
 
 from __future__ import annotations
@@ -16,30 +16,17 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.closure.evidence import cross_validated
 from hydro_diagnosis.curves import splines
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
-from hydro_diagnosis.estimation.fit import SHORTEST, Fit
-from hydro_diagnosis.estimation.problem import CHANNELS, COLUMN, FOLDS, Problem
+from hydro_diagnosis.estimation.fit import SHORTEST, Fit, cross_validated
+from hydro_diagnosis.estimation.problem import CHANNELS, COST, Problem
 from hydro_diagnosis.model.responses import Responses
+from hydro_diagnosis.significance import FOLDS
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import SIGN_VELOCITY, Law, Signals
 from hydro_sim.model.tables import Table
-
-INSIDE = 0.1
-"""Percentiles of its argument that a smooth function leaves out at either end."""
-QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
-"""Quantiles of a threshold's signal at which thresholds are tried."""
-EDGE = 0.02
-"""Share of a threshold's signal that is left on either side of it."""
-SLOWEST = 3.0 * SIGN_VELOCITY
-"""Least threshold of a speed [m/s]: drag up to less is dry friction, drag above less is viscous friction."""
-ROWS = 20000
-"""Residuals of a channel beyond which only every second, third ... is taken."""
-GRID = 100
-"""Places at which a shape is read off a smooth function: several between any two of its splines."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +69,7 @@ class Screen:
     def __init__(self, problem: Problem, base: Fit, closed: Collection[str] = ()) -> None:
         self.problem = problem
         layout, fold = problem.layout, problem.layout.folds()
-        self._every = max(int(layout.count.max()) // ROWS, 1)
+        self._every = max(int(layout.count.max()) // 20_000, 1)  # of more in a channel every second, third ... is taken
         kept = [np.flatnonzero(layout.channel == k)[:: self._every] for k in range(len(CHANNELS))]
         self._order = [np.argsort(fold[rows], kind="stable") for rows in kept]
         self._rows = [rows[order] for rows, order in zip(kept, self._order, strict=True)]
@@ -93,7 +80,7 @@ class Screen:
         for term in self._terms:
             many = len(term.columns)
             shown = problem.joined([way.of(term.columns) for way in ways], many)
-            problem.budget.spend(COLUMN * problem.samples * many)
+            problem.budget.spent += COST["column"] * problem.samples * many
             term.square = np.zeros((FOLDS, len(CHANNELS), many, many))
             for channel, responses in shown.items():
                 thinned = responses[:, :: self._every].astype(np.float32)[:, self._order[channel]]
@@ -110,7 +97,7 @@ class Screen:
             if not _visible(closure(table, problem.bench), problem):
                 continue
             argument = _recorded(problem, table.where if table.variable == "force" else table.variable)
-            low, high = np.percentile(argument, [INSIDE, 100.0 - INSIDE]).tolist()
+            low, high = np.percentile(argument, [0.1, 99.9]).tolist()  # but for what is rare at either end
             if high > low:
                 smooth = closure(table, problem.bench, (low, high))
                 nothing = smooth.nothing()[0]
@@ -130,9 +117,12 @@ class Screen:
         if not _visible(effect, problem):
             return []
         if over := next((number.over for number in law.numbers if number.over), ""):
-            low, *probes, high = np.quantile(_recorded(problem, over), (EDGE, *QUANTILES, 1.0 - EDGE)).tolist()
-            if over == "speed":
-                low, probes = max(low, SLOWEST), [one for one in probes if one > SLOWEST]
+            # quantiles at which thresholds are tried, between those that limit them
+            shares = (0.02, 0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95, 0.98)
+            low, *probes, high = np.quantile(_recorded(problem, over), shares).tolist()
+            if over == "speed":  # drag up to less is dry friction, drag above less is viscous friction
+                slowest = 3.0 * SIGN_VELOCITY
+                low, probes = max(low, slowest), [one for one in probes if one > slowest]
             if not (high > low and probes):
                 return []
             effect = closure(law, problem.bench, (low, high), tuple(probes))
@@ -164,9 +154,14 @@ class Screen:
         own, size, weight, cross = self._products(found)
         before = cross_validated(own[..., None], weight, self._count, size)[0]
         price, by_law = float(np.log(len(found.residual))), list[tuple[float, float, list[Claim]]]()
+        width = own.shape[-1]
         for term, across in zip(self._terms, cross, strict=True):
             summed = np.einsum("im,fcij,jm->fcm", term.sums, term.square, term.sums, optimize=True)
-            gains = before - _beside(own, across @ term.sums, summed, weight, self._count, size)
+            whole = np.empty((*own.shape[:2], width + 1, width + 1, len(term.starts)))  # one column beside the fit's
+            whole[:, :, :width, :width] = own[..., None]
+            whole[:, :, :width, width] = whole[:, :, width, :width] = across @ term.sums
+            whole[:, :, width, width] = summed
+            gains = before - cross_validated(whole, weight, self._count, size)
             labels = np.array([one.effect.label for one in term.starts])
             for label in dict.fromkeys(labels.tolist()):
                 at = np.flatnonzero(labels == label)
@@ -193,21 +188,9 @@ class Screen:
         return best, gain * self._every, (before - float(self._count.sum())) * self._every
 
 
-def _beside(
-    own: FloatArray, cross: FloatArray, square: FloatArray, weight: FloatArray, count: FloatArray, size: float
-) -> FloatArray:
-    """Deviance on held-out blocks with each of many single columns beside those that stand, shape (many,)."""
-    width, many = own.shape[-1], square.shape[-1]
-    whole = np.empty((FOLDS, len(CHANNELS), width + 1, width + 1, many))
-    whole[:, :, :width, :width] = own[..., None]
-    whole[:, :, :width, width] = whole[:, :, width, :width] = cross
-    whole[:, :, width, width] = square
-    return cross_validated(whole, weight, count, size)
-
-
 def _as_splines(table: Table, limits: tuple[float, float], law: Law, start: Claim, bench: Bench) -> FloatArray:
     """What of a smooth function's columns makes a law at its start values, shape (columns,)."""
-    share = np.asarray(np.linspace(0.0, 1.0, GRID), dtype=np.float64)
+    share = np.asarray(np.linspace(0.0, 1.0, 100), dtype=np.float64)  # several between any two splines
     grid = limits[0] + (limits[1] - limits[0]) * share
     ones = {"velocity": 1.0, "pressure_b" if table.factor and table.factor.text == "p_b" else "pressure_a": 1.0}
     argument = {"speed": "velocity", "pressure_difference": "pressure_a"}.get(table.variable, table.variable)

@@ -29,21 +29,12 @@ from hydro_diagnosis.effects.closure import closure, is_closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.fit import screen as screen_names
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.significance import ALIKE, CLAIMED, ITERATIONS, MATTERS
 from hydro_sim.model.effects.catalogue import CLOSURES_MAX
 from hydro_sim.model.laws import REVERSAL_VELOCITY, REVERSING, SIGN_VELOCITY, Law, with_reversal_velocity
 
-CHANCE = 20.0
-"""Deviance that a single column must gain, as the search asks of a cause; chance alone reaches 2 ln(columns) more."""
 LEAST = 0.02
 """Least share of the possible gain that a term must bring: less may be a form error of another."""
-CONDENSED = 0.05
-"""Share of a smooth function's gain that laws may lack and still be preferred."""
-FITTED = 5
-"""Number of laws that are fitted in each step, the best of the screen, and of names beside them."""
-ALIKE = 0.8
-"""Share of the best gain from which a law is still fitted once another leaves no remainder."""
-PATIENCE = 24
-"""Maximum number of iterations of a fit: further numbers start on a coarse grid."""
 TERMS = 3
 """Largest number of terms."""
 
@@ -81,7 +72,7 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
         return
     left = by_law.problem.noticeable(by_law.fit.residual)
     smooth = _by_curve(by_law if left else ClosureFit(base, "smooth", 0.0, problem, screen))
-    both = (by_law, smooth) if by_law.gain >= (1.0 - CONDENSED) * smooth.gain else (smooth, by_law)
+    both = (by_law, smooth) if by_law.gain >= (1.0 - MATTERS) * smooth.gain else (smooth, by_law)
     yield from (one for one in (both if left else (smooth,)) if one.gain > 0.0)
 
 
@@ -115,12 +106,12 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
 
 def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
     """Fits with one more law that pays, of the best that are not `tried`, to which they are added."""
-    prospects, there_is = screen.prospects(current, FITTED, tried)
-    toll = CHANCE + 2.0 * float(np.log(max(len(screen), 1)))
+    prospects, there_is = screen.prospects(current, 5, tried)
+    toll = CLAIMED + 2.0 * float(np.log(max(len(screen), 1)))  # of so many columns chance reaches that much more
     fits: list[Fit] = []
     disguised, clean = 0.0, False
     for one in prospects:
-        enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - CONDENSED) * disguised
+        enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - MATTERS) * disguised
         if one.gain < max(toll, LEAST * there_is, enough) or problem.budget.exhausted:
             break
         better = _from_starts(problem, current, one.starts)
@@ -143,7 +134,7 @@ def _from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit
     """The fit from the first start at which the law's further numbers are identified, else from the best."""
     fits = []
     for start in starts:
-        fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
+        fits.append(fit(problem, (*current.claims, start), iterations=3 * ITERATIONS))
         if has_identified_shapes(problem, fits[-1], fits[-1].claims[-1]):
             return fits[-1]
     return fits[0]
@@ -160,15 +151,15 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
     wider = closure(with_reversal_velocity(effect.law), problem.bench, effect.limits, effect.probes)
     claims = list(found.claims)
     claims[place] = Claim(wider, {**claim.values, REVERSAL_VELOCITY.name: 2.0 * SIGN_VELOCITY})
-    better = fit(problem, claims, iterations=PATIENCE)
-    pays = found.score - better.score >= CHANCE
+    better = fit(problem, claims, iterations=3 * ITERATIONS)
+    pays = found.score - better.score >= CLAIMED
     return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
 
 
 def _with_name(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
     """Fits with one more name that pays."""
     fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:TERMS]]
-    enough = current.score - CHANCE
+    enough = current.score - CLAIMED
     return [one for one in fits if one.score < enough and not within_form_error(problem, current, one)]
 
 
@@ -185,7 +176,7 @@ def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
             return 0, 0, one.score
         return len(effect.parameters), len(effect.law.uses), one.score
 
-    return min((one for one in fits if one.score <= best + CHANCE), key=parts)
+    return min((one for one in fits if one.score <= best + CLAIMED), key=parts)
 
 
 def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Effect]) -> Fit:
@@ -204,7 +195,7 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
         else:
             fits = [found, *_with_name(problem, others, names)]
             best = min(one.score for one in fits)
-            found = min((one for one in fits if one.score <= best + CHANCE), key=lambda one: (one.free, one.score))
+            found = min((one for one in fits if one.score <= best + CLAIMED), key=lambda one: (one.free, one.score))
     for place in range(len(found.claims)):  # also if nothing remains: it moves a simulated piston at each reversal
         found = _with_reversal_velocity(problem, found, place)
     return found

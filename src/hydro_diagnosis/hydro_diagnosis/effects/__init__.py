@@ -22,21 +22,14 @@ from hydro_sim.model.effects.numbers import Correction
 NOMINAL = Bench.nominal()
 
 
-def _cause(kind: Kind) -> Effect:
-    return CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL)
-
-
+_TABLE = [CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL) for kind in CATALOGUE.values()]
 LIBRARY: tuple[Effect, ...] = (
-    *(one for one in map(_cause, CATALOGUE.values()) if one.parameters and one.id not in grown.IDS),
+    *(one for one in _TABLE if one.parameters and one.id not in grown.IDS),
     *map(grown_cause, grown.EFFECTS),
 )
 """Effects that can be claimed; several may share an id (chambers, sensors, forms of one cause)."""
 _EXPONENTIAL = Kind(FrictionStribeck, (("form", "exponential"),))
 Stribeck.other_forms = (StribeckExponential(_EXPONENTIAL).adapted(NOMINAL),)
-
-
-_PRESSURE = 5e6
-"""Typical pressure [Pa] of the chambers: over the bulk modulus, the additional oil that a wider hose holds."""
 
 
 class _WideningHoses(Correction):
@@ -53,7 +46,7 @@ class _WideningHoses(Correction):
     compliance = parameter("m3/Pa", 0.0, 1e-12, scale=1e-14, fit=fit(1e-14, smallest=6e-16))
 
     def correct(self, n: Any) -> None:
-        more = self.compliance * (n.bulk_modulus + _PRESSURE)
+        more = self.compliance * (n.bulk_modulus + 5e6)  # Pa, a typical pressure
         n.dead_volume_a, n.dead_volume_b = n.dead_volume_a + more, n.dead_volume_b + more
 
 

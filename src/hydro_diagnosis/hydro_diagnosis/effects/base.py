@@ -17,7 +17,6 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.kernels import substep_mean
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import base as physics
@@ -39,8 +38,12 @@ _SENSED = {
     "pressure_b": {PRESSURE, HYDRAULIC}, "piston_position": {PRESSURE, MOTION, LOAD},
 }  # fmt: skip
 """Blocks of residuals in which a sensor shows, by its channel."""
-TANK_MAX = 0.99
-"""Largest pressure of the tank over that of the supply."""
+
+
+def substep_mean(signal: FloatArray) -> FloatArray:
+    """Mean over the last axis, which is short: from shape (..., substeps) to (...)."""
+    first, *others = np.moveaxis(signal, -1, 0)
+    return np.asarray(sum(others, first) / signal.shape[-1])
 
 
 def blocks_of(equation: str, channel: str = "") -> frozenset[str]:
@@ -56,7 +59,7 @@ def changed(bench: Bench, **values: float | None) -> Bench:
         for name, value in values.items()
     }
     supply = inside.get("supply_pressure", bench.supply_pressure)
-    tank = min(inside.get("tank_pressure", bench.tank_pressure), TANK_MAX * supply)
+    tank = min(inside.get("tank_pressure", bench.tank_pressure), 0.99 * supply)
     return replace(bench, **{**inside, "tank_pressure": tank})
 
 
@@ -287,10 +290,6 @@ def _acts_in(kind: Any, effect: Any, hook: str) -> bool:
     return own or (hasattr(physics.Effect, hook) and effect.acts_in(hook))
 
 
-FADED = 3.0**-0.5
-"""Speed over which a rise towards standstill fades, over the top speed, at which 5 % of it are left there: exp(-3)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Machine:
     """How large the machine is that was recorded: numbers of its claims are of that order."""
@@ -302,30 +301,24 @@ class Machine:
     stroke: float
     """Distance [m]."""
 
-    def reach(self, unit: str) -> float:
-        """Largest size that a claim in a unit may have; 0 where the machine does not tell."""
-        slow = 0.02 * self.speed
-        sizes = {
-            "N": self.force, "N s/m": self.force / slow, "m/s": FADED * self.speed,
-            "N/m": self.force / (1e-3 * self.stroke), "kg": self.force * self.stroke / slow**2,
-        }  # fmt: skip
-        return sizes.get(unit, 0.0) * (1.0 if unit == "m/s" else 3.0)
-
 
 def sized(effect: Effect, machine: Machine) -> Effect:
     """The effect with bounds that hold what the machine may show; never narrower than its own."""
-    return replace(effect, parameters=tuple(_sized(one, machine) for one in effect.parameters))
-
-
-def _sized(one: FitParameter, machine: Machine) -> FitParameter:
-    reach = machine.reach(one.unit)
-    low, high = one.low, one.high
-    if one.unit in ("m/s", "N/m") and one.smallest == 0.0:
-        low = min(low, 1e-3 * reach)
-    elif low < 0.0 and one.neutral == 0.0 and low == -high:
-        low = min(low, -reach)
-    high = max(high, reach)
-    return one if (low, high) == (one.low, one.high) else replace(one, low=low, high=high)
+    slow = 0.02 * machine.speed
+    fading = 3.0**-0.5 * machine.speed  # of a rise towards standstill exp(-3), 5 %, are left at the top speed
+    largest = {
+        "N": 3.0 * machine.force, "N s/m": machine.force / slow * 3.0, "m/s": fading,
+        "N/m": machine.force / (1e-3 * machine.stroke) * 3.0, "kg": machine.force * machine.stroke / slow**2 * 3.0,
+    }  # fmt: skip
+    parameters = []
+    for one in effect.parameters:
+        reach, low = largest.get(one.unit, 0.0), one.low  # 0 where the machine does not tell
+        if one.unit in ("m/s", "N/m") and one.smallest == 0.0:
+            low = min(low, 1e-3 * reach)
+        elif low < 0.0 and one.neutral == 0.0 and low == -one.high:
+            low = min(low, -reach)
+        parameters.append(replace(one, low=low, high=max(one.high, reach)))
+    return replace(effect, parameters=tuple(parameters))
 
 
 @dataclass(frozen=True)

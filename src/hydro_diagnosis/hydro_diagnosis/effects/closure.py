@@ -15,21 +15,52 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Effect, FitParameter, FloatArray, Kinematics, Oil, Pair, Values, blocks_of
-from hydro_diagnosis.effects.kernels import splined, substep_mean
+from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, Oil, Pair, Values, blocks_of, substep_mean
 from hydro_diagnosis.effects.memory import Memory
+from hydro_diagnosis.significance import ITERATIONS
+from hydro_sim.jit import njit
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
 from hydro_sim.model.effects.closure import NamedLaw, closure_class
 from hydro_sim.model.laws import Element, Law, Signals, edge_losses, sensor_signals
-from hydro_sim.model.tables import Table
+from hydro_sim.model.tables import KNOTS, Table
 
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
 """Families of grown effects: those of the effects of the table which act in the same equation."""
 _HOOKS = {"motion": {"opposing_force"}, "load": {"load"}, "sensor": {"read_sensor"}}
-"""Hooks in which terms of an equation act; those of flows in `leaks`, of the spool in `command`."""
+"""Hooks in which terms of an equation act; those of flows, of the valve's too, in `leaks`."""
+
+
+_LAST = KNOTS - 3
+"""Intervals between the peaks of the splines that a table's variable may lie in."""
+
+
+def splined(variable: FloatArray, low: float, high: float, values: FloatArray) -> FloatArray:
+    """Sum of cubic B-splines of these `values` (KNOTS,) over a variable between `low` and `high`, constant beyond."""
+    found = np.empty(variable.shape)
+    _splined(found.reshape(-1), np.ascontiguousarray(variable).reshape(-1), low, _LAST / (high - low), values)
+    return found
+
+
+@njit
+def _splined(found, variable, low, scale, values):
+    for k in range(len(variable)):
+        along = (variable[k] - low) * scale
+        if along != along:  # a simulation that has run away
+            found[k] = np.nan
+            continue
+        along = min(max(along, 0.0), float(_LAST))
+        at = min(int(along), _LAST - 1)
+        t = along - at
+        s = 1.0 - t
+        found[k] = (
+            s * s * s * values[at]
+            + (4.0 - 3.0 * t * t * (2.0 - t)) * values[at + 1]
+            + (4.0 - 3.0 * s * s * (2.0 - s)) * values[at + 2]
+            + t * t * t * values[at + 3]
+        ) / 6.0
 
 
 @cache
@@ -50,14 +81,11 @@ class Closure(Effect):
     """The bench, once it is adapted."""
     name: NamedLaw | None = None
     """Of a grown effect."""
+    stage = 2
 
     @property
     def named(self) -> bool:  # type: ignore[override]
         return self.name is not None
-
-    @property
-    def stage(self) -> int:  # type: ignore[override]
-        return 2
 
     @property
     def blocks(self) -> frozenset[str]:
@@ -78,11 +106,6 @@ class Closure(Effect):
         return "closure of flows" if flows else "closure of forces"
 
     @property
-    def moves_spool(self) -> bool:
-        """Whether it is a term of the spool's position; other terms of the valve are flows."""
-        return self.law.equation == "actuation" and not self.law.where
-
-    @property
     def memoryless(self) -> bool:  # type: ignore[override]
         return self.element is None or self.element.kind in ("path", "slow")
 
@@ -96,19 +119,20 @@ class Closure(Effect):
         return self.law.element
 
     def acts_in(self, *hooks: str) -> bool:
-        acting = {"command"} if self.moves_spool else _HOOKS.get(self.law.equation, {"leaks"})
+        acting = _HOOKS.get(self.law.equation, {"leaks"})
+        if self.law.equation == "actuation" and not self.law.where:  # a term of the spool's position
+            acting = {"command"}
         own = {hook for hook in ("inertia", "invert_reading") if getattr(type(self), hook) is not getattr(Effect, hook)}
         return not (acting | own).isdisjoint(hooks)
 
     def adapted(self, bench: Bench) -> Closure:
-        return replace(self, numbers=bench, parameters=self._fitted())
-
-    def _fitted(self) -> tuple[FitParameter, ...]:
-        """As the model has them, but for thresholds whose range the recordings say."""
-        over = {one.name for one in self.law.numbers if one.over} if self.probes and isinstance(self.law, Law) else ()
-        about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "probes": self.probes}
-        about |= {"neutral": self.probes[len(self.probes) // 2]} if over else {}
-        return tuple(replace(one, **about) if one.name in over else one for one in self.physics.fit_parameters(None))
+        parameters = self.physics.fit_parameters(None)
+        if self.probes and isinstance(self.law, Law):  # thresholds, whose range the recordings say
+            over = {one.name for one in self.law.numbers if one.over}
+            about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "probes": self.probes}
+            about["neutral"] = self.probes[len(self.probes) // 2]
+            parameters = tuple(replace(one, **about) if one.name in over else one for one in parameters)
+        return replace(self, numbers=bench, parameters=parameters)
 
     def nothing(self) -> list[dict[str, float]]:
         """Values at which the term vanishes: one set for each choice of start values of its further numbers."""
@@ -126,19 +150,15 @@ class Closure(Effect):
         element = self.element
         if element is None:
             return at
+        if element.signal == "time":
+            signal = np.ones(np.broadcast_shapes(*(np.shape(one) for one in (at.position, at.current, at.force))))
+        else:
+            signal = getattr(at, element.signal)
         if element.kind == "slow":
-            return at.replace(memory=memory.lag(self.label, self._driver(at), values["time"], 0.0))
-        signal = getattr(at, element.signal)
+            return at.replace(memory=memory.lag(self.label, np.asarray(signal), values["time"], 0.0))
         if element.kind == "lag":
             return at.replace(memory=memory.lag(self.label, signal, values["time"]))
         return at.replace(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
-
-    def _driver(self, at: Signals) -> FloatArray:
-        """Return the input of a slow state."""
-        signal = self.element.signal if self.element else ""
-        if signal != "time":
-            return np.asarray(getattr(at, signal))
-        return np.ones(np.broadcast_shapes(*(np.shape(one) for one in (at.position, at.current, at.force))))
 
     def given(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
         """Value of the term, in the unit of its equation."""
@@ -195,16 +215,6 @@ class DraggedClosure(Closure):
         return self.given(Signals(motion.position, motion.velocity, acceleration=1.0), values, bench)
 
 
-_INVERSIONS = 6
-"""Iterations that find a signal from its reading: each leaves the part of the error that is not a straight line."""
-_FOUND = 1e-6
-"""Pa: what is left of an error that is as good as nothing."""
-_CURVE = 2000
-"""Places over the range of a reading at which a curve is inverted."""
-_BEYOND = 0.5
-"""Share of its range by which a signal may lie outside what its curved reading spans."""
-
-
 class GaugeClosure(Closure):
     """Error of a pressure sensor, whose pressure the flows follow."""
 
@@ -213,31 +223,24 @@ class GaugeClosure(Closure):
         along = self.element is not None and self.element.kind in ("path", "lag")
         return self.law.where if self.law.where in (self.law.uses or self.law.where) and not along else ""
 
-    @property
-    def _recalls(self) -> bool:
-        """Whether its own signal's past counts."""
-        return self.element is not None and self.element.signal == self.law.where
-
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel == self.law.where and self.element is None and self.nonlinear_channel and self.law.uses <= {channel}:
-            return self._straightened(reading, values)
+        if channel != self.law.where:
+            return reading
+        if self.element is None and self.nonlinear_channel and self.law.uses <= {channel}:  # a curve of it alone
+            low, high = float(np.min(reading)), float(np.max(reading))
+            beyond = 0.5 * max(high - low, 1.0)  # the signal may lie outside of what its reading spans
+            curve = np.linspace(low - beyond, high + beyond, 2000)
+            rising = np.maximum.accumulate(curve + self.given(sensor_signals(channel, curve), values))
+            risen = np.concatenate([[True], np.diff(rising) > 0.0])  # where a reading stays: the least that shows it
+            return np.asarray(np.interp(reading, rising[risen], curve[risen]))
         signal = reading
-        for _ in range(_INVERSIONS if channel == self.law.where else 0):
+        recalls = self.element is not None and self.element.signal == channel  # its own signal's past counts
+        for _ in range(ITERATIONS):
             at, before = sensor_signals(channel, signal, memory.beside), signal
             signal = reading - self.given(self._remembering(at, memory, values), values)
-            if not (self.nonlinear_channel or self._recalls) or float(np.max(np.abs(signal - before))) < _FOUND:
+            if not (self.nonlinear_channel or recalls) or float(np.max(np.abs(signal - before))) < 1e-6:  # Pa
                 break
         return signal
-
-    def _straightened(self, reading: FloatArray, values: Values) -> FloatArray:
-        """The signal under a curve of it alone; where a reading stays, the least that shows it."""
-        low, high = float(np.min(reading)), float(np.max(reading))
-        beyond = _BEYOND * max(high - low, 1.0)
-        signal = np.linspace(low - beyond, high + beyond, _CURVE)
-        shown = signal + self.given(sensor_signals(self.law.where, signal), values)
-        rising = np.maximum.accumulate(shown)
-        risen = np.concatenate([[True], np.diff(rising) > 0.0])
-        return np.asarray(np.interp(reading, rising[risen], signal[risen]))
 
 
 class PlaceClosure(Closure):
@@ -247,7 +250,7 @@ class PlaceClosure(Closure):
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
-        for _ in range(_INVERSIONS if channel == self.law.where else 0):
+        for _ in range(ITERATIONS if channel == self.law.where else 0):
             at = sensor_signals(channel, signal, memory.beside)
             signal = reading - self.given(self._remembering(at, memory, values), values)
             if "position" not in self.law.uses:

@@ -7,15 +7,17 @@ overlap has no memory, but is computed once for a current that is held.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import expm
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, Values
-from hydro_diagnosis.effects.kernels import opened
 from hydro_diagnosis.effects.memory import Memory
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import base as physics
 from hydro_sim.model.effects import motion, oil, sensing, valve
@@ -93,6 +95,30 @@ class SoftOverlap(Overlap):
         return opened(spool, values["half_width"], values["softness"])
 
 
+def opened(current: FloatArray, width: float, soft: float) -> FloatArray:
+    """Current [A] that acts, of the same shape, behind an overlap of half `width` that opens over `soft` [A]."""
+    found = np.empty(current.shape)
+    _opened(found.reshape(-1), np.ascontiguousarray(current).reshape(-1), width / soft, soft)
+    return found
+
+
+@njit
+def _opened(found, current, edge, soft):
+    for k in range(len(found)):
+        if k > 0 and current[k] == current[k - 1]:  # held over a sample's substeps
+            found[k] = found[k - 1]
+        else:
+            ratio = current[k] / soft
+            found[k] = soft * (_softplus(ratio - edge) - _softplus(-ratio - edge))
+
+
+@njit
+def _softplus(over):
+    if over > 40.0:  # a softplus is its argument, to the last bit
+        return over
+    return over + math.log1p(math.exp(-over)) if over > 0.0 else math.log1p(math.exp(over))
+
+
 class Droop(Effect):
     """The supply falls with the demand, after a lag."""
 
@@ -149,7 +175,10 @@ class Amplifier(Effect):
         if channel != self.lagged:
             return reading
         omega = 2.0 * np.pi * values["bandwidth"]
-        return memory.lead(reading, 2.0 * values["damping"] / omega, 1.0 / omega**2)
+        smoothed = gaussian_filter1d(reading, 4.0, mode="nearest")  # over some 10 samples: noise stays below its own
+        slope = np.gradient(smoothed, memory.step)
+        bend = np.gradient(slope, memory.step)
+        return np.asarray(reading + 2.0 * values["damping"] / omega * slope + 1.0 / omega**2 * bend)
 
 
 CLASSES: dict[type[physics.Effect], type[Effect]] = {

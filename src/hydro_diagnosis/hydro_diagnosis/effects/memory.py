@@ -12,12 +12,32 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
-from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.effects.kernels import along, held_lag
 from hydro_sim.jit import njit
+
+
+@njit
+def along(position, stiffness, limit):
+    """Force at each of the positions, shape (n,), at rest at the first; `limit`: shape (n,), where it yields.
+
+    Within a sample the solution of dF/dx = stiffness (1 - F sign(dx)/limit) is exact. Source: Dahl 1968.
+    """
+    force = np.zeros(len(position))
+    for k in range(1, len(position)):
+        moved = position[k] - position[k - 1]
+        goal = limit[k] if moved > 0.0 else -limit[k]
+        fade = np.exp(-stiffness * abs(moved) / max(abs(limit[k]), 1e-6))
+        force[k] = goal + (force[k - 1] - goal) * fade
+    return force
+
+
+def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
+    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there."""
+    decay = float(np.exp(-step / time))
+    begins, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[start])
+    return begins, begins + (1.0 - (1.0 - decay) * time / step) * (signal - begins)
 
 
 class Memory:
@@ -47,16 +67,6 @@ class Memory:
         state = np.multiply.outer(np.cumsum((numerator - denominator)[::-1])[::-1][1:], signal[0])
         passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
         return np.asarray(passed, dtype=np.float64)
-
-    def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
-        """A slow signal s plus `first` [s] times s' plus `second` [s^2] times s''.
-
-        Derivatives are taken over some 10 samples, so that noise stays below the signal's own.
-        """
-        smoothed = gaussian_filter1d(signal, 4.0, mode="nearest")
-        slope = np.gradient(smoothed, self.step)
-        bend = np.gradient(slope, self.step)
-        return np.asarray(signal + first * slope + second * bend)
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """Position [m] of what is dragged through a gap of `width` [m], from its middle (the play operator)."""
@@ -104,7 +114,7 @@ class StepMemory(Memory):
 
 
 def _bent(force: FloatArray, moved: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-    """Force [N] of a bristle after it has `moved` [m] (`kernels.along`)."""
+    """Force [N] of a bristle after it has `moved` [m] (`along`)."""
     goal = np.sign(moved) * limit
     return np.asarray(goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit, 1e-6)))
 

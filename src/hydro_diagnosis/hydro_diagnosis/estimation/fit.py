@@ -10,14 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray, Values
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.significance import ITERATIONS
+from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
+from hydro_diagnosis.significance import FOLDS, ITERATIONS
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 Part = TypeVar("Part")
 
@@ -47,12 +49,8 @@ def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
     return tuple(claims)
 
 
-STEP = 1e-3
-"""Step of the differences, in `FitParameter.span`s."""
-
-
 def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, first: int = 0) -> FloatArray:
-    """One-sided differences, towards the neutral value's far side unless a bound stands there.
+    """One-sided differences over 1/1000 of a span, towards the neutral value's far side unless a bound stands there.
 
     `residual`: at these claims. `first`: parameter from which on columns are computed.
     """
@@ -60,7 +58,7 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, fi
     effects = [claim.effect for claim in claims]
     columns = np.empty((len(residual), len(values) - first))
     for k, parameter in enumerate(parameters[first:], first):
-        step = STEP * parameter.span
+        step = 1e-3 * parameter.span
         if values[k] + step > parameter.high:
             step = -step
         moved = values.copy()
@@ -183,6 +181,47 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
     return None
 
 
+def cross_validated(products: FloatArray, weight: FloatArray, count: FloatArray, size: float = 1.0) -> FloatArray:
+    """-2 log likelihood, up to a constant, of blocks that columns were not fitted to, shape (sets,).
+
+    Residuals are linear in a term's parameters to first order. So cross-validation of any set of columns needs no
+    further residual: each fold's products of all columns are summed once, by channel, and every set is solved from
+    them.
+
+    Parameters
+    ----------
+    products
+        Of a residual (the first) and columns with each other, by fold and channel, for sets of columns: shape
+        (folds, channels, columns, columns, sets).
+    weight, count
+        Of each channel: over its variance, and its residuals.
+    size
+        Factor of all products.
+    """
+    length = np.sqrt(np.maximum(np.einsum("fciim->im", products), SHORTEST))
+    length[0] = 1.0
+    scaled = np.moveaxis(products / (length[:, None] * length), -1, 0)  # sets, folds, channels, columns, columns
+    weighted = np.einsum("mfcij,c->mfij", scaled, weight)
+    fitted = weighted.sum(axis=1, keepdims=True) - weighted
+    theta = -np.linalg.pinv(fitted[..., 1:, 1:], rcond=1e-10, hermitian=True) @ fitted[..., 1:, :1]
+    full = np.concatenate([np.ones((*theta.shape[:2], 1)), theta[..., 0]], axis=-1)
+    squares = size * np.einsum("mfi,mfcij,mfj->mc", full, scaled, full, optimize=True)
+    variance = np.maximum(squares / np.maximum(count, 1.0), 1.0)
+    return np.asarray(np.sum(count * np.log(variance) + squares / variance, axis=-1))
+
+
+def held_out_deviance(problem: Problem, found: Fit) -> float:
+    """-2 log likelihood, up to a constant, of blocks that the parameters of a fit were not fitted to."""
+    layout, channels = problem.layout, len(problem.layout.count)
+    everything = np.column_stack([found.residual, found.jacobian])
+    group = layout.channel * FOLDS + layout.folds()
+    sorted_rows = everything[np.argsort(group, kind="stable")]
+    parts = np.split(sorted_rows, np.cumsum(np.bincount(group, minlength=channels * FOLDS))[:-1])
+    products = np.stack([one.T @ one for one in parts]).reshape(channels, FOLDS, *[everything.shape[1]] * 2)
+    weight = 1.0 / problem.variances(found.residual)
+    return float(cross_validated(products.swapaxes(0, 1)[..., None], weight, layout.count)[0])
+
+
 def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
     """Part of a vector that is orthogonal to columns."""
     if columns.shape[1] == 0:
@@ -215,35 +254,12 @@ def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
     return (fewer - everything) / max(nothing - everything, 1e-12)
 
 
-NEARLY = 0.02
-"""Share of the way from a bound to the neutral value, and no less, at which a search begins."""
-
-
 @dataclass(frozen=True)
 class Prospect:
     """A candidate with starting values and the gain in deviance that they promise."""
 
     claim: Claim
     gain: float
-
-
-class Signatures:
-    """Changes of the residual by the candidates at their starts, kept for claims that differ by a few.
-
-    What a candidate does depends little on the other claims: to rank candidates, not to fit them, it may be old.
-    """
-
-    def __init__(self) -> None:
-        self._seen: dict[tuple[object, ...], npt.NDArray[np.float32]] = {}
-
-    def of(self, problem: Problem, found: Fit, claim: Claim) -> FloatArray:
-        """A candidate's signature beside a fit, over the residuals' present deviations."""
-        key = (claim.effect.label, *claim.values.values())
-        if key not in self._seen:
-            signature = problem.residual((*found.claims, claim)) - found.residual
-            self._seen[key] = (signature * problem.deviations).astype(np.float32)
-            return signature
-        return self._seen[key] / problem.deviations
 
 
 def allowed(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence[str]) -> Iterator[Effect]:
@@ -261,66 +277,54 @@ def cause(effect: Effect) -> tuple[str, ...]:
     return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
 
 
+Signatures = dict[tuple[object, ...], npt.NDArray[np.float32]]
+"""Changes of the residual by the candidates at their starts, kept for claims that differ by a few.
+
+What a candidate does depends little on the other claims: to rank candidates, not to fit them, it may be old.
+"""
+
+
 def screen(
     problem: Problem, found: Fit, library: Sequence[Effect], signatures: Signatures | None = None
 ) -> list[Prospect]:
     """Prospects, the most promising first; `signatures` that are known already are not computed again."""
     weight = problem.weight(found.residual)
-    basis = _basis(found.jacobian * weight[:, None])
-    left = _without(basis, found.residual * weight)
-    known = signatures or Signatures()
+    basis = found.jacobian * weight[:, None]
+    if basis.shape[1]:
+        basis = np.linalg.qr(basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300))[0]
+    left = found.residual * weight
+    left = left - basis @ (basis.T @ left)
+    known = {} if signatures is None else signatures
     prospects = []
     for effect in allowed(library, found.claims, problem.blocks):
-        looks = []
-        for start in _starts(effect):
-            claim = Claim(effect, start)
-            direction = _without(basis, known.of(problem, found, claim) * weight)
-            looks.append(_look(problem, claim, direction, weight, left))
+        names, looks = [parameter.name for parameter in effect.parameters], []
+        for values in product(*(parameter.probes for parameter in effect.parameters)):
+            claim, key = Claim(effect, dict(zip(names, values, strict=True))), (effect.label, *values)
+            if key in known:
+                signature = known[key] / problem.deviations
+            else:
+                signature = problem.residual((*found.claims, claim)) - found.residual
+                known[key] = (signature * problem.deviations).astype(np.float32)
+            direction = signature * weight
+            looks.append(_look(problem, claim, direction - basis @ (basis.T @ direction), weight, left))
         prospects.append(max(looks, key=lambda prospect: prospect.gain))
     return sorted(prospects, key=lambda prospect: -prospect.gain)
 
 
-def _basis(columns: FloatArray) -> FloatArray:
-    if not columns.shape[1]:
-        return columns
-    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    return np.linalg.qr(scaled)[0]
-
-
-def _without(basis: FloatArray, vector: FloatArray) -> FloatArray:
-    return vector - basis @ (basis.T @ vector)
-
-
-def _starts(effect: Effect) -> Iterator[dict[str, float]]:
-    names = [parameter.name for parameter in effect.parameters]
-    for values in product(*(parameter.probes for parameter in effect.parameters)):
-        yield dict(zip(names, values, strict=True))
-
-
 def _look(problem: Problem, claim: Claim, direction: FloatArray, weight: FloatArray, left: FloatArray) -> Prospect:
+    """Start values: amplitudes as suggested to first order, off a bound by 2 % of the way or more; shapes as probed."""
     effect, power = claim.effect, float(direction @ direction)
     if power <= 1e-12:
         return Prospect(claim, 0.0)
-    amount = -float(direction @ left) / power
-    if len(effect.parameters[0].probes) > 1:
+    amount, main = -float(direction @ left) / power, effect.parameters[0]
+    if len(main.probes) > 1:
         amount = min(amount, 3.0)
-    if amount <= 0.0 and _bounded(effect):
+    if amount <= 0.0 and main.neutral in (main.low, main.high):
         return Prospect(claim, 0.0)
+    moved = dict(claim.values)
+    for one in effect.amplitudes:
+        scaled = one.neutral + amount * (moved[one.name] - one.neutral)
+        low, high = (end + 0.02 * (one.neutral - end) for end in (one.low, one.high))
+        moved[one.name] = float(np.clip(scaled, low, high))
     reached = problem.deviance((left + amount * direction) / weight)
-    moved = Claim(effect, _moved(effect, claim.values, amount))
-    return Prospect(moved, problem.deviance(left / weight) - reached)
-
-
-def _bounded(effect: Effect) -> bool:
-    main = effect.parameters[0]
-    return main.neutral in (main.low, main.high)
-
-
-def _moved(effect: Effect, start: Values, amount: float) -> dict[str, float]:
-    """Starting values: amplitudes scaled by what the first-order look suggests, shapes as probed."""
-    moved = dict(start)
-    for parameter in effect.amplitudes:
-        scaled = parameter.neutral + amount * (start[parameter.name] - parameter.neutral)
-        low, high = (end + NEARLY * (parameter.neutral - end) for end in (parameter.low, parameter.high))
-        moved[parameter.name] = float(np.clip(scaled, low, high))
-    return moved
+    return Prospect(Claim(effect, moved), problem.deviance(left / weight) - reached)

@@ -19,11 +19,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
-from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
+from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, pack, unpack
-from hydro_diagnosis.estimation.problem import FOLD_SECONDS, FOLDS, Problem
+from hydro_diagnosis.estimation.problem import FOLD_SECONDS, Problem
 from hydro_diagnosis.report_json import ParameterEstimate
-from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, ITERATIONS, MATTERS, QUANTILE, SURE
+from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, FOLDS, ITERATIONS, MATTERS, QUANTILE, SURE
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
@@ -50,8 +50,10 @@ def is_significant(claim: Claim) -> bool:
     An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
     """
     amplitudes = claim.effect.amplitudes
-    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
-        return False
+    for one in amplitudes:
+        value, near = claim.values[one.name], 1e-3 * one.smallest
+        if any(abs(value - end) <= near < abs(end - one.neutral) for end in (one.low, one.high)):
+            return False
     if not amplitudes:
         return any(
             abs(claim.values[one.name] - one.neutral) > MATTERS * abs(one.neutral) for one in claim.effect.parameters
@@ -61,34 +63,20 @@ def is_significant(claim: Claim) -> bool:
 
 def all_significant(problem: Problem, found: Fit) -> bool:
     """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
-    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.judged):
-        return False
-    moved = zip(found.claims, shifts(problem, found), strict=True)
-    return all(claim.effect.estimated or _beyond(claim, shift) for claim, shift in moved)
+    for claim in found.judged:
+        least, values = SURE * problem.attenuation.get(claim.effect.id, 0.0), claim.values
+        beyond = not least or any(abs(values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
+        if not is_significant(claim) or not beyond:
+            return False
+    for claim, shift in zip(found.claims, shifts(problem, found), strict=True):
+        pairs = list(zip(claim.effect.parameters, shift, strict=True))
+        telling = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
+        beyond = any(abs(claim.values[one.name] - one.neutral) >= SURE * moved for one, moved in telling)
+        if not claim.effect.estimated and not beyond:
+            return False
+    return True
 
 
-def _beyond(claim: Claim, shift: FloatArray) -> bool:
-    """Return whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
-    pairs = list(zip(claim.effect.parameters, shift, strict=True))
-    amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
-    return any(abs(claim.values[one.name] - one.neutral) >= SURE * moved for one, moved in amplitudes)
-
-
-def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
-    least = SURE * problem.attenuation.get(claim.effect.id, 0.0)
-    return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
-
-
-def _at_its_end(parameter: FitParameter, value: float) -> bool:
-    """Return whether a value stands at a bound that is not its neutral value."""
-    near = 1e-3 * parameter.smallest
-    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
-
-
-SYSTEMATIC = 0.03
-"""Share of a parameter's smallest size worth claiming; shapes have their own: `FitParameter.systematic`."""
-_BLOCK = FOLD_SECONDS / FOLDS
-"""s over which scores are summed: long beside the memory of any residual."""
 FEWEST = 3.0
 """Degrees of freedom at least."""
 
@@ -159,12 +147,20 @@ def _intervals(problem: Problem, found: Fit, which: Sequence[int]) -> list[Inter
         return []
     owners = [claim.effect.id for claim in found.claims for _ in claim.effect.parameters]
     curvature, inflation = _uncertainty(problem, found)
-    missing = np.concatenate(shifts(problem, found))
-    return [
-        _interval(problem, found, k, parameters[k], float(values[k]), curvature[k] * parameters[k].span, inflation[k],
-                  hypot(problem.attenuation.get(owners[k], 0.0), missing[k]))
-        for k in which
-    ]  # fmt: skip
+    missing, bounds = np.concatenate(shifts(problem, found)), []
+    for k in which:
+        one, value, widened = parameters[k], float(values[k]), inflation[k]
+        reach = QUANTILE * (curvature[k] * one.span) * widened
+        sides = [_profiled(problem, found, k, value, sign * reach, widened) for sign in (-1.0, 1.0)]
+        attenuation = hypot(problem.attenuation.get(owners[k], 0.0), missing[k])
+        # of an amplitude a share of the smallest size worth claiming
+        systematic = one.systematic * abs(value) if one.smallest == 0.0 else 0.03 * one.smallest
+        low, high = (value + sign * hypot(side, systematic, attenuation)
+                     for sign, side in zip((-1, 1), sides, strict=True))  # fmt: skip
+        at_bound = min(value - one.low, one.high - value) <= 1e-3 * (one.high - one.low) * 1e-3
+        flat = not np.isfinite(reach) or reach > 0.5 * (one.high - one.low)
+        bounds.append(Interval(value, max(low, one.low), min(high, one.high), not (at_bound or flat), widened))
+    return bounds
 
 
 def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
@@ -174,7 +170,8 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     covariance = np.linalg.pinv(normal, hermitian=True)
     scores = found.jacobian * (found.residual * weight)[:, None]
-    block = np.floor(layout.time / _BLOCK).astype(np.int64) + 10**6 * layout.segment
+    seconds = FOLD_SECONDS / FOLDS  # long beside the memory of any residual
+    block = np.floor(layout.time / seconds).astype(np.int64) + 10**6 * layout.segment
     blocks, index = np.unique(block, return_inverse=True)
     summed = np.stack([np.bincount(index, scores[:, k]) for k in range(scores.shape[1])], axis=1)
     moves = np.asarray(summed @ covariance, dtype=np.float64)
@@ -214,23 +211,6 @@ def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
             break
         total += 2.0 * np.where(lasts, pair, 0.0)
     return np.asarray(np.maximum((1.0 + first) / (1.0 - first), total))
-
-
-def _interval(
-    problem: Problem, found: Fit, index: int, parameter: FitParameter, value: float, deviation: float, inflation: float,
-    attenuation: float,
-) -> Interval:  # fmt: skip
-    reach = QUANTILE * deviation * inflation
-    sides = []
-    for sign in (-1.0, 1.0):
-        side = _profiled(problem, found, index, value, sign * reach, inflation)
-        sides.append(side)
-    shape = parameter.smallest == 0.0
-    systematic = parameter.systematic * abs(value) if shape else SYSTEMATIC * parameter.smallest
-    low, high = (value + sign * hypot(side, systematic, attenuation) for sign, side in zip((-1, 1), sides, strict=True))
-    at_bound = min(value - parameter.low, parameter.high - value) <= 1e-3 * (parameter.high - parameter.low) * 1e-3
-    flat = not np.isfinite(reach) or reach > 0.5 * (parameter.high - parameter.low)
-    return Interval(value, max(low, parameter.low), min(high, parameter.high), not (at_bound or flat), inflation)
 
 
 def _profiled(problem: Problem, found: Fit, index: int, value: float, step: float, inflation: float) -> float:

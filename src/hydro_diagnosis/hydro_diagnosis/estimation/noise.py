@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from math import hypot
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +21,7 @@ from scipy.special import ndtr
 from hydro_diagnosis.bench_numbers import at_the_rod
 from hydro_diagnosis.effects.base import Claim, FloatArray, Pair
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.segment_model import BLOCK, OBSERVER_MEMORY, SegmentModel
+from hydro_diagnosis.model.chambers import BLOCK, OBSERVER_MEMORY
 from hydro_diagnosis.preprocessing.smoothing import (
     ACCELERATION_NOISE_GAIN,
     KINEMATIC_WIDTH,
@@ -28,15 +29,15 @@ from hydro_diagnosis.preprocessing.smoothing import (
     VELOCITY_NOISE_GAIN,
     white_noise,
 )
+from hydro_diagnosis.significance import OUTLYING
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
+if TYPE_CHECKING:
+    from hydro_diagnosis.model.segment_model import SegmentModel
+
 VELOCITY_UNCERTAINTY = 1e-3
 """Uncertainty [m/s] of the velocity's zero."""
-SLIDING = 3.0 * VELOCITY_UNCERTAINTY
-"""Speed [m/s] from which on the direction of motion is known."""
-_FAST = 1.0
-"""Velocity [m/s] beyond which friction is that of sliding."""
 TIMING_UNCERTAINTY = 3e-6
 """Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
 
@@ -51,26 +52,20 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     for model in (model for model in models if model.spacing == densest):
         measured = model.segment.measured
         recorded = slice(model.segment.phase, None, model.spacing)
-        for channel, signal in _nearly_white(model).items():
+        signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
+        if model.has_position and model.has_pressures and "valve_current" in model.channels:
+            run = model.chamber_run(())  # it knows of kinks: the current's steps bend pressures and f_h
+            signals["pressure_a"], signals["pressure_b"] = run.innovations
+            if "hydraulic_force" in signals:
+                signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
+        for channel, signal in signals.items():
             noise = white_noise(signal[recorded], None if measured is None else measured[recorded])
             found.setdefault(channel, []).append((len(signal), noise))
-    return {channel: _pooled(parts) for channel, parts in found.items()}
-
-
-def _pooled(parts: list[tuple[int, float]]) -> float:
-    counts, deviations = np.array(parts).T
-    return float(np.sqrt(np.average(np.square(deviations), weights=counts)))
-
-
-def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
-    """Channels without the kinks that the nominal model knows of: the current's steps bend pressures and f_h."""
-    signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
-    if model.has_position and model.has_pressures and "valve_current" in model.channels:
-        run = model.chamber_run(())
-        signals["pressure_a"], signals["pressure_b"] = run.innovations
-        if "hydraulic_force" in signals:
-            signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
-    return signals
+    parts = {channel: np.array(one).T for channel, one in found.items()}
+    return {
+        channel: float(np.sqrt(np.average(np.square(deviations), weights=counts)))
+        for channel, (counts, deviations) in parts.items()
+    }
 
 
 _SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
@@ -135,7 +130,7 @@ class SegmentNoise:
         doubt = self._swing(
             claims, VELOCITY_UNCERTAINTY + 0.5 * np.abs(model.a) * model.spacing * model.step, np.zeros_like(level)
         )
-        beyond = model.dry_friction_level(claims, np.full_like(model.v, _FAST))
+        beyond = model.dry_friction_level(claims, np.full_like(model.v, 1.0))  # m/s: there it is that of sliding
         if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self._kink(claims), beyond))
         late = [claim for claim in claims if claim.effect.lagged == "hydraulic_force"]
@@ -157,7 +152,8 @@ class SegmentNoise:
     @cached_property
     def reversals(self) -> int:
         """Number of times that the piston comes to a stand or reverses; what an encoder shows at rest is none."""
-        marks = np.where(self._resting, 1, 0) - np.where(~self._resting & (np.abs(self._model.v) > SLIDING), 1, 0)
+        slides = ~self._resting & (np.abs(self._model.v) > OUTLYING * VELOCITY_UNCERTAINTY)
+        marks = self._resting.astype(int) - slides.astype(int)
         return int(np.count_nonzero(np.diff(marks[marks != 0], prepend=-1) == 2))
 
     @cached_property
@@ -217,19 +213,13 @@ class SegmentNoise:
         stiff = self._stiffest("ab".index(chamber))
         built = np.square(stiff * gain * noise * model.step)  # neighbours share a reading
         if model.spacing > 1:
+            # What the box added to the current from sample to sample that no row shows: of n samples per row n - 1 are
+            # not seen, and the one that is stands for all, together n (n - 1) times the variance of a single one. What
+            # half of the rows change does not tell: they do not see these either.
+            measured = model.segment.measured
+            seen = np.ones(len(model.time), dtype=np.bool_) if measured is None else measured
+            dither = white_noise(current[model.segment.phase :: model.spacing])
             per_ampere = stiff * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * model.step
-            built = built + np.square(per_ampere) * self._hidden_current()
+            built = built + np.square(per_ampere) * np.where(seen, 0.0, model.spacing * dither**2)
         kept = (1.0 - model.step / OBSERVER_MEMORY) ** 2
         return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))
-
-    def _hidden_current(self) -> FloatArray:
-        """Variance [A^2] of what the box added to the current from sample to sample that no row shows, shape (n,).
-
-        Of n samples per row n - 1 are not seen, and the one that is stands for all of them: together n (n - 1) times
-        the variance of a single one. What half of the rows change does not tell: they do not see these either.
-        """
-        model = self._model
-        measured = model.segment.measured
-        seen = np.ones(len(model.time), dtype=np.bool_) if measured is None else measured
-        noise = white_noise(model.channels["valve_current"][model.segment.phase :: model.spacing])
-        return np.where(seen, 0.0, model.spacing * noise**2)

@@ -34,10 +34,9 @@ from hydro_diagnosis.effects.base import (
 from hydro_diagnosis.estimation.noise import SegmentNoise, mass_attenuation, sensor_noise
 from hydro_diagnosis.model.segment_model import BLOCKS, LAG_ITERATIONS, SegmentModel
 from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.significance import FOLDS
 from hydro_sim.model.bench import Bench
 
-FOLDS = 4
-"""Folds of the cross-validation of terms without a name."""
 FOLD_SECONDS = 1.0
 """Length of a held-out block [s]: many times the memory of any residual."""
 CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
@@ -88,22 +87,15 @@ class Layout:
         return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
-COST = {PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9}
-"""CPU [s] that a sample of each block takes on an AMD EPYC core, without claims that are of another kind;
-`benchmarks.real_recordings` has the CPU of each rig beside its work.
-"""
-EVALUATION_COST = 8e-4
-"""CPU [s] of an evaluation and of its part in a fit that does not grow with the samples of a block."""
-SEGMENT_COST = 2e-4
-"""CPU [s] of a segment, however short, in a block."""
-COLUMN = 5e-8
-"""CPU [s] of a sample's response to one column of a screen."""
-LEAST = 24.0
-"""Default budget [s] of search and laws, for up to 60 s at 1 kHz; beyond, in proportion to the samples. What follows
-takes a quarter of it at most.
-"""
+COST = {
+    PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9,  # of a sample, without claims of another kind
+    "column": 5e-8,  # of a sample's response to one column of a screen
+    "evaluation": 8e-4,  # and of its part in a fit that does not grow with the samples of a block
+    "segment": 2e-4,  # however short, in a block
+}  # fmt: skip
+"""CPU [s] by block or kind of work on an AMD EPYC core; `benchmarks.real_recordings` has it beside that of each rig."""
 SEARCH = 0.6
-"""Share of it that the search for names may take; the rest is for laws."""
+"""Share of the budget that the search for names may take; the rest is for laws."""
 
 
 @dataclass
@@ -117,13 +109,12 @@ class Budget:
     """Evaluations of all residuals: the measure of a search's effort."""
 
     def allow(self, samples: int) -> None:
-        """Set what is allowed by default for so many samples, unless it was chosen."""
-        if self.seconds is None:
-            self.seconds = LEAST * max(1.0, samples / 6e4)
+        """Set what search and laws may take for so many samples, unless it was chosen: 24 s for up to 60 s at 1 kHz.
 
-    def spend(self, seconds: float) -> None:
-        """Count work."""
-        self.spent += seconds
+        What follows takes a quarter of it at most.
+        """
+        if self.seconds is None:
+            self.seconds = 24.0 * max(1.0, samples / 6e4)
 
     def beyond(self, share: float) -> bool:
         """Whether more than a share of it is spent."""
@@ -141,10 +132,6 @@ ResidualParts = dict[tuple[str, int], FloatArray]
 
 NOTICEABLE = 0.35
 """Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
-CHANCE = 4.0
-"""Standard deviations of the mean of n squares of white noise, sqrt(2 / n), that it must exceed 1 by too."""
-_CACHE = 25
-"""Sets of claims whose residuals of a block are kept."""
 
 
 class Problem:
@@ -189,7 +176,10 @@ class Problem:
             SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)
         ]
         self.samples = sum(len(model.time) for model in self.models)
-        self.blocks = self._checked_blocks()
+        have = set.intersection(*(set(model.channels) for model in self.models))
+        refuse_unconnected(have, bench)
+        present = {one.block for one in connected(have, bench)}
+        self.blocks = tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
         self.layout = Layout.of(self.blocks, self.models)
         self.sensor_noise = noise or sensor_noise(self.models)
         """Noise of each sensor by its channel, SI units."""
@@ -202,7 +192,7 @@ class Problem:
         if MOTION in self.blocks:
             hidden = mass_attenuation(self.models, self.sensor_noise, bench.moving_mass)
             self.attenuation["moving_mass"] = hidden
-        self._cache = BoundedCache(_CACHE)
+        self._cache = BoundedCache(25)  # residuals of a block
         thinner = [segment.thinner or segment for segment in segments]
         lacking = like is None and any(segment.thinner for segment in segments)
         self.thinner = (
@@ -210,12 +200,6 @@ class Problem:
         )
         """The same problem from half of the rows where rows are missing; None where none are."""
         self._weigh(())
-
-    def _checked_blocks(self) -> tuple[str, ...]:
-        have = set.intersection(*(set(model.channels) for model in self.models))
-        refuse_unconnected(have, self.bench)
-        present = {one.block for one in connected(have, self.bench)}
-        return tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
 
     @property
     def unseen_ringing(self) -> float:
@@ -253,8 +237,11 @@ class Problem:
         if MOTION in self.blocks:
             count = sum(noise.reversals for noise in self._noises)
             doubt = [noise.friction(everything, count) for noise in self._noises]
-        hidden = self._changes(claims) if self.thinner is not None else {}
-        unseen = {key: self._level(key[1], change) for key, change in hidden.items()}
+        unseen: ResidualParts = {}
+        for key, change in (self._changes(claims) if self.thinner is not None else {}).items():
+            seconds = len(self.models[key[1]].time) * self.models[key[1]].step
+            count = max(round(FOLD_SECONDS * len(change) / seconds), 1)  # root mean square around each residual
+            unseen[key] = np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest"))
         self.uncertainty = tuple(float(np.sum(one)) for one in (*doubt, *unseen.values()))
         """Sum of the uncertainty per segment, all zeros without any: identifies the deviations."""
         self.deviations = np.empty(len(self.layout.time))
@@ -270,12 +257,6 @@ class Problem:
                     deviation = np.maximum(deviation, unseen[CHANNELS[index], k])
                 self.deviations[(self.layout.channel == index) & (self.layout.segment == k)] = deviation
 
-    def _level(self, segment: int, change: FloatArray) -> FloatArray:
-        """Root mean square of a change over `FOLD_SECONDS` around each residual."""
-        model = self.models[segment]
-        count = max(round(FOLD_SECONDS * len(change) / (len(model.time) * model.step)), 1)
-        return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
-
     def _changes(self, claims: Sequence[Claim]) -> ResidualParts:
         """Change of each residual if half of the rows are left out, physical unit."""
         whole = self.parts(claims)
@@ -290,13 +271,9 @@ class Problem:
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its deviation, one vector in the order of `layout`."""
-        self.count(1)
+        self.budget.evaluations += 1  # counted also where a cache spares it: a search's effort is the same
+        self.budget.spent += COST["evaluation"]
         return np.concatenate([*self.parts(claims).values()]) / self.deviations
-
-    def count(self, evaluations: int) -> None:
-        """Count evaluations, also those that a cache has spared: a search's effort is the same."""
-        self.budget.evaluations += evaluations
-        self.budget.spend(evaluations * EVALUATION_COST)
 
     def joined(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
         """By channel: responses of its residuals, over their deviation, to so many terms; shape (terms, residuals).
@@ -333,7 +310,7 @@ class Problem:
         def computed(some: Sequence[Claim]) -> list[dict[str, FloatArray]]:
             late = block == PRESSURE and any(claim.effect.lagged for claim in some)
             times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "invert_reading"))
-            self.budget.spend(times * (COST[block] * self.samples + SEGMENT_COST * len(self.models)))
+            self.budget.spent += times * (COST[block] * self.samples + COST["segment"] * len(self.models))
             return [one.residuals(block, some) for one in self.models]
 
         return self._cache.under(block, there, computed)
@@ -364,12 +341,11 @@ class Problem:
     def noise_thresholds(self) -> dict[str, float]:
         """Each channel's mean square over the noise's above which it holds more than noise.
 
-        The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
+        The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square): it must exceed
+        1 by four standard deviations, too.
         """
-        chances = {
-            name: CHANCE * float(np.sqrt(2.0 / n)) for name, n in zip(CHANNELS, self.layout.count, strict=True) if n
-        }
-        return {name: 1.0 + max(NOTICEABLE, chance) for name, chance in chances.items()}
+        counts = {name: n for name, n in zip(CHANNELS, self.layout.count, strict=True) if n}
+        return {name: 1.0 + max(NOTICEABLE, 4.0 * float(np.sqrt(2.0 / n))) for name, n in counts.items()}
 
     def remaining(self, residual: FloatArray) -> dict[str, float]:
         """Mean square over the noise's of those channels that hold more than noise."""

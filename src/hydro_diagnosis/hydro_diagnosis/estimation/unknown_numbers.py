@@ -8,7 +8,7 @@ bench is written again until it moves no more. Then the search has that effect i
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -23,16 +23,8 @@ from hydro_diagnosis.recording import InputError, Segment
 from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.model.bench import Bench
 
-SIZES = (1.0, 0.1, 10.0)
-"""Multiples of the stand-in at which a number that was not given begins."""
-SETTLED = 0.01
-"""Share of a number by which it may still move."""
-SECONDS = 12.0
-"""Length of the recordings that are looked at."""
 BESIDE = ("friction_coulomb", "friction_viscous", "force_offset", "leakage_internal", "valve_offset")
 """Causes that may be there too: without them an unknown number takes their place."""
-ABOVE = 1.1
-"""Supply pressure over the highest pressure recorded, where it begins at least."""
 
 
 @cache
@@ -53,11 +45,8 @@ def refuse_inestimable(names: Collection[str]) -> None:
     """Raise `InputError` if one of these is no number that can be estimated."""
     for name in names:
         if name not in estimable():
-            why = (
-                "is not a number of a bench file"
-                if name not in numbers()
-                else "cannot be estimated: nothing stands for it"
-            )
+            why = "cannot be estimated: nothing stands for it"
+            why = why if name in numbers() else "is not a number of a bench file"
             raise InputError(f"estimate: {name!r} {why}; those that can be are {', '.join(estimable())}")
 
 
@@ -77,11 +66,11 @@ def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence
     """
     if not any(lacks(bench, name) for name in names):
         return bench  # beside causes that are not known yet a fit would leave what was given
-    short = list(_short(segments))
+    share = min(12.0 / sum(len(one) * one.step for one in segments), 1.0)  # of each segment, 12 s in all
+    short = [one.cut(0, max(round(share * len(one)), min(len(one), round(2.0 / one.step)))) for one in segments]
     tried = []
-    for size in SIZES:
-        start = _start(bench, names, size, short)
-        tried.append(_settled(short, start, baseline, names))
+    for size in (1.0, 0.1, 10.0):  # multiples of the stand-in at which a number that was not given begins
+        tried.append(_settled(short, _start(bench, names, size, short), baseline, names))
         if not tried[-1][1].noticeable(tried[-1][2].residual):
             break
     return min(tried, key=lambda one: _left(one[1], one[2]))[0]
@@ -90,32 +79,27 @@ def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence
 def _settled(
     segments: Sequence[Segment], bench: Bench, baseline: Sequence[Claim], names: Sequence[str]
 ) -> tuple[Bench, Problem, Fit]:
-    """The bench, problem and fit once the numbers stand still."""
+    """The bench, problem and fit once the numbers stand still, within 1 %."""
+    taken = {estimable()[name].id for name in names}
     for _ in range(ITERATIONS):
         problem = Problem(segments, bench, baseline, estimated=estimated_claims(bench, names))
-        found = fit(problem, tuple(_beside(problem, names)))
+        others = [one.adapted(bench) for one in LIBRARY if one.label in BESIDE and one.id not in taken]
+        others = [one for one in others if one.blocks & set(problem.blocks)]
+        found = fit(problem, [Claim(one, {each.name: each.neutral for each in one.parameters}) for one in others])
         before = np.array([getattr(bench, name) for name in names])
         for claim in found.claims:
             if claim.effect.estimated:
                 bench = claim.effect.settled(bench, claim.values)
         after = np.array([getattr(bench, name) for name in names])
-        if np.all(np.abs(after - before) <= SETTLED * np.maximum(np.abs(before), 1e-12)):
+        if np.all(np.abs(after - before) <= 0.01 * np.maximum(np.abs(before), 1e-12)):
             break
     return bench, problem, found
-
-
-def _beside(problem: Problem, names: Collection[str]) -> Iterator[Claim]:
-    taken = {estimable()[name].id for name in names}
-    for effect in LIBRARY:
-        if effect.label in BESIDE and effect.id not in taken and effect.blocks & set(problem.blocks):
-            adapted = effect.adapted(problem.bench)
-            yield Claim(adapted, {one.name: one.neutral for one in adapted.parameters})
 
 
 def _start(bench: Bench, names: Collection[str], size: float, segments: Sequence[Segment]) -> Bench:
     values = {name: getattr(bench, name) * (1.0 if not lacks(bench, name) else size) for name in names}
     if "supply_pressure" in values and lacks(bench, "supply_pressure"):
-        values["supply_pressure"] = ABOVE * max(
+        values["supply_pressure"] = 1.1 * max(
             float(segment.channels[name].max())
             for segment in segments
             for name in ("pressure_a", "pressure_b")
@@ -137,10 +121,3 @@ def _left(problem: Problem, found: Fit) -> float:
         sums[0] += float(np.sum(np.square(part)))
         sums[1] += len(part)
     return float(sum(count * np.log(max(squares, 1e-300) / count) for squares, count in parts.values()))
-
-
-def _short(segments: Sequence[Segment]) -> Iterator[Segment]:
-    """The first `SECONDS` in all, the same share of each segment."""
-    share = min(SECONDS / sum(len(one) * one.step for one in segments), 1.0)
-    for one in segments:
-        yield one.cut(0, max(round(share * len(one)), min(len(one), round(2.0 / one.step))))

@@ -107,7 +107,7 @@ def source_of(field: str, value: Any) -> Source:
         if not isfinite(number):
             raise InputError(f"columns: {field} = {number} is not a finite number")
         return Source("", (("+", number),))
-    column, unit, steps, delay = (_of_words if isinstance(value, Mapping) else _of_text)(field, value)
+    column, unit, steps, delay = _of_words(field, value) if isinstance(value, Mapping) else _of_text(field, value)
     if unit is not None and not known(unit):
         raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
     wanted, unit = QUANTITY_OF.get(field, ""), known(unit or "")
@@ -225,7 +225,15 @@ class ColumnMap:
             there = {str(key): value for key, value in given.items() if str(key) not in absent}
             return cls({_target(key): source_of(key, value) for key, value in there.items()}, absent)
         if isinstance(given, Path) or (str(given).endswith((".yaml", ".yml")) and "=" not in str(given)):
-            return cls.load(_from_yaml(Path(given)))
+            try:
+                content = yaml.safe_load(Path(given).read_text(encoding="utf-8"))
+            except (OSError, UnicodeDecodeError) as error:
+                raise InputError(f"{given}: {getattr(error, 'strerror', None) or error}") from None
+            except yaml.YAMLError as error:
+                raise InputError(f"{given}: not YAML: {' '.join(str(error).split())}") from None
+            if not isinstance(content, Mapping):
+                raise InputError(f"{given}: a column map is a mapping of fields to columns")
+            return cls.load(content)
         parts = re.findall(r"""(?:[^,'"]|'[^']*'|"[^"]*")+""", str(given))  # at commas outside of quotes
         pairs = [part.partition("=") for part in parts if part.strip()]
         for left, equals, _ in pairs:
@@ -240,15 +248,3 @@ def _target(name: str) -> str:
         hint = f", did you mean {close[0]!r}?" if close else f": there are {', '.join(TARGETS)}"
         raise InputError(f"columns: {name!r} is not a field of a recording{hint}")
     return name
-
-
-def _from_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(content, Mapping):
-        raise InputError(f"{path}: a column map is a mapping of fields to columns")
-    return content

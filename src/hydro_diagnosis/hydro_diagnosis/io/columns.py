@@ -6,8 +6,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import count, takewhile
+from operator import eq
 
 import numpy as np
 
@@ -68,6 +68,18 @@ def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
     steps = np.diff(values[np.isfinite(values)])
     forward = steps >= 0.0 if ticks and np.any(steps > 0.0) else steps > 0.0
     return len(steps) > 0 and float(np.mean(forward)) > 0.9
+
+
+def median_step(times: FloatArray) -> float:
+    """Middle of the steps forward; inf where there is none."""
+    steps = np.diff(times)
+    return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
+
+
+def means(values: FloatArray, samples: int) -> FloatArray:
+    """Means over so many samples each; what is left at the end is not used."""
+    averaged: FloatArray = values[: len(values) // samples * samples].reshape(-1, samples).mean(axis=1)
+    return averaged
 
 
 def is_time(name: str, values: FloatArray) -> bool:
@@ -145,10 +157,8 @@ def merged(parts: Iterable[Columns]) -> Columns:
 
 def _goes_on(above: Columns, below: Columns) -> bool:
     """Return whether all times of one part follow those of another: clocks, else the column named so or the first."""
-    clocks = set(above.clocks.values())
-    if not clocks:
-        named = (name for name, values in above.series.items() if is_time(name, values))
-        clocks = {next(named, next(iter(above.series)))}
+    named = (name for name, values in above.series.items() if is_time(name, values))
+    clocks = set(above.clocks.values()) or {next(named, next(iter(above.series)))}
     ends = [(above.series[name], below.series[name]) for name in clocks]
     ends = [(one[np.isfinite(one)], other[np.isfinite(other)]) for one, other in ends]
     return all(len(a) and len(b) and runs_forward(a, ticks=True) and b[0] >= a[-1] for a, b in ends)
@@ -163,8 +173,7 @@ def tell_days(found: Columns) -> None:
         finite = values[np.isfinite(values)]
         if found.unit(name) or not is_time(name, values) or len(finite) < 3:
             continue
-        steps, first = np.diff(finite), finite[0]
-        step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 1.0
+        first, step = finite[0], median_step(finite)
         dated = 20_000.0 < first < 80_000.0 or 690_000.0 < first < 780_000.0
         if step < (2e-5 if dated else 2e-6) and (dated or 0.0 <= first < 1.0) and finite[-1] - first < 30.0:
             found.units[name] = "d"
@@ -185,17 +194,14 @@ def assign_clocks_of_equal_length(found: Columns) -> None:
     for name, values in [*series.items()]:
         alike = [time for time in times if len(series[time]) == len(values)]
         if alike:
-            clocks[name] = max(alike, key=partial(_leading_parts_in_common, name))
+            parts = name.split(".")[:-1]
+            in_common = [sum(takewhile(bool, map(eq, parts, time.split(".")[:-1]))) for time in alike]
+            clocks[name] = alike[int(np.argmax(in_common))]
         elif len(values) != longest:
             found.other.append(name)
             del series[name]
     if len({clocks.get(name) for name in series}) == 1:
         clocks.clear()
-
-
-def _leading_parts_in_common(one: str, other: str) -> int:
-    parts = zip(one.split(".")[:-1], other.split(".")[:-1], strict=False)
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], parts))
 
 
 def unique(name: str, taken: Mapping[str, object]) -> str:

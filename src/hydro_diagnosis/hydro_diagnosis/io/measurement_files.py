@@ -168,17 +168,12 @@ def _capture(content: Any) -> Columns | None:
     return found
 
 
-def is_hdf5(path: Path) -> bool:
-    """Return whether a file is HDF5, whatever its name; a MATLAB 7.3 file is, behind a header of 512 bytes."""
-    return bool(h5py.is_hdf5(str(path)))
-
-
 def hdf5_columns(path: Path) -> Columns:
     """Numbers of an HDF5 file, groups by dots, matrices and the fields of tables into `name.0` and `name.field`.
 
     Raises ValueError, OSError if it cannot be read.
     """
-    if not is_hdf5(path):
+    if not h5py.is_hdf5(path):
         raise ValueError("not an HDF5 file that can be read")
     objects: list[str] = []
     with h5py.File(path, "r") as file:

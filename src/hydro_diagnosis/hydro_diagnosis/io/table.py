@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 
@@ -24,9 +25,9 @@ from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
-from hydro_diagnosis.io.columns import Columns, tell_days
+from hydro_diagnosis.io.columns import Columns, median_step, tell_days
 from hydro_diagnosis.io.delimited import delimited_columns, numbers_of
-from hydro_diagnosis.io.measurement_files import hdf5_columns, is_hdf5, matlab_columns, mdf_columns, tdms_columns
+from hydro_diagnosis.io.measurement_files import hdf5_columns, matlab_columns, mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
 from hydro_diagnosis.io.units import OFFERED, known, quantity, split_unit, to_si
 from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, unreadable
@@ -42,7 +43,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     base = base_of(sources, found)
     times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
     time = times(base)
-    step, inside = _step(time), np.ones(len(time), dtype=bool)
+    step, inside = median_step(time), np.ones(len(time), dtype=bool)
     coincident = 1e-3 * step  # within which two times are the same: times of day have 0.2 us in a float
     fields = {}
     for field, source in sources.items():
@@ -60,9 +61,9 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
             fields[field] = values
             continue
         timed, values = own[np.isfinite(own)], values[np.isfinite(own)]
-        if field in MEASURED and _step(timed) > 1.2 * step:
+        if field in MEASURED and median_step(timed) > 1.2 * step:
             notes.append(
-                f"{field} is sampled {1.0 / _step(times(clock)):.4g} times a second, the others {1.0 / step:.4g} "
+                f"{field} is sampled {1.0 / median_step(times(clock)):.4g} times a second, the others {1.0 / step:.4g} "
                 f"times: it was left out (--columns time='{clock}' brings all to its times)"
             )
             continue
@@ -163,18 +164,13 @@ def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArra
 
 def _held_mean(own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray:
     """Mean of what is held from each of its own times to the next, over a row's length about the sample's middle."""
-    ends = np.concatenate([own, own[-1:] + _step(own)])
+    ends = np.concatenate([own, own[-1:] + median_step(own)])
     dose = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
-    rows = np.diff(time, append=time[-1] + _step(time))
+    rows = np.diff(time, append=time[-1] + median_step(time))
     middle = time + 0.5 * np.minimum(rows, SAMPLE_PERIOD)
     low, high = (np.clip(middle + side * 0.5 * rows, ends[0], ends[-1]) for side in (-1.0, 1.0))
     widths = np.where(high > low, high - low, np.nan)
     return np.asarray((np.interp(high, ends, dose) - np.interp(low, ends, dose)) / widths)
-
-
-def _step(times: FloatArray) -> float:
-    steps = np.diff(times)
-    return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
 
 
 def read_columns(path: Path) -> Columns:
@@ -184,7 +180,7 @@ def read_columns(path: Path) -> Columns:
         if kind == ".dat":  # INCA's are MDF, those of test machines are text
             with path.open("rb") as file:
                 kind = ".mdf" if file.read(3) == b"MDF" else ".txt"
-        elif kind == ".mat" and is_hdf5(path):  # from MATLAB 7.3 on
+        elif kind == ".mat" and h5py.is_hdf5(path):  # from MATLAB 7.3 on
             kind = ".h5"
         found = _READERS[kind](path)
     except pd.errors.EmptyDataError:

@@ -40,20 +40,16 @@ _WORD = re.compile(r"(?:1/)?[A-Za-zµμΩ°%$/*·^(][\w µμΩ°%/*·^().²³⁻
 
 
 @cache
-def _registry() -> Any:
-    import pint
-
-    return pint.UnitRegistry()
-
-
-@cache
 def _measured(text: str) -> tuple[str, float] | None:
     """Quantity of a unit and its factor to SI, or None where pint or the bench has none."""
     if text in _COMMON:
         return _COMMON[text]
     if not _WORD.fullmatch(text):
         return None
-    units, powers = _registry(), re.sub(r"(?<=[A-Za-z])(-?[1-4])(?![\w])", r"**\1", text)
+    import pint
+
+    units: Any = pint.get_application_registry()
+    powers = re.sub(r"(?<=[A-Za-z])(-?[1-4])(?![\w])", r"**\1", text)
     try:
         parsed = units.parse_units(powers)
         dimensions = parsed.dimensionality

@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Pair, acting
-from hydro_diagnosis.effects.kernels import substep_mean
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Pair, acting, substep_mean
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
@@ -77,6 +77,12 @@ def first_moments(gain, moment, spool, p_a, p_b, supply, tank):
     return into_a, into_b
 
 
+OBSERVER_MEMORY = 0.12
+"""Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
+BLOCK = 0.1
+"""Averaging time [s] of the hydraulic balance."""
+
+
 @njit
 def innovations(recorded, built, gain):
     """What a recorded signal has beyond the sum of what each sample has `built`, minus its slow part, shape (n,).
@@ -106,15 +112,6 @@ def derivatives(rates, bench, state, flows_a, flows_b, stiff_a, stiff_b, against
         rates[1, k] = (driven - bench.viscous_friction * v - against[k] - load[k]) / bench.moving_mass
         stiff, flows = (stiff_a[k], stiff_b[k]), (flows_a[k], flows_b[k])
         rates[2, k], rates[3, k] = compiled.pressure_rates(bench, stiff, flows, v)
-
-
-@njit
-def runge_kutta(after, state, first, second, third, fourth, step):
-    """Write the state after a step of the classical method, shape (4, n)."""
-    for j in range(state.shape[0]):
-        for k in range(state.shape[1]):
-            slope = first[j, k] + 2.0 * second[j, k] + 2.0 * third[j, k] + fourth[j, k]
-            after[j, k] = state[j, k] + step / 6.0 * slope
 
 
 @njit
@@ -148,21 +145,6 @@ def nominal_run(states, bench, state, begins, spool, step):
 
 SUBSTEPS = 4
 """Substeps per sample of the spool's position: the current is held for a sample, the spool is not."""
-_FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
-
-
-def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim]) -> FloatArray:
-    """Spool position [A], shape (n, substeps), from the recorded current of shape (n,).
-
-    An unshaped current is constant within a sample and needs only one substep.
-    """
-    moving = sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage)
-    if current.ndim == 1:
-        current = np.repeat(current[:, None], SUBSTEPS if moving else 1, axis=1)
-    spool = current
-    for claim in moving:
-        spool = claim.effect.command(spool, substep, claim.values)
-    return spool
 
 
 def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> Pair:
@@ -170,7 +152,18 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
     if acting(claims, "openings", "supply"):
-        (out, back), supply = _fed(bench, oil, claims, memory)
+        edges: Pair = (np.maximum(oil.spool, 0.0) * bench.valve_gain, np.maximum(-oil.spool, 0.0) * bench.valve_gain)
+        for claim in acting(claims, "openings"):
+            edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
+        out, back = (substep_mean(one) for one in edges)
+        supply = np.full_like(p_a, bench.supply_pressure)
+        sagging = acting(claims, "supply")
+        for _ in range(3 if sagging else 0):
+            (drop_a, _), (_, drop_b) = eq.edge_drops(supply, tank, p_a, p_b)
+            demand = out * eq.signed_root(drop_a) + back * eq.signed_root(drop_b)
+            supply = np.full_like(p_a, bench.supply_pressure)
+            for claim in sagging:
+                supply = claim.effect.supply(supply, demand, memory, claim.values)
         edge_flows(*flows, out, back, p_a, p_b, supply, tank)
     else:
         nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, tank)
@@ -179,39 +172,16 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     return flows
 
 
-def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[Pair, FloatArray]:
-    """Conductances [m3/s/sqrt(Pa)] of the edges that drive the piston out and back, and the supply pressure [Pa]."""
-    edges: Pair = (np.maximum(oil.spool, 0.0) * bench.valve_gain, np.maximum(-oil.spool, 0.0) * bench.valve_gain)
-    for claim in acting(claims, "openings"):
-        edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
-    out, back = (substep_mean(one) for one in edges)
-    p_a, p_b = oil.pressures
-    supply = np.full_like(p_a, bench.supply_pressure)
-    sagging = acting(claims, "supply")
-    for _ in range(3 if sagging else 0):
-        (drop_a, _), (_, drop_b) = eq.edge_drops(supply, bench.tank_pressure, p_a, p_b)
-        demand = out * eq.signed_root(drop_a) + back * eq.signed_root(drop_b)
-        supply = np.full_like(p_a, bench.supply_pressure)
-        for claim in sagging:
-            supply = claim.effect.supply(supply, demand, memory, claim.values)
-    return (out, back), supply
-
-
 def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> Pair:
     """beta/V [Pa/m3] of both chambers."""
     softer = acting(claims, "modulus")
-    moduli: list[FloatArray | float] = [bench.bulk_modulus, bench.bulk_modulus]
-    if softer:
-        moduli = [_modulus(bench, pressure, softer) for pressure in oil.pressures]
+    moduli: list[Any] = [bench.bulk_modulus, bench.bulk_modulus]
+    for k, pressure in enumerate(oil.pressures if softer else ()):
+        moduli[k] = np.full_like(pressure, bench.bulk_modulus)
+        for claim in softer:
+            moduli[k] = claim.effect.modulus(moduli[k], pressure, claim.values)
     stiff: Pair = eq.stiffnesses(bench, (moduli[0], moduli[1]), oil.position)
     return stiff
-
-
-def _modulus(bench: Bench, pressure: FloatArray, claims: Sequence[Claim]) -> FloatArray:
-    modulus = np.full_like(pressure, bench.bulk_modulus)
-    for claim in claims:
-        modulus = claim.effect.modulus(modulus, pressure, claim.values)
-    return modulus
 
 
 @dataclass(frozen=True)
@@ -228,7 +198,8 @@ class ChamberRun:
 
 def force_arc(bench: Bench, oil: Oil, stiff: Pair, acceleration: FloatArray, step: float) -> FloatArray:
     """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
-    moment = _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
+    moment = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
+    moment = moment if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
     flows = first_moments(
         bench.valve_gain, moment, oil.spool, *oil.pressures, bench.supply_pressure, bench.tank_pressure
     )

@@ -14,12 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
-from hydro_diagnosis.effects import kernels
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, Pair
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Pair, substep_mean
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.segment_model import BLOCKS, OBSERVER_MEMORY, SLOPE_STEP, SegmentModel
+from hydro_diagnosis.model.segment_model import BLOCKS, SLOPE_STEP, SegmentModel
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
 
@@ -36,7 +35,7 @@ class Responses:
         self.bench = self.model.bench(claims)
         self._channels = {name for block in blocks for name in BLOCKS[block]}
         self._memory = Memory(model.step, self.model.beside)
-        self._gain = model.step / OBSERVER_MEMORY
+        self._gain = model.step / chambers.OBSERVER_MEMORY
         self._nothing = np.zeros_like(model.time)
 
     @cached_property
@@ -50,25 +49,32 @@ class Responses:
     @cached_property
     def _roots(self) -> list[FloatArray]:
         """Roots of the pressure drops [sqrt(Pa)] that the valve has opened into chamber A and out of chamber B."""
-        extends = kernels.substep_mean(self._oil.spool) >= 0.0
+        extends = substep_mean(self._oil.spool) >= 0.0
         drops = eq.edge_drops(self.bench.supply_pressure, self.bench.tank_pressure, *self._oil.pressures)
         return [eq.signed_root(np.where(extends, out, back)) for out, back in zip(*drops, strict=True)]
 
     def of(self, terms: Sequence[Claim]) -> Shown:
         """Responses to terms of one law."""
-        effect, model = terms[0].effect, self.model
+        effect, model, nothing = terms[0].effect, self.model, self._nothing
         assert isinstance(effect, Closure)
         if effect.acts_in("opposing_force"):
-            nothing, motion = self._nothing, model.kinematics
+            motion = model.kinematics
             return self.to_force(np.stack([one.effect.opposing_force(nothing, nothing, motion, self._memory, one.values)
                                            for one in terms]))  # fmt: skip
         if effect.acts_in("load"):
-            return self.to_load(*(np.stack([self._loading(one, motion) for one in terms])
-                                  for motion in (model.kinematics, model.recorded)))  # fmt: skip
+            moved, recorded = (
+                np.stack([one.effect.load(nothing, motion, self.bench, self._memory, one.values) for one in terms])
+                for motion in (model.kinematics, model.recorded)
+            )
+            return self.to_load(moved, recorded)
         if effect.acts_in("command"):
-            return self.to_spool(np.stack([self._commanding(one) for one in terms]))
+            spool = self._oil.spool
+            spool = np.repeat(spool, chambers.SUBSTEPS, axis=1) if spool.shape[-1] == 1 else spool
+            substep = model.step / spool.shape[-1]
+            shifts = [one.effect.command(spool, substep, one.values) - spool for one in terms]
+            return self.to_spool(np.stack([substep_mean(one) for one in shifts]))
         if effect.acts_in("leaks"):
-            still = self._nothing, self._nothing
+            still = nothing, nothing
             flows = [one.effect.leaks(still, self._oil, self.bench, self._memory, one.values) for one in terms]
             return self.to_flows(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
         if effect.places:
@@ -77,22 +83,9 @@ class Responses:
             return self._misread(terms, effect.law.where)
         return self._read(terms, effect.law.where)
 
-    def _loading(self, claim: Claim, motion: Kinematics) -> FloatArray:
-        return claim.effect.load(self._nothing, motion, self.bench, self._memory, claim.values)
-
-    def _commanding(self, claim: Claim) -> FloatArray:
-        spool = self._oil.spool
-        if spool.shape[-1] == 1:
-            spool = np.repeat(spool, chambers.SUBSTEPS, axis=1)
-        moved = claim.effect.command(spool, self.model.step / spool.shape[-1], claim.values) - spool
-        return kernels.substep_mean(moved)
-
     def smooth(self, signals: FloatArray) -> FloatArray:
         """`SegmentModel.kept_smooth` of each, shape (terms, judged rows)."""
         return np.stack([self.model.kept_smooth(one) for one in signals])
-
-    def _finish(self, signals: FloatArray) -> FloatArray:
-        return np.stack([self.model.kept_finish(one) for one in signals])
 
     def present(self, shown: Mapping[str, FloatArray]) -> Shown:
         """What shows in the blocks that are looked at."""
@@ -100,7 +93,7 @@ class Responses:
 
     def to_force(self, force: FloatArray) -> Shown:
         """Responses to forces against the motion [N], shape (terms, n)."""
-        return self.present({"motion": -self._finish(force)})
+        return self.present({"motion": -np.stack([self.model.kept_finish(one) for one in force])})
 
     def to_load(self, moved: FloatArray, recorded: FloatArray) -> Shown:
         """Responses to forces of the load [N], shape (terms, n): at the smoothed motion, and at that recorded."""
@@ -166,7 +159,7 @@ class Responses:
             for name, built, by in zip(_PRESSURES, self._built, self._by_pressure[channel], strict=True):
                 more, off = -by * chambers.middle(error), self._nothing
                 if name == channel and one.effect.nonlinear_channel == channel:
-                    more = more + built * self._slope(channel, signal, one)
+                    more = more + built * (model.reading_slope(channel, signal, [one]) - 1.0)
                 elif name == channel:
                     off = -error
                 shown[name].append(model.kept_smooth(self.seen_by_observer(off, more)))
@@ -192,9 +185,3 @@ class Responses:
             a, b = ((up - down) / (2.0 * SLOPE_STEP) for up, down in zip(*moved, strict=True))
             found[name] = a, b
         return found
-
-    def _slope(self, channel: str, signal: FloatArray, term: Claim) -> FloatArray:
-        """Change of the error [-] per change of the pressure, within each sample."""
-        middle = chambers.middle(signal)
-        above, below = (self.model.reading(channel, middle + sign * SLOPE_STEP, [term]) for sign in (1.0, -1.0))
-        return (above - below) / (2.0 * SLOPE_STEP) - 1.0

@@ -38,7 +38,7 @@ from hydro_diagnosis.effects.base import (
 )
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import ChamberRun
+from hydro_diagnosis.model.chambers import BLOCK, OBSERVER_MEMORY, ChamberRun
 from hydro_diagnosis.preprocessing.smoothing import (
     KINEMATIC_WIDTH,
     STRIDE,
@@ -57,26 +57,12 @@ from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 SLIP_VELOCITY = 3e-4
 """Velocity [m/s] over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
-BLOCK = 0.1
-"""Averaging time [s] of the hydraulic balance."""
-TAIL = 20
-"""Recorded rows at a segment's end that are not judged."""
-MARGIN = round(4.0 * TOTAL_WIDTH)
-"""Recorded rows before and after one that is missing that are not judged: what the test function sees."""
-CACHE_SIZE = 10
-"""Largest number of intermediate results that a segment keeps."""
 LAG_ITERATIONS = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
-OBSERVER_MEMORY = 0.12
-"""Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
-SETTLE = 2.5 * OBSERVER_MEMORY
-"""Time [s] at the start of a segment that is not judged: filters and observer settle, to 8 %."""
 SLOPE_STEP = 1e3
 """Step [Pa] of the differences that give the slope of a curved reading."""
 _NODES, _WEIGHTS = hermegauss(3)
 """Of a mean over a Gaussian; the weights sum to the root of two pi."""
-PLACES = 4
-"""Corrected positions that a segment keeps."""
 BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
 """Channels of residuals in each block."""
 
@@ -100,10 +86,12 @@ class SegmentModel:
         self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
         self.at_the_rod = at_the_rod(channels, bench)
         """Whether the load's force in the motion equation is what its cell measured."""
-        self.settle = min(round(SETTLE / self.step), len(segment) // 4)
-        end = len(segment) - TAIL * self.spacing
+        self.settle = min(round(2.5 * OBSERVER_MEMORY / self.step), len(segment) // 4)
+        """Samples at the start that are not judged: filters and observer settle, to 8 %."""
+        end = len(segment) - 20 * self.spacing  # the last rows are not judged
+        margin = round(4.0 * TOTAL_WIDTH)  # what the test function sees on either side of a row that is missing
         self.rows: npt.NDArray[np.int64] | slice = (
-            like.rows if like else segment.judged(self.settle, end, STRIDE, MARGIN)
+            like.rows if like else segment.judged(self.settle, end, STRIDE, margin)
         )
         """Samples that are judged."""
         self._judged = np.arange(len(segment))[self.rows]
@@ -113,20 +101,16 @@ class SegmentModel:
             self.kinematics = Kinematics(self.time, self.x, self.v, pressures, self.a)
             bent = second_derivative(channels["piston_position"], self.step)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
-        self.beside = self._beside()
+        self.beside = {name: channels[name] for name in ("pressure_a", "pressure_b") if name in channels}
         """Signals that a sensor's reading may depend on besides its own, shape (n,) each."""
-        self.memory = Memory(segment.step, self.beside)
-        self._cache, self._placed = BoundedCache(CACHE_SIZE), BoundedCache(PLACES)
-
-    def _beside(self) -> dict[str, FloatArray]:
-        """A reading is taken under the current that was held until then."""
-        found = {name: self.channels[name] for name in ("pressure_a", "pressure_b") if name in self.channels}
         if self.has_position:
-            found |= {"position": self.channels["piston_position"], "velocity": self.v, "acceleration": self.a}
-        if "valve_current" in self.channels:
-            current = self.channels["valve_current"]
-            found["current"] = np.concatenate([current[:1], current[:-1]])
-        return found
+            self.beside |= {"position": channels["piston_position"], "velocity": self.v, "acceleration": self.a}
+        if "valve_current" in channels:  # a reading is taken under the current that was held until then
+            current = channels["valve_current"]
+            self.beside["current"] = np.concatenate([current[:1], current[:-1]])
+        self.memory = Memory(segment.step, self.beside)
+        self._cache = BoundedCache(10)  # intermediate results
+        self._placed = BoundedCache(4)  # models with corrected positions
 
     def bench(self, claims: Sequence[Claim]) -> Bench:
         """The bench with the values that the claims replace."""
@@ -219,17 +203,17 @@ class SegmentModel:
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
-        """Each claim's spool is kept back, so that what comes later in the command's path begins there."""
-        if not claims:
-            return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, ())
-        *before, last = claims
-        spool = self._cache.under("spool", before, self._spool) if before else self._held_current
-        return last.effect.command(spool, self.step / chambers.SUBSTEPS, last.values)
+        """Shape (n, substeps); an unshaped current is constant within a sample and needs only one substep.
 
-    @cached_property
-    def _held_current(self) -> FloatArray:
-        """A, shape (n, substeps)."""
-        return np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS, axis=1)
+        Each claim's spool is kept back, so that what comes later in the command's path begins there.
+        """
+        if len(claims) > 1:
+            spool = self._cache.under("spool", claims[:-1], self._spool)
+        else:
+            spool = np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS if claims else 1, axis=1)
+        for claim in claims[-1:]:
+            spool = claim.effect.command(spool, self.step / chambers.SUBSTEPS, claim.values)
+        return spool
 
     def _middle_pressures(self, claims: Sequence[Claim]) -> Pair:
         p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
@@ -255,14 +239,9 @@ class SegmentModel:
     def built(self, bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[Pair, Pair]:
         """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
-        stiff = chambers.compliances(bench, oil, claims)
-        return stiff, eq.pressure_rates(bench, stiff, (into_a * self.step, into_b * self.step), self._moved)
-
-    @cached_property
-    def _moved(self) -> FloatArray:
-        """Change [m] of the position from each sample to the next."""
-        position = self.channels["piston_position"]
-        return np.diff(position, append=position[-1])
+        stiff, position = chambers.compliances(bench, oil, claims), self.channels["piston_position"]
+        moved = np.diff(position, append=position[-1])
+        return stiff, eq.pressure_rates(bench, stiff, (into_a * self.step, into_b * self.step), moved)
 
     def _ahead_of_lag(self, oil: Oil, built: Pair, claims: Sequence[Claim]) -> Oil:
         """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
@@ -279,7 +258,7 @@ class SegmentModel:
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
         curved = [claim for claim in claims if claim.effect.nonlinear_channel == channel]
         if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
-            built = built * self._slope(channel, claims, curved)
+            built = built * self.reading_slope(channel, self.true_signal(channel, claims), curved)
             claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
         gain = self.step / OBSERVER_MEMORY
         if not acting(claims, "read_sensor"):
@@ -290,9 +269,9 @@ class SegmentModel:
         followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
         return unexplained - np.asarray(followed)
 
-    def _slope(self, channel: str, claims: Sequence[Claim], curved: Sequence[Claim]) -> FloatArray:
-        """Change of a curved reading [-] per change of its signal, within each sample."""
-        signal = chambers.middle(self.true_signal(channel, claims))
+    def reading_slope(self, channel: str, signal: FloatArray, curved: Sequence[Claim]) -> FloatArray:
+        """Change of a curved reading [-] per change of its true signal, within each sample."""
+        signal = chambers.middle(signal)
         above, below = (self.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
         return np.asarray((above - below) / (2.0 * SLOPE_STEP))
 
@@ -349,17 +328,13 @@ class SegmentModel:
 
     def variable(self, name: str) -> FloatArray:
         """A variable that a hidden input may depend on, shape (n,), SI units."""
-        if name == "time":
-            return self.time
-        if name == "position":
-            return self.x
-        if name == "velocity":
-            return self.v
-        if name == "current":
-            return self.channels["valve_current"]
         if name == "pressure_difference":
             return self.smooth(self.channels["pressure_a"] - self.channels["pressure_b"])
-        return self.smooth(self.channels[name])
+        if name == "current":
+            return self.channels["valve_current"]
+        attribute = {"time": "time", "position": "x", "velocity": "v"}.get(name)
+        signal: FloatArray = getattr(self, attribute) if attribute else self.smooth(self.channels[name])
+        return signal
 
     def placed(self, claims: Sequence[Claim]) -> SegmentModel:
         """The same segment with the position that is the piston's under these claims; itself, if it is the recorded."""
@@ -383,7 +358,10 @@ class SegmentModel:
         if block == MOTION:
             return {"motion": model.motion_residual(claims)}
         if block == LOAD:
-            return {"load": model.load_residual(claims)}
+            bench = model.bench(claims)
+            force = model.behind_cell(model.spring_force(bench, claims, model.recorded), bench)
+            off = model.channels["load_force"] - model.reading("load_force", force, claims)
+            return {"load": model.kept_smooth(off)}
         if block == HYDRAULIC:
             return {"hydraulic": model.hydraulic_residual(claims)}
         run = model.chamber_run(claims)
@@ -428,12 +406,6 @@ class SegmentModel:
         """N, decimated: what straight lines between the samples of f_h exceed them by."""
         bent = correlate1d(self.driving_force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest")
         return self.kept_smooth(bent)
-
-    def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
-        """N, decimated."""
-        bench = self.bench(claims)
-        force = self.behind_cell(self.spring_force(bench, claims, self.recorded), bench)
-        return self.kept_smooth(self.channels["load_force"] - self.reading("load_force", force, claims))
 
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""

@@ -9,7 +9,7 @@ simulated states are their response to the recording, and to how far the states 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -151,15 +151,19 @@ class Plant:
     """Elements with memory, along the recording."""
     channels: Mapping[str, FloatArray]
     """As recorded; the position of `model` is the piston's under the claims."""
+    sticks: bool
+    """Whether dry friction holds the piston as far as it reaches: no bristles carry it."""
 
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:
         """Prepare a recording."""
-        substeps = chambers.SUBSTEPS * (2 if _sticks(claims) else 1)
+        sticks = bool(acting(claims, "dry_level")) and not any(claim.effect.bristles for claim in claims)
+        substeps = chambers.SUBSTEPS * (2 if sticks else 1)
         channels, model = model.channels, model.placed(claims)
         claims = [claim for claim in claims if not claim.effect.places]
-        current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
-        spool = chambers.spool_position(current, model.step / substeps, claims)
+        spool = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
+        for claim in sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage):
+            spool = claim.effect.command(spool, model.step / substeps, claim.values)
         memory = model.memory = Memory(model.step, model.beside)
         model.chamber_run(claims)
         model.required_force(claims)
@@ -167,7 +171,7 @@ class Plant:
             claim.effect.trace(model.kinematics, memory, claim.values)
         if "load_force" in model.channels:
             model.spring_force(model.bench(claims), claims, model.recorded)
-        return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces), channels)
+        return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces), channels, sticks)
 
     def rates(
         self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, grip: Grip | None = None
@@ -195,24 +199,15 @@ class Plant:
     @cached_property
     def acting(self) -> dict[str, tuple[Claim, ...]]:
         """Claims by the hook of `Effect` that they change, and those that act in the chambers."""
-        hydraulic = "openings", "supply", "leaks", "modulus"  # the spool's path is computed beforehand
-        groups = {
-            "hydraulic": hydraulic,
-            **{hook: (hook,) for hook in ("dry_level", "opposing_force", "load", "inertia")},
-        }
-        return {name: tuple(acting(self.claims, *hooks))
-                for name, hooks in groups.items()}  # fmt: skip
+        found = {hook: tuple(acting(self.claims, hook)) for hook in ("dry_level", "opposing_force", "load", "inertia")}
+        # the spool's path is computed beforehand
+        return {"hydraulic": tuple(acting(self.claims, "openings", "supply", "leaks", "modulus")), **found}
 
     def mass(self, motion: Kinematics) -> FloatArray | float:
         """Mass [kg] that the piston moves."""
         return self.bench.moving_mass + sum(
             claim.effect.inertia(motion, self.bench, claim.values) for claim in self.acting["inertia"]
         )
-
-    @property
-    def textbook(self) -> bool:
-        """Whether no claim acts in the rates; others change numbers of the bench, the spool's path or sensors."""
-        return not any(self.acting.values())
 
     @cached_property
     def _numbers(self) -> np.void:
@@ -232,11 +227,6 @@ class Plant:
         for claim in self.acting["dry_level"]:
             level = claim.effect.dry_level(level, motion, claim.values)
         return level
-
-    @cached_property
-    def sticks(self) -> bool:
-        """Whether dry friction holds the piston as far as it reaches."""
-        return _sticks(self.claims)
 
     def memory(self, samples: Indices, step: float) -> StepMemory:
         """Memory of windows that begin at these samples, one `step` [s] at a time."""
@@ -259,7 +249,7 @@ class Plant:
         samples = np.tile(begins, variants)
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
-        if self.textbook:
+        if not any(self.acting.values()):  # all claims change numbers of the bench, the spool's path or sensors
             chambers.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
             return states
         memory = self.memory(samples, step)
@@ -277,29 +267,17 @@ class Plant:
     ) -> FloatArray:
         first = self.rates(state, time, spool, memory)
         grip = None
-        if self.sticks:
-            grip = self._grip(state, first, time, step)
-            dry = self._dry(Kinematics(time, state[0], state[1]), grip)
-            first[1] -= dry / self.mass(Kinematics(time, state[0], state[1]))
+        if self.sticks:  # dry friction brings the mass to rest within a step, as far as it reaches
+            motion = Kinematics(time, state[0], state[1])
+            holding = np.asarray(self.mass(motion) * (state[1] / step + first[1]))
+            grip = Grip(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
+            grip = replace(grip, stuck=np.abs(holding) <= self.level(grip.toward(motion)))
+            first[1] -= self._dry(motion, grip) / self.mass(motion)
         second = self.rates(state + 0.5 * step * first, time, spool, memory, grip)
         third = self.rates(state + 0.5 * step * second, time, spool, memory, grip)
         fourth = self.rates(state + step * third, time, spool, memory, grip)
         memory.tick()
-        after = np.empty_like(state)
-        chambers.runge_kutta(after, state, first, second, third, fourth, step)
+        after = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
         if grip is not None:
             after[1] = np.where(grip.stuck, 0.0, after[1])
         return after
-
-    def _grip(self, state: FloatArray, free: FloatArray, time: FloatArray, step: float) -> Grip:
-        """Dry friction brings the mass to rest within a step, as far as it reaches; `free`: rates without it."""
-        holding = np.asarray(self.mass(Kinematics(time, state[0], state[1])) * (state[1] / step + free[1]))
-        grip = Grip(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
-        level = self.level(grip.toward(Kinematics(time, state[0], state[1])))
-        return Grip(holding, grip.direction, np.abs(holding) <= level)
-
-
-def _sticks(claims: Sequence[Claim]) -> bool:
-    """Return whether there is dry friction that no bristles carry."""
-    bristled = any(claim.effect.bristles for claim in claims)
-    return not bristled and bool(acting(claims, "dry_level"))

@@ -7,6 +7,7 @@ Of long recordings those windows are kept that together cover most of the state 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from hashlib import sha256
 from itertools import combinations
 from pathlib import Path
@@ -20,20 +21,23 @@ from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.io.topics import has_states
 from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SATURATED, SHORTEST
 from hydro_diagnosis.preprocessing.streaming import LONGEST, WINDOW, Visits, read_bag_within, table_within
-from hydro_diagnosis.recording import MEASURED, InputError, Recording, Segment, UnusableRecordingError, named_in_full
+from hydro_diagnosis.recording import (
+    LAST_THIRD,
+    MEASURED,
+    InputError,
+    Recording,
+    Segment,
+    UnusableRecordingError,
+    named_in_full,
+)
 from hydro_diagnosis.wiring import Inspection, inspect_table
 from hydro_sim.model.bench import Bench
 
-LAST_THIRD = "the last third of the only recording was held back to check on"
-
 
 def load_dataset(
-    recordings: Sequence[str | Path],
-    holdout: Sequence[str | Path],
-    bench: Bench,
-    columns: ColumnMap | None = None,
+    recordings: Sequence[str | Path], holdout: Sequence[str | Path], bench: Bench, columns: ColumnMap | None = None,
     inspection: Inspection | None = None,
-) -> tuple[list[Segment], list[Segment], list[str]]:
+) -> tuple[list[Segment], list[Segment], list[str]]:  # fmt: skip
     """Return segments to fit, segments held out, and notes on their quality; `column_map`: see `read_table`.
 
     `inspection` collects the doubts about each recording, also where none can be diagnosed.
@@ -45,7 +49,24 @@ def load_dataset(
     to_fit, notes = _read(recordings, bench, columns, inspection, in_full)
     to_check, more_notes = _read(holdout, bench, columns, inspection, in_full, spare=True)
     _refuse_twice([*to_fit, *to_check])
-    fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
+    if not to_fit:
+        raise InputError("no recording was given")
+    quality = [*notes, *more_notes]
+    if not to_check and len(to_fit) > 1:
+        to_check = [to_fit.pop()]
+        quality.append(f"{to_check[0].name} was held back to check on")
+    fitted = [segment for recording in to_fit for segment in recording.segments]
+    held = [segment for recording in to_check for segment in recording.segments]
+    if not to_check:
+        quality.append(LAST_THIRD)
+        border, whole, fitted = sum(map(len, fitted)) * 2 // 3, fitted, []
+        for segment in whole:
+            cut = min(max(border, 0), len(segment))
+            border -= len(segment)
+            if cut and (len(segment) == cut or cut * segment.step >= SHORTEST):
+                fitted.append(segment.cut(0, cut))
+            if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= SHORTEST):
+                held.append(segment.cut(cut, len(segment)))
     refuse_unconnected(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
     _refuse_too_little(fitted, bench, notes)
     fitted = _informative(fitted, "fitted", bench, quality)
@@ -102,14 +123,9 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
 
 
 def _read(
-    paths: Sequence[str | Path],
-    bench: Bench,
-    columns: ColumnMap | None,
-    inspection: Inspection,
-    in_full: set[Path],
-    *,
-    spare: bool = False,
-) -> tuple[list[Recording], list[str]]:
+    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, inspection: Inspection, in_full: set[Path],
+    *, spare: bool = False,
+) -> tuple[list[Recording], list[str]]:  # fmt: skip
     """Recordings with information, and a note on each without.
 
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
@@ -117,7 +133,9 @@ def _read(
     recordings, refused = list[Recording](), list[UnusableRecordingError]()
 
     def inspected(table: RawTable) -> RawTable:
-        inspection.add(inspect_table(table, bench))
+        shown = inspect_table(table, bench)
+        inspection.doubts += shown.doubts
+        inspection.units.update(shown.units)
         return table
 
     for path in map(Path, paths):
@@ -129,35 +147,14 @@ def _read(
         except UnusableRecordingError as error:
             refused.append(error)
         else:
-            recordings.append(found.renamed(str(path)) if path in in_full else found)
+            if path in in_full:
+                segments = tuple(replace(one, recording=str(path)) for one in found.segments)
+                found = replace(found, name=str(path), segments=segments)
+            recordings.append(found)
     if refused and not recordings and not spare:
         raise refused[0]
     notes = [f"{error}; it was left out" for error in refused]
     return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
-
-
-def _split(
-    fitted: list[Recording], notes: list[str], held: list[Recording], held_notes: list[str]
-) -> tuple[list[Segment], list[Segment], list[str]]:
-    """Segments to fit, segments held out, and what was noted about all: of one recording the last third is held out."""
-    if not fitted:
-        raise InputError("no recording was given")
-    quality = [*notes, *held_notes]
-    if not held and len(fitted) > 1:
-        held = [fitted.pop()]
-        quality.append(f"{held[0].name} was held back to check on")
-    segments = [segment for recording in fitted for segment in recording.segments]
-    if held:
-        return segments, [segment for recording in held for segment in recording.segments], quality
-    border, first, last = sum(map(len, segments)) * 2 // 3, [], []
-    for segment in segments:
-        cut = min(max(border, 0), len(segment))
-        border -= len(segment)
-        if cut and (len(segment) == cut or cut * segment.step >= SHORTEST):
-            first.append(segment.cut(0, cut))
-        if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= SHORTEST):
-            last.append(segment.cut(cut, len(segment)))
-    return first, last, [*quality, LAST_THIRD]
 
 
 def _informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:

@@ -22,11 +22,12 @@ from scipy.ndimage import uniform_filter1d
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.bench_numbers import has_spring, knows
+from hydro_diagnosis.io.columns import means, median_step
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.box_clock import SAME, Mask, Rows, on_box_clock, rate_note
+from hydro_diagnosis.preprocessing.box_clock import Mask, Rows, on_box_clock
 from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import MEASURED, Recording, Segment, UnusableRecordingError
-from hydro_diagnosis.significance import OUTLYING
+from hydro_diagnosis.significance import MATTERS, OUTLYING
 from hydro_sim.model.bench import Bench
 
 
@@ -41,8 +42,7 @@ def uneven(time: FloatArray) -> bool:
 
 def counted(time: FloatArray) -> tuple[float, Rows]:
     """Sampling time [s] and the row of each stamp; rows that are missing leave gaps in the count."""
-    steps = np.diff(time)
-    step = float(np.median(steps[steps > 0.0]))  # lost rows have lengthened it
+    step = median_step(time)  # lost rows have lengthened it
     for count, reach in ((32, 0.03), (512, 3e-3), (8192, 2e-4)):  # finer as more of the stamps are in step
         length = min(count, len(time))
         blocks = time[: len(time) // length * length].reshape(-1, length)
@@ -89,8 +89,6 @@ def _stamped(
     return others | moved, step, rows, True
 
 
-FROZEN = 40
-"""Samples: a noisy sensor that repeats the same number so often has stopped, an encoder may have."""
 QUANTA = 10.0
 """Steps of the encoder that it must move at least."""
 AVERAGED = 20
@@ -98,7 +96,7 @@ AVERAGED = 20
 
 
 def repeats(values: FloatArray) -> Mask:
-    """Samples in which a sensor has stopped: at least `FROZEN` equal values, and what comes after is far from them.
+    """Samples in which a sensor has stopped: at least 40 equal values, and what comes after is far from them.
 
     One that reads in coarse steps may stand at its zero, and goes on by a step or two.
     """
@@ -124,13 +122,12 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
         if "load_force" not in columns or not has_spring(bench):
             return False
         force = columns["load_force"]
-        settled = force[begin + round(0.1 / step) : end]
-        means = settled[: len(settled) // AVERAGED * AVERAGED].reshape(-1, AVERAGED).mean(axis=1)
-        means = means[np.isfinite(means)]
-        if len(means) < 2:
+        averaged = means(force[begin + round(0.1 / step) : end], AVERAGED)
+        averaged = averaged[np.isfinite(averaged)]
+        if len(averaged) < 2:
             return False
         noise = white_noise(force[np.isfinite(force)]) / AVERAGED**0.5
-        return float(np.ptp(means)) > max(bench.spring_stiffness * least, 8.0 * noise)
+        return float(np.ptp(averaged)) > max(bench.spring_stiffness * least, 8.0 * noise)
 
     def glides(begin: int, end: int) -> bool:
         """Return whether the reported velocity carries the piston on; an offset of a tachometer is no motion."""
@@ -149,10 +146,13 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
 
 
 def _runs(values: FloatArray) -> list[tuple[int, int]]:
-    """First and one past the last sample of every run of at least `FROZEN` equal values."""
+    """First and one past the last sample of every run of at least 40 equal values.
+
+    A noisy sensor that repeats the same number so often has stopped, an encoder may have.
+    """
     same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
-    return [(b, e + 1) for b, e in zip(edges[::2], edges[1::2], strict=True) if e - b >= FROZEN]
+    return [(b, e + 1) for b, e in zip(edges[::2], edges[1::2], strict=True) if e - b >= 40]
 
 
 SHORTEST = 1.5
@@ -219,7 +219,7 @@ def _grid(table: RawTable, notes: list[str]) -> tuple[float, Rows]:
     if len(forward) < 0.5 * len(steps):
         raise UnusableRecordingError(f"{table.name}: the time does not run forward")
     step = float(np.median(forward))
-    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < SAME * SAMPLE_PERIOD else step
+    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < MATTERS * SAMPLE_PERIOD else step
     counts = np.diff(table.sample) if table.sample is not None else steps / step
     whole = np.rint(np.where(np.isfinite(counts), counts, gap)).astype(np.int64)
     off = np.abs(steps - whole * step) > max(5e-3, 2.0 * step)
@@ -347,8 +347,14 @@ def _segments(
             segments.append(on_box_clock(name, start, step, at, found, shaken=shaken))
     if bridged:
         notes.append(f"{bridged} missing samples were bridged by splines; they and their neighbours are not judged")
-    if segments and abs(step - SAMPLE_PERIOD) > SAME * SAMPLE_PERIOD:
-        notes.append(rate_note(step, segments[0]))
+    if segments and abs(step - SAMPLE_PERIOD) > MATTERS * SAMPLE_PERIOD:
+        rate = f"recorded at {1.0 / step:.4g} Hz"
+        notes.append(
+            f"{rate}: of every {round(SAMPLE_PERIOD / step)} rows that at the box's millisecond was taken"
+            if segments[0].thinner is None
+            else f"{rate}, not the box's {1.0 / SAMPLE_PERIOD:.4g} Hz: what happens between two rows is not known; "
+            "nothing is claimed that half of the rows would not show too"
+        )
     if still:
         notes.append(f"{still} samples in which the piston stands still were not used")
     if short:

@@ -24,8 +24,6 @@ KINEMATIC_WIDTH = 1.0
 """Width [recorded rows] of the Gaussian behind position, velocity and acceleration."""
 TOTAL_WIDTH = 1.5
 """Width [recorded rows] of the Gaussian behind every residual."""
-LONG = 60
-"""Number of weights above which a convolution is faster by Fourier transforms."""
 STRIDE = 5
 """Recorded rows between the residuals that are kept: at this distance their noise is all but independent."""
 
@@ -109,21 +107,18 @@ def _correlated_at(signal, taps, rows):
 
 def _through(signal: FloatArray, width: float, derivative: int = 0) -> FloatArray:
     taps = _taps(width, derivative)
-    if len(taps) <= LONG:
+    if len(taps) <= 60:  # more are faster by Fourier transforms
         return np.asarray(correlate1d(signal, taps, mode="nearest"))
     reach = len(taps) // 2
     return np.asarray(oaconvolve(np.pad(signal, reach, mode="edge"), taps[::-1], mode="valid"))
 
 
-_ORDER = 6
-_GAIN = sum(comb(_ORDER, k) ** 2 for k in range(_ORDER + 1)) ** 0.5
-
-
 def white_noise(signal: FloatArray, recorded: npt.NDArray[np.bool_] | None = None) -> float:
     """Standard deviation of the white noise in a signal, robust against rare jumps; None: every sample is recorded."""
-    differences = np.diff(signal, _ORDER) / _GAIN
+    order = 6
+    differences = np.diff(signal, order) / sum(comb(order, k) ** 2 for k in range(order + 1)) ** 0.5
     if recorded is not None:
-        differences = differences[np.lib.stride_tricks.sliding_window_view(recorded, _ORDER + 1).all(axis=1)]
+        differences = differences[np.lib.stride_tricks.sliding_window_view(recorded, order + 1).all(axis=1)]
         if not len(differences):
             return white_noise(signal)
     middle = float(np.median(np.abs(differences)))

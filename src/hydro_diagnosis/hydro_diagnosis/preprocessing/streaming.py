@@ -18,6 +18,7 @@ import numpy.typing as npt
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArray
 from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.columns import median_step
 from hydro_diagnosis.io.table import RawTable, mapped
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.preprocessing.smoothing import STRIDE, kinematics
@@ -83,8 +84,6 @@ LONGEST = 300.0
 """Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
 WHOLE = round(LONGEST / (STRETCH * SAMPLE_PERIOD))
 """Largest number of stretches that are held whole."""
-FITTED, HELD = 10, 5
-"""Windows kept of the first two thirds, and of the last, which is held out where no other recording is."""
 
 
 def read_bag_within(
@@ -124,9 +123,7 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
 
     Raises InputError: in one sentence that names the recording.
     """
-    steps = np.diff(table.time)
-    step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else SAMPLE_PERIOD
-    rows = max(round(STRETCH * SAMPLE_PERIOD / step), STRETCH)
+    rows = max(round(STRETCH * SAMPLE_PERIOD / median_step(table.time)), STRETCH)
     if len(table.time) <= WHOLE * rows:
         return checked(table, bench)
 
@@ -193,7 +190,7 @@ def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawT
         notes.append(f"{len(idle)} stretches of {STRETCH * 1e-3:.0f} s show nothing: {idle[0]}")
     early = [k for k, (*_, start) in enumerate(windows) if start < seconds * 2.0 / 3.0]
     late = [k for k, (*_, start) in enumerate(windows) if not start < seconds * 2.0 / 3.0]
-    chosen = sorted({*visits.select(FITTED, early), *visits.select(HELD, late)})
+    chosen = sorted({*visits.select(10, early), *visits.select(5, late)})  # the last third may be held out
     segments = []
     for number, table in enumerate(stretches()):
         here = [windows[k] for k in chosen if windows[k][0] == number]

@@ -10,18 +10,19 @@ from typing import TYPE_CHECKING
 
 from hydro_diagnosis.bench_numbers import PartialBench
 from hydro_diagnosis.effects.base import display_unit
-from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.judge import Assessment
-from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.preprocessing.loading import LAST_THIRD
+from hydro_diagnosis.recording import LAST_THIRD
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import Report, row_of
-from hydro_diagnosis.selection.search import Outcome
 from hydro_diagnosis.twin import sentences
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from hydro_diagnosis.estimation.problem import Problem
+    from hydro_diagnosis.judge import Assessment
+    from hydro_diagnosis.model.segment_model import SegmentModel
+    from hydro_diagnosis.selection.search import Outcome
 
 
 def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from itertools import cycle
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -19,76 +19,18 @@ from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
-from hydro_diagnosis.report.plots import svg
-from hydro_diagnosis.report_json import EffectReport
 from hydro_diagnosis.significance import SURE
 from hydro_diagnosis.twin import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
-from hydro_sim.plotting import GREEN, ORANGE, PURPLE, RED, SKY, UNITS, add_legend
-
-_SHADES = (SKY, GREEN, PURPLE, RED)
+from hydro_sim.plotting import GREEN, PURPLE, RED, SKY, UNITS
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Signals of one stretch, as they are plotted."""
+def compare(found: Diagnosis) -> dict[str, Any] | None:
+    """Signals of the first held-out recording, measured and simulated, as they stand on the page.
 
-    recording: str
-    time: FloatArray
-    """s, shape (n,)."""
-    measured: dict[str, FloatArray]
-    """By channel, SI units, shape (n,)."""
-    before: dict[str, FloatArray]
-    after: dict[str, FloatArray]
-    """Simulated with the bench file alone, and with what was found."""
-    causes: list[tuple[float, float, str]]
-    """Begin, end [s] and cause, where the bench file alone is most wrong by it."""
-
-    def fits(self) -> list[dict[str, Any]]:
-        """NRMSE [%] by channel; None where a simulation diverges."""
-        return [
-            {
-                "name": UNITS[name][0],
-                "before": nrmse(self.measured[name], self.before[name]),
-                "after": nrmse(self.measured[name], self.after[name]),
-            }
-            for name in self.measured
-        ]
-
-    def plot(self) -> str:
-        """SVG of measured and simulated signals, the causes shaded."""
-        every = max(len(self.time) // 1500, 1)
-        labels = list(dict.fromkeys(cause for *_, cause in self.causes))
-
-        def draw(axes: Any) -> None:
-            for axis, name in zip(axes, self.measured, strict=True):
-                label, unit, factor = UNITS[name]
-                measured = factor * self.measured[name]
-                for begin, end, cause in self.causes:
-                    axis.axvspan(begin, end, color=_SHADES[labels.index(cause) % len(_SHADES)], alpha=0.15, linewidth=0)
-                for signal, color, style, width, what in (
-                    (self.before, ORANGE, "-", 0.8, "bench file"),
-                    (self.measured, "black", "-", 2.0, "measured"),
-                    (self.after, SKY, "--", 0.9, "corrected"),
-                ):
-                    shown = factor * signal[name][::every]
-                    axis.plot(self.time[::every], shown, style, color=color, linewidth=width, label=what)
-                room = 0.4 * max(float(np.ptp(measured)), 1e-9)
-                axis.set_ylim(measured.min() - room, measured.max() + room)
-                axis.set_ylabel(f"{label}\n[{unit}]")
-            add_legend(axes[0])
-            axes[-1].set_xlabel(f"time [s] of {self.recording}, free runs of {FREE_RUN:g} s one after the other")
-
-        return svg(len(self.measured), (9.0, 1.5 * len(self.measured) + 0.5), draw, sharex=True)
-
-    def shades(self) -> list[tuple[str, str]]:
-        """Color and cause of what is shaded."""
-        labels = dict.fromkeys(cause for *_, cause in self.causes)
-        return [(_SHADES[k % len(_SHADES)], label) for k, label in enumerate(labels)]
-
-
-def compare(found: Diagnosis) -> Comparison | None:
-    """Simulate the first held-out recording; None where nothing can be simulated."""
+    `fits`: by channel, with the bench file alone and with what was found; `shades`: color and cause of what is shaded.
+    None where nothing can be simulated.
+    """
     model = next((one for one in found.holdout if len(one.segment) * one.step > 2.0 * FREE_RUN + 1.0), None)
     if model is None or not model.channels.keys() >= SIMULATED or MOTION not in found.problem.blocks:
         return None
@@ -110,7 +52,17 @@ def compare(found: Diagnosis) -> Comparison | None:
     measured = {name: model.channels[name][rows] for name in UNITS if name in before}
     time = model.segment.start + model.step * rows
     causes = _causes(found, model, claims, float(time[0]), float(time[-1]))
-    return Comparison(model.segment.recording, time, measured, before, after, causes)
+    colors = dict(zip(dict.fromkeys(cause for *_, cause in causes), cycle((SKY, GREEN, PURPLE, RED)), strict=False))
+    shades = [(begin, end, colors[cause]) for begin, end, cause in causes]
+    words = f"time [s] of {model.segment.recording}, free runs of {FREE_RUN:g} s one after the other"
+    return {
+        "recording": model.segment.recording,
+        "plot": plots.signals_plot(time, words, measured, before, after, shades),
+        "fits": [
+            (UNITS[name][0], [nrmse(one, before[name]), nrmse(one, after[name])]) for name, one in measured.items()
+        ],
+        "shades": [(color, cause) for cause, color in colors.items()],
+    }
 
 
 def _causes(
@@ -165,13 +117,6 @@ def rendered(found: Diagnosis) -> str:
     """Return the page."""
     report, comparison = found.report, compare(found)
 
-    def picture(effect: EffectReport) -> str:
-        claims = found.assessment.fit.claims
-        place = (effect.id, effect.options)
-        return plots.effect_plot(
-            found, next(one for one in claims if (one.effect.id, dict(one.effect.options)) == place)
-        )
-
     def row(name: str, error: Mapping[str, Any], values: Sequence[float | None]) -> dict[str, Any]:
         unit, factor = {"m": ("µm", 1e6), "Pa": ("kPa", 1e-3), "N": ("N", 1.0)}[error["unit"]]
         return {"name": name, "unit": unit, "factor": factor, "values": values}
@@ -190,24 +135,17 @@ def rendered(found: Diagnosis) -> str:
         heading=_heading, range=_range, interval=interval, display_unit=display_unit, gain=_gain, number=_number
     )
     return made.get_template("report.html").render(
-        title="Diagnosis",
-        report=report,
-        used=found.used,
-        verdict=_VERDICTS[report.verdict],
+        title="Diagnosis", report=report, used=found.used, verdict=_VERDICTS[report.verdict],
         checked=[f"{name}: {_CHECKED[name]}" for name in report.checked],
         not_checked=[
             f"{name}: {_CHECKED[name]}, for lack of channels" if name in _CHECKED else name
             for name in report.not_checked
         ],
-        differences=sentences(report.simulated or ()),
-        effects=[(effect, picture(effect)) for effect in report.effects],
-        comparison=comparison,
-        held_out=held_out,
-        equations=equations,
+        differences=sentences(report.simulated or ()), accounted=accounted_sentence(report),
+        effects=[(effect, plots.effect_plot(found, effect)) for effect in report.effects],
+        comparison=comparison, held_out=held_out, equations=equations,
         location_plot=plots.location_plot(found) if report.location else "",
-        curves=plots.curves_plot(found) if report.curves else "",
-        accounted=accounted_sentence(report),
-        residual_plot=plots.residual_plot(found),
+        curves=plots.curves_plot(found) if report.curves else "", residual_plot=plots.residual_plot(found),
     )  # fmt: skip
 
 

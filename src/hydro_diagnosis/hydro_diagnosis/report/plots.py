@@ -4,18 +4,21 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import Effect, FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS
 from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_diagnosis.report_json import EffectReport
 from hydro_sim.model.effects import grown
-from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, add_legend, figure
+from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, SKY, UNITS, add_legend, figure
 
 _NAMES = {
     "pressure_a": ("pressure A", "kPa", 1e-3),
@@ -35,15 +38,47 @@ _VARIABLES = {
 }
 
 
-def svg(rows: int, size: tuple[float, float], draw: Callable[[Any], None], **layout: Any) -> str:
-    """A figure of `rows` axes as SVG text that can stand within HTML."""
+@contextmanager
+def svg(rows: int, size: tuple[float, float], **layout: Any) -> Iterator[tuple[Any, StringIO]]:
+    """Open a figure of `rows` axes, and a buffer that holds it afterwards, as SVG text that can stand within HTML."""
+    text = StringIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plot.svg"
         with figure(path, rows, size=size, **layout) as (drawing, axes):
-            draw(axes)
+            yield axes, text
             drawing.align_ylabels(axes)
-        text = path.read_text(encoding="utf-8")
-    return text[text.index("<svg") :]
+        whole = path.read_text(encoding="utf-8")
+    text.write(whole[whole.index("<svg") :])
+
+
+def signals_plot(
+    time: FloatArray, words: str, measured: Mapping[str, FloatArray], before: Mapping[str, FloatArray],
+    after: Mapping[str, FloatArray], shades: Sequence[tuple[float, float, str]],
+) -> str:  # fmt: skip
+    """Signals by channel, SI units, shape (n,): measured, and simulated with the bench file and with what was found.
+
+    `time`: s, shape (n,), and `words` for it; `shades`: begin, end [s] and color.
+    """
+    every = max(len(time) // 1500, 1)
+    with svg(len(measured), (9.0, 1.5 * len(measured) + 0.5), sharex=True) as (axes, text):
+        for axis, name in zip(axes, measured, strict=True):
+            label, unit, factor = UNITS[name]
+            for begin, end, color in shades:
+                axis.axvspan(begin, end, color=color, alpha=0.15, linewidth=0)
+            for signal, color, style, width, what in (
+                (before, ORANGE, "-", 0.8, "bench file"),
+                (measured, "black", "-", 2.0, "measured"),
+                (after, SKY, "--", 0.9, "corrected"),
+            ):
+                shown = factor * signal[name][::every]
+                axis.plot(time[::every], shown, style, color=color, linewidth=width, label=what)
+            whole = factor * measured[name]
+            room = 0.4 * max(float(np.ptp(whole)), 1e-9)
+            axis.set_ylim(whole.min() - room, whole.max() + room)
+            axis.set_ylabel(f"{label}\n[{unit}]")
+        add_legend(axes[0])
+        axes[-1].set_xlabel(words)
+    return text.getvalue()
 
 
 def residual_plot(found: Diagnosis) -> str:
@@ -52,7 +87,7 @@ def residual_plot(found: Diagnosis) -> str:
     before, after = found.outcome.nothing.residual, found.assessment.fit.residual
     present = [k for k in range(len(CHANNELS)) if np.any(layout.channel == k)]
 
-    def draw(axes: Any) -> None:
+    with svg(len(present), (9.0, 1.5 * len(present) + 0.5), sharex=True) as (axes, text):
         for axis, k in zip(axes, present, strict=True):
             at = (layout.channel == k) & (layout.segment == 0)
             name, unit, factor = _NAMES[CHANNELS[k]]
@@ -63,14 +98,14 @@ def residual_plot(found: Diagnosis) -> str:
             axis.set_ylabel(f"{name} [{unit}]")
         add_legend(axes[0])
         axes[-1].set_xlabel("time [s]")
+    return text.getvalue()
 
-    return svg(len(present), (9.0, 1.5 * len(present) + 0.5), draw, sharex=True)
 
-
-def effect_plot(found: Diagnosis, claim: Claim) -> str:
+def effect_plot(found: Diagnosis, effect: EffectReport) -> str:
     """Plot the recorded data of an effect, and its fitted curve, against the variable on which it depends."""
     problem, layout = found.problem, found.problem.layout
-    fit = found.assessment.fit
+    fit, place = found.assessment.fit, (effect.id, effect.options)
+    claim = next(one for one in fit.claims if (one.effect.id, dict(one.effect.options)) == place)
     without = problem.residual(fit.but(claim))
     signature = without - fit.residual
     power = np.bincount(layout.channel, np.square(signature), len(CHANNELS))
@@ -87,7 +122,7 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
     )
     label, units = _VARIABLES[variable]
 
-    def draw(axes: Any) -> None:
+    with svg(1, (8.0, 3.2)) as (axes, text):
         shown = np.random.default_rng(0).permutation(len(x))[:4000]
         axes[0].plot(
             x[shown] * units, without[at][shown] * scale, ".", color=GRAY, markersize=1.5, alpha=0.5, label="recorded"
@@ -99,15 +134,14 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
         axes[0].set_xlabel(label)
         axes[0].set_ylabel(f"unexplained\n{name} [{unit}]")
         add_legend(axes[0])
-
-    return svg(1, (8.0, 3.2), draw)
+    return text.getvalue()
 
 
 def curves_plot(found: Diagnosis) -> str:
     """Plot what is missing in the equations over their variables, and what the claims make of it."""
     curves = found.report.curves
 
-    def draw(axes: Any) -> None:
+    with svg(len(curves), (8.0, 2.6 * len(curves))) as (axes, text):
         for axis, curve in zip(axes, curves, strict=True):
             label, units = _VARIABLES[curve.over]
             words, factor = ("flow [l/min]", 6e4) if curve.unit_y == "m3/s" else ("force [N]", 1.0)
@@ -122,8 +156,7 @@ def curves_plot(found: Diagnosis) -> str:
             axis.set_xlabel(label)
             axis.set_ylabel(f"missing in\n{curve.equation.replace('_', ' ')}: {words}")
         add_legend(axes[0])
-
-    return svg(len(curves), (8.0, 2.6 * len(curves)), draw)
+    return text.getvalue()
 
 
 def _variable(cause: Effect, found: Diagnosis) -> str:
@@ -133,7 +166,7 @@ def _variable(cause: Effect, found: Diagnosis) -> str:
         return over.get(cause.equations[0], "pressure_difference")
     if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):
         return "velocity"
-    if effect in ("leakage_internal",):
+    if effect == "leakage_internal":
         return "pressure_difference"
     if effect in ("entrained_air", "pressure_sensor_bias", "bulk_modulus") and "pressure_a" in have:
         return "pressure_a"
@@ -167,7 +200,7 @@ def location_plot(found: Diagnosis) -> str:
     places, pause, layout = found.assessment.places[:4], 1.0, found.problem.layout
     begins = np.cumsum([0.0, *(len(model.segment) * model.step + pause for model in found.problem.models)])
 
-    def draw(axes: Any) -> None:
+    with svg(len(places), (9.0, 1.2 * len(places) + 0.6), sharex=True) as (axes, text):
         for axis, place in zip(axes, places, strict=True):
             for k, model in enumerate(found.problem.models):
                 at = (layout.channel == CHANNELS.index(place.channel)) & (layout.segment == k)
@@ -187,5 +220,4 @@ def location_plot(found: Diagnosis) -> str:
             axis.set_ylabel(place.equation.replace("pressure_a", "chamber A").replace("pressure_b", "chamber B"))
         add_legend(axes[0])
         axes[-1].set_xlabel("time [s], recordings one after the other")
-
-    return svg(len(places), (9.0, 1.2 * len(places) + 0.6), draw, sharex=True)
+    return text.getvalue()

@@ -22,7 +22,6 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLD_SECONDS, Problem
 from hydro_diagnosis.model.responses import Responses, Shown
-from hydro_diagnosis.model.segment_model import SegmentModel
 
 KNOTS = 24
 """Knots of each function; of time: per recording."""
@@ -66,16 +65,21 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     forms = []
     ways = [Responses(model, problem.blocks, (*problem.baseline, *found.claims)) for model in problem.models]
     inputs = [one for one in _INPUTS if _visible(problem, *one[:2])]
-    for variable in variables(problem):
-        knots = _knots(problem, variable)
-        hats = _hats(problem, variable, knots)
+    have = set.intersection(*(set(model.channels) for model in problem.models))
+    variables = ["time", "position", "velocity"]
+    variables += ["current"] if "valve_current" in have else []
+    variables += ["pressure_a", "pressure_b", "pressure_difference"] if {"pressure_a", "pressure_b"} <= have else []
+    for variable in variables:
+        knots, hats = _hats(problem, variable)
         for equation, sensor, size in inputs:
             shown = [_response(way, equation, sensor, size * own) for way, own in zip(ways, hats, strict=True)]
             inputs_shown = np.zeros((len(left), len(hats[0])))
             for channel, responses in problem.joined(shown, len(hats[0])).items():
                 inputs_shown[problem.layout.channel == channel] = responses.T
             columns = np.column_stack([inputs_shown * weight[:, None], named])
-            amounts = _least_squares(columns, -left)
+            lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+            scaled = columns / lengths  # normal equations: many rows by few columns
+            amounts = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True) @ (scaled.T @ -left) / lengths
             reached = problem.deviance((left + columns @ amounts) / weight)
             gain = base - reached - len(hats[0]) * float(np.log(len(left)))
             forms.append(FreeForm(equation, sensor, variable, gain, knots, amounts[: len(knots)] * size))
@@ -110,40 +114,20 @@ def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) ->
     return way.present({sensor: way.smooth(passed), "hydraulic": area * means})
 
 
-def _least_squares(columns: FloatArray, goal: FloatArray) -> FloatArray:
-    """Least squares by normal equations of columns scaled to length 1: they are many rows by few columns."""
-    lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    scaled = columns / lengths
-    amounts: FloatArray = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True) @ (scaled.T @ goal) / lengths
-    return amounts
-
-
-def variables(problem: Problem) -> list[str]:
-    """Names of what a hidden input may depend on, for `SegmentModel.variable`."""
-    have = set.intersection(*(set(model.channels) for model in problem.models))
-    names = ["time", "position", "velocity"]
-    names += ["current"] if "valve_current" in have else []
-    names += ["pressure_a", "pressure_b", "pressure_difference"] if {"pressure_a", "pressure_b"} <= have else []
-    return names
-
-
-def _knots(problem: Problem, variable: str) -> FloatArray:
+def _hats(problem: Problem, variable: str) -> tuple[FloatArray, list[FloatArray]]:
+    """Knots, and the basis functions along each segment, shape (functions, n); of time they act in one segment each."""
     values = np.concatenate([model.variable(variable)[model.settle :] for model in problem.models])
     if variable in ("velocity", "current"):  # denser around zero, where friction and valve change their ways
-        shares = np.linspace(0.0, 1.0, KNOTS)
-        return np.unique(np.quantile(values, shares))
-    return np.linspace(values.min(), values.max(), KNOTS)
-
-
-def _hats(problem: Problem, variable: str, knots: FloatArray) -> list[FloatArray]:
-    """Basis functions along each segment, shape (functions, n); of time they act in one segment each."""
+        knots = np.unique(np.quantile(values, np.linspace(0.0, 1.0, KNOTS)))
+    else:
+        knots = np.linspace(values.min(), values.max(), KNOTS)
     found = []
     for k, model in enumerate(problem.models):
         own = np.stack([np.interp(model.variable(variable), knots, peak) for peak in np.eye(len(knots))])
         if variable == "time":
             own = np.concatenate([own * (at == k) for at in range(len(problem.models))])
         found.append(own)
-    return found
+    return knots, found
 
 
 @dataclass(frozen=True)
@@ -189,13 +173,10 @@ def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Pla
         without = problem.residual(found.but(claim))
         signature = np.bincount(layout.channel, np.square(without - found.residual), len(CHANNELS))
         shown = {name: float(signature[k]) for k, name in enumerate(CHANNELS)}
+        several, most = len(claim.effect.equations) > 1, max(shown, key=lambda name: shown[name])
         for equation in claim.effect.equations:
-            channel = (
-                equation
-                if equation in shown and len(claim.effect.equations) > 1
-                else max(shown, key=lambda name: shown[name])
-            )
-            size = shown[channel] if len(claim.effect.equations) > 1 else sum(shown.values())
+            channel = equation if several and equation in shown else most
+            size = shown[channel] if several else sum(shown.values())
             key = (equation, channel)
             power[key] = power.get(key, 0.0) + size
     total = sum(power.values()) or 1.0
@@ -211,7 +192,11 @@ def _equation(
     if channel in ("pressure_a", "pressure_b"):
         if _follows_supply(problem, residual):
             return "actuation"
-        return _of_chambers(channel, excess, gains)
+        other = "pressure_b" if channel == "pressure_a" else "pressure_a"
+        if other not in excess:
+            return "sensor" if "hydraulic" in excess else channel
+        best = {name: gains[name] for name in ("pressure_a", "pressure_b", "actuation") if name in gains}
+        return max([channel, "actuation"], key=lambda equation: best.get(equation, 0.0))
     if channel == "hydraulic":
         return "sensor"
     if channel == "motion":
@@ -219,16 +204,6 @@ def _equation(
             return "load"
         return "sensor" if "hydraulic" in excess and "load" not in excess else "motion"
     return "load" if "motion" in excess and _coherent(problem, residual) else "sensor"
-
-
-def _of_chambers(channel: str, excess: dict[str, float], gains: Mapping[str, float]) -> str:
-    other = "pressure_b" if channel == "pressure_a" else "pressure_a"
-    if "hydraulic" in excess and other not in excess:
-        return "sensor"
-    if other not in excess:
-        return channel
-    best = {name: gains[name] for name in ("pressure_a", "pressure_b", "actuation") if name in gains}
-    return max([channel, "actuation"], key=lambda equation: best.get(equation, 0.0))
 
 
 def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
@@ -257,18 +232,14 @@ def _coherent(problem: Problem, residual: FloatArray) -> bool:
             (residual * problem.deviations)[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)]
             for name in ("motion", "load")
         )
-        seen = _through_cell(model, problem, motion)
+        seen = motion
+        if problem.bench.load_cell_bandwidth is not None:
+            kept = model.kept_time()
+            fine = model.behind_cell(np.interp(model.time, kept, motion), problem.bench)
+            seen = np.interp(kept, model.time, fine)
         matched += float(seen @ load)
         power += float(np.sqrt((seen @ seen) * (load @ load)))
     return power > 0.0 and matched / power > 0.6
-
-
-def _through_cell(model: SegmentModel, problem: Problem, motion: FloatArray) -> FloatArray:
-    if problem.bench.load_cell_bandwidth is None:
-        return motion
-    kept = model.kept_time()
-    fine = np.interp(model.time, kept, motion)
-    return np.interp(kept, model.time, model.behind_cell(fine, problem.bench))
 
 
 def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, share: float) -> Place:

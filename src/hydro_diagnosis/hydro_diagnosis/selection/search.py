@@ -27,17 +27,15 @@ from hydro_diagnosis.estimation.fit import (
 )
 from hydro_diagnosis.estimation.intervals import all_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
-from hydro_diagnosis.significance import DECISIVE, ITERATIONS, MINOR, SURE
+from hydro_diagnosis.significance import CLAIMED, DECISIVE, ITERATIONS, MINOR, SURE
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:
     """Effort of a search, and its thresholds of a claim."""
 
-    threshold: float = 20.0
-    """Evidence in units of BIC that a claim needs beyond its parameters' price: a choice, held against recordings
-    with nothing missing (`benchmarks.null_simulations`).
-    """
+    threshold: float = CLAIMED
+    """Evidence in units of BIC that a claim needs beyond its parameters' price."""
     most: int = 12
     """Claims at most."""
     patience: int = 2
@@ -70,8 +68,6 @@ class Outcome:
     """Why the search ended before nothing paid, in words; empty if it did not."""
 
 
-SHORTLIST = 7
-"""Prospects that are fitted at each step, the most promising first."""
 SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
 SAME_UNCERTAINTY = 1e-3
@@ -103,11 +99,8 @@ class Shortlists:
         self._library, self._settings = library, settings
         self._screened: dict[frozenset[str], _Screened] = {}
         """By the labels of a base."""
-        self._signatures = Signatures()
-
-    def renew(self) -> None:
-        """Compute what candidates do to the residuals again, from the next base on."""
-        self._signatures = Signatures()
+        self.signatures: Signatures = {}
+        """Emptied, so that what candidates do to the residuals is computed again, at each further claim."""
 
     def beside(self, problem: Problem, base: Fit, promised: float, but: str = "") -> list[Fit]:
         """Fits with one claim more, the best first, by secants from the slopes of the base, as far as not polished.
@@ -116,7 +109,7 @@ class Shortlists:
         """
         screened = self._screened.get(_labels(base))
         if screened is None:
-            prospects = screen(problem, base, self._library, self._signatures)[:SHORTLIST]
+            prospects = screen(problem, base, self._library, self.signatures)[:7]  # the most promising ones
             hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self._settings.threshold]
             screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, hopeful)
         elif not np.allclose(screened.doubt, problem.uncertainty, rtol=SAME_UNCERTAINTY, atol=0.0):
@@ -210,7 +203,7 @@ class Search:
     def _from(self, nothing: Fit) -> Outcome:
         """Add what pays most, exchange what others do better, until nothing pays."""
         self.steps.clear()
-        self._shortlists.renew()
+        self._shortlists.signatures.clear()
         outcome = Outcome(self.problem.weighed(()), nothing, nothing)
         ranked, idle = self._ranked(self.problem, nothing), 0
         for _ in range(2 * self.settings.most):
@@ -250,7 +243,7 @@ class Search:
         Where the best only mends the form of its kin, what others explain there is mimicry: then what acts elsewhere.
         """
         enough = base.score - self.settings.threshold
-        self._shortlists.renew()
+        self._shortlists.signatures.clear()
         fits = self._shortlists.beside(problem, base, 0.0)
         if fits:
             best = fits[0].score
@@ -289,21 +282,15 @@ class Search:
             self._shortlists.polish(problem, base, present + CONTENDING * evidence, kin=claim.effect.family)
             fits = self._shortlists.beside(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
-            better = [one for one in fits if self._pays_in_place(outcome, one, claim.effect)]
+            better = []
+            for one in fits:  # each parameter more than the claim has must be worth the threshold
+                more = len(one.claims[-1].effect.parameters) - len(claim.effect.parameters)
+                if one.score + self.settings.threshold * max(more, 0) < present - SURE * SCREEN_TOLERANCE:
+                    better.append(one)
             if better and all_significant(problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
-
-    def _pays_in_place(self, outcome: Outcome, other: Fit, effect: Effect) -> bool:
-        """Return whether the newest claim of `other` may take the place of `effect`.
-
-        What it has more of parameters must each be worth the threshold.
-        """
-        newest = other.claims[-1].effect
-        more = len(newest.parameters) - len(effect.parameters)
-        toll = self.settings.threshold * max(more, 0)
-        return other.score + toll < outcome.fit.score - SURE * SCREEN_TOLERANCE
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
         outcome.problem, outcome.fit = self._weighed(found)

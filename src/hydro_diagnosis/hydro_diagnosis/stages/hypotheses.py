@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice, product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -25,28 +26,20 @@ from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.significance import ITERATIONS
-from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case, Progress, Question, read
 from hydro_diagnosis.wiring import Doubt, Inspection, Repair, in_other_units, reversed_sign
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.stages.naming import StageResult
 
 CLEAR = float(np.log(10.0))
 """Log of the factor, over all channels, by which a repair must reduce what is left: more than any chance."""
 ALIKE = float(np.log(1.1))
 """Log of the factor within which two readings leave the same."""
-UNJUDGED = 100.0
-"""Price of a sample that a hypothesis does not judge, in noise variances: it is left if it is not known better."""
-STEP = 0.02
-"""s by which a channel is moved to see which way it is late."""
-REACH = 0.15
-"""s, the longest delay that is looked for."""
 PHYSICS = {
-    "valve_current": (-0.02, 0.0),
-    "piston_position": (-0.01, 0.02),
-    "load_force": (-0.01, 0.06),
-    "hydraulic_force": (-0.02, 0.02),
-    "pressure_a": (-0.02, 0.02),
-    "pressure_b": (-0.02, 0.02),
-}
+    "valve_current": (-0.02, 0.0), "piston_position": (-0.01, 0.02), "load_force": (-0.01, 0.06),
+    "hydraulic_force": (-0.02, 0.02), "pressure_a": (-0.02, 0.02), "pressure_b": (-0.02, 0.02),
+}  # fmt: skip
 """s by which a channel may be late (negative: early) because of valve, play or an amplifier: causes, no mistakes."""
 TRIAL = SearchSettings(effort=1500)
 """Search by which two readings of the same recordings are compared."""
@@ -63,24 +56,19 @@ def left(problem: Problem, claims: Sequence[Claim]) -> FloatArray:
 
 
 def gain(before: FloatArray, after: FloatArray) -> float:
-    """Log of the factor by which less is left after than before, over all channels; what is not judged has its price.
+    """Log of the factor by which less is left after than before, over all channels.
 
-    A tenth of the samples may be missing for nothing.
+    A tenth of the samples may be missing for nothing; any further one that a hypothesis does not judge has the price of
+    100 noise variances: it is left if it is not known better.
     """
     judged = np.maximum(before[1], after[1]) > 0.0
     most = 0.9 * np.maximum(before[1], after[1])[judged]
     means = [
-        (squares + UNJUDGED * np.maximum(most - counts, 0.0)) / np.maximum(most, counts)
+        (squares + 100.0 * np.maximum(most - counts, 0.0)) / np.maximum(most, counts)
         for squares, counts in (before[:, judged], after[:, judged])
     ]
     here, there = (np.log(np.maximum(mean, 1.0)) for mean in means)
     return float(np.sum(here - there))
-
-
-def times(found: FloatArray) -> float:
-    """Root mean square of what is left, over the noise's."""
-    squares, counts = found
-    return float(np.sqrt(sum(squares) / sum(counts)))
 
 
 def suspected(
@@ -157,14 +145,15 @@ class _Trial:
             there = found[1] > 0.0
             return float(np.sum(found[0, there] / found[1, there] / before[0, there]))
 
-        at, moved = 0.0, REACH
+        step, reach = 0.02, 0.15  # s by which a channel is moved to see which way it is late; the longest delay
+        at = 0.0
         for _ in range(ITERATIONS):
-            low, middle, high = (squares(at + by) for by in (-STEP, 0.0, STEP))
+            low, middle, high = (squares(at + by) for by in (-step, 0.0, step))
             bend = low + high - 2.0 * middle
-            vertex = 0.5 * STEP * (low - high) / bend if bend > 0.0 else REACH * float(np.sign(low - high))
-            moved = float(np.clip(at + np.clip(vertex, -2.0 * STEP, 2.0 * STEP), -REACH, REACH)) - at
+            vertex = 0.5 * step * (low - high) / bend if bend > 0.0 else reach * float(np.sign(low - high))
+            moved = float(np.clip(at + np.clip(vertex, -2.0 * step, 2.0 * step), -reach, reach)) - at
             at += moved
-            if abs(moved) < 0.5 * STEP:
+            if abs(moved) < 0.5 * step:
                 break
         return at
 
@@ -193,11 +182,8 @@ class SearchResult:
     fitted: FloatArray
     held: FloatArray
     claims: tuple[Claim, ...]
-
-    @property
-    def numbers(self) -> int:
-        """Parameters of the causes."""
-        return sum(len(claim.effect.parameters) for claim in self.claims)
+    numbers: int
+    """Parameters of the causes."""
 
 
 def read_repaired(question: Question, progress: Progress) -> Case:
@@ -321,7 +307,8 @@ def _searched(case: Case, progress: Progress) -> SearchResult:
 
 
 def _left(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> SearchResult:
-    return SearchResult(left(problem, claims), left(holdout, claims), tuple(claims))
+    numbers = sum(len(claim.effect.parameters) for claim in claims)
+    return SearchResult(left(problem, claims), left(holdout, claims), tuple(claims), numbers)
 
 
 def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
@@ -344,9 +331,10 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
     clearer = min(gain(here.fitted, there.fitted), gain(here.held, there.held))
     estimated = sum(bool(repair.delay or repair.offset) for repair in repairs)
     simpler = there.numbers + estimated < here.numbers
+    recorded, repaired = (float(np.sqrt(sum(squares) / sum(counts))) for squares, counts in (here.held, there.held))
     both = (
-        f"in a trial of both, {times(here.held):.3g} times the noise was left on what was held out as recorded, "
-        f"{times(there.held):.3g} times as repaired"
+        f"in a trial of both, {recorded:.3g} times the noise was left on what was held out as recorded, "
+        f"{repaired:.3g} times as repaired"
     )
     if clearer >= CLEAR or (clearer > -ALIKE and simpler):
         return replace(other, wiring=_told(repairs, other.question, both))

@@ -66,7 +66,8 @@ def name_causes(case: Case, search: Search) -> StageResult:
     """The names that stand."""
     problem, progress = search.problem, search.progress
     progress(stage_bar.CURVES)
-    curve = force_curve(problem)
+    moving = moving_in(problem) if MOTION in problem.blocks else []
+    curve = ForceCurve.over_speed(moving) if moving else None
     if curve is not None and PRESSURE not in problem.blocks and curve.rough:
         return _by_curve(problem, search.nothing(), case.held, ForceCurve(curve.motions), search, ())
     progress(stage_bar.SEARCHING)
@@ -81,19 +82,12 @@ def name_causes(case: Case, search: Search) -> StageResult:
     proof = held_out(problem, holdout, kept.claims, simulated)
     accounted = shares(proof["equations"], proof["equations"])
     assessment = assessed(problem, outcome.fit, kept, outcome.nothing, holdout, accounted)
-    found = StageResult(
+    known = can_simulate(problem.bench)  # well enough to rehearse a recording
+    return StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated=simulated,
         proof=proof, accounted=accounted, curve=curve,
+        next_recording=next_recording(problem, outcome, assessment) if known else None,
     )  # fmt: skip
-    return replace(found, next_recording=_next_recording(found))
-
-
-def force_curve(problem: Problem) -> ForceCurve | None:
-    """Force over speed alone; None without the equation of motion, or without motion."""
-    if MOTION not in problem.blocks:
-        return None
-    moving = moving_in(problem)
-    return ForceCurve.over_speed(moving) if moving else None
 
 
 def moving_in(problem: Problem) -> list[Motion]:
@@ -144,12 +138,6 @@ def _by_curve(
     )  # fmt: skip
 
 
-def _next_recording(found: StageResult) -> dict[str, Any] | None:
-    """The next recording; None where the bench file is not known enough to rehearse one."""
-    problem = found.problem
-    return next_recording(problem, found.outcome, found.assessment) if can_simulate(problem.bench) else None
-
-
 def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult | None:
     """Names and the first model without a name that is admitted; None where none is."""
     problem, holdout = names.problem, names.holdout
@@ -165,15 +153,10 @@ def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress
     accounted = shares(everything, equation_errors(holdout, named))
     nothing = names.outcome.nothing
     beside = replace(
-        names,
-        problem=problem,
-        holdout=holdout,
+        names, problem=problem, holdout=holdout, bounds=bounds, closures=reports(found, bounds), accounted=accounted,
         assessment=assessed(problem, names.outcome.fit, closed, nothing, holdout, accounted),
-        bounds=bounds,
-        closures=reports(found, bounds),
-        accounted=accounted,
         proof={**found.held, "equations": everything},
-    )
+    )  # fmt: skip
     ahead = names.next_recording if beside.names == names.names else None  # it would tell apart what is not claimed
     if ahead is None and can_simulate(problem.bench):
         ahead = next_for_law(problem, closed, found.closed.screen)

@@ -77,11 +77,8 @@ def baseline(
 
 Progress = Callable[[str], None]
 EQUATIONS = {
-    PRESSURE: ("pressure_a", "pressure_b", "actuation"),
-    MOTION: ("motion",),
-    LOAD: ("load",),
-    HYDRAULIC: ("sensor",),
-}
+    PRESSURE: ("pressure_a", "pressure_b", "actuation"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("sensor",),
+}  # fmt: skip
 """Equations that each block of residuals checks; `sensor`: the hydraulic force against the pressures."""
 
 
@@ -147,8 +144,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     question.budget.allow(sum(len(segment) for segment in fitted))
     problem = Problem(
         fitted, believed, baseline_claims,
-        estimated=estimated_claims(believed, estimate), ruled_out=ruled_out,
-        budget=question.budget,
+        estimated=estimated_claims(believed, estimate), ruled_out=ruled_out, budget=question.budget,
     )  # fmt: skip
     if not np.isfinite(problem.residual(())).all():
         raise InputError(
@@ -183,14 +179,9 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     }
     numbers = {name: None if lacks(given, name) else float(getattr(given, name)) for name in estimate}
     return Case(
-        question=question,
-        problem=problem,
-        candidates=candidates,
-        held=held,
-        facts=facts,
-        numbers=numbers,
+        question=question, problem=problem, candidates=candidates, held=held, facts=facts, numbers=numbers,
         units=inspection.units,
-    )
+    )  # fmt: skip
 
 
 RINGING = frozenset({"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"})

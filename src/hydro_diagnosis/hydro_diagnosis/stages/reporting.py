@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.signal
@@ -24,9 +24,11 @@ from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, Loo
 from hydro_diagnosis.selection.localisation import Place
 from hydro_diagnosis.selection.search import Outcome, Search
 from hydro_diagnosis.significance import DECISIVE
-from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reading import Case
 from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.stages.naming import StageResult
 
 
 @dataclass(frozen=True)
@@ -164,7 +166,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
     searched = found.by_curve is None
     hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
     effects = describe(found)
-    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden or "", search.library))
+    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden, search.library))
     search.progress(stage_bar.FORECASTING)
     given = (*case.question.recordings, *case.question.holdout)
     forecast, reason = forecasts(problem, assessment.fit.claims, case.held, given)
@@ -193,16 +195,9 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
 def interrupted_report(case: Case, search: Search, begun: float) -> Report:
     """Return the report after Ctrl-C: the equations that can be checked, and the steps so far, which prove nothing."""
     return Report(
-        verdict=INTERRUPTED,
-        location=[],
-        effects=[],
-        remainder=None,
-        fit={},
-        next_recording=None,
-        seconds=time.monotonic() - begun,
-        steps=_steps(search),
-        **case.facts,
-    )
+        verdict=INTERRUPTED, location=[], effects=[], remainder=None, fit={}, next_recording=None,
+        seconds=time.monotonic() - begun, steps=_steps(search), **case.facts,
+    )  # fmt: skip
 
 
 def _notes(

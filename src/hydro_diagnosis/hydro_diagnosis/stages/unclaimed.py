@@ -8,30 +8,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, display_unit
-from hydro_diagnosis.estimation.fit import Fit, allowed, cause, orthogonal, pack
+from hydro_diagnosis.estimation.fit import Fit, allowed, cause, orthogonal
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.report_json import NumberEstimate
-from hydro_diagnosis.significance import QUANTILE
+from hydro_diagnosis.significance import MATTERS, QUANTILE, VAGUE
 from hydro_sim.model.bench import Bench
-
-ALIKE = 0.999
-"""Correlation of what a number and a cause change in the residuals, beside all that is fitted, from which they are one.
-"""
-OWN = 0.01
-"""Share of a number's signature that nothing else in the fit makes, below which it cannot be told from the others."""
-VAGUE = 0.5
-"""Half width of the interval over the value from which a number is not told."""
 
 
 def number_estimates(
-    problem: Problem,
-    found: Fit,
-    bounds: Sequence[Interval],
-    library: Sequence[Effect],
+    problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect],
     numbers: Mapping[str, float | None],
-) -> list[NumberEstimate]:
+) -> list[NumberEstimate]:  # fmt: skip
     """One entry per estimated number, in their order.
 
     `bounds`: of the parameters of all claims; `numbers`: by name, the bench file's value if it holds one.
@@ -42,22 +31,41 @@ def number_estimates(
     names = dict(zip((claim.effect.label for claim in problem.estimated), numbers, strict=True))
     entries = []
     for k, (claim, bound) in enumerate(zip(owners, bounds, strict=True)):
-        if claim.effect.estimated:
-            mixed = _mixed(columns, k, [names.get(one.effect.label, one.effect.id) for one in owners])
-            others = mixed or _alike(problem, found, columns, k, weight, library)
-            name = names[claim.effect.label]
-            entries.append(_entry(problem.bench, name, claim, bound, numbers[name], others, told=not mixed))
+        if not claim.effect.estimated:
+            continue
+        name, parameter = names[claim.effect.label], claim.effect.parameters[0].name
+        number = Bench.quantities()[name]
+        value, low, high = (
+            float(getattr(claim.effect.settled(problem.bench, {parameter: one}), name))
+            for one in (bound.value, bound.low, bound.high)
+        )
+        mixed = _mixed(columns, k, [names.get(one.effect.label, one.effect.id) for one in owners])
+        vague = number.low > 0.0 and high - low > 2.0 * VAGUE * abs(value)
+        sure = not mixed and bound.identifiable and not vague
+        others = [one for one in mixed or _alike(problem, found, columns, k, weight, library) if one != name]
+        alike = " and ".join(others)
+        if sure:
+            said = f"{name} is estimated at {value:.5g} {number.unit} (95 % {low:.5g} to {high:.5g})"
+            said += f", provided that there is none of what would look the same: {alike}." if alike else "."
+        elif alike:
+            said = f"{name} cannot be told from {alike} by these recordings: it is left open."
+        else:
+            said = f"These recordings hold too little of {name} to tell it: it is left open."
+        entries.append(NumberEstimate(
+            name=name, value=value, unit=number.unit, ci95=[low, high] if sure else None, given=numbers[name],
+            alike=others, sentence=said,
+        ))  # fmt: skip
     return entries
 
 
 def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
-    """Return the other terms of the fit that explain nearly all of a number's signature; itself if it has none."""
+    """Return the other terms of the fit that explain 99 % of a number's signature; itself if it has none."""
     column = columns[:, k]
     if not np.linalg.norm(column) > 1e-9 * np.sqrt(len(column)):
         return [names[k]]
     others = np.delete(columns, k, axis=1)
     lengths = np.linalg.norm(others, axis=0)
-    if not len(lengths) or np.linalg.norm(orthogonal(others, column)) > OWN * np.linalg.norm(column):
+    if not len(lengths) or np.linalg.norm(orthogonal(others, column)) > 0.01 * np.linalg.norm(column):
         return []
     lengths = np.maximum(lengths, 1e-300)
     shares = np.linalg.lstsq(others / lengths, column, rcond=1e-12)[0]
@@ -69,7 +77,7 @@ def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
 def _alike(
     problem: Problem, found: Fit, columns: FloatArray, k: int, weight: FloatArray, library: Sequence[Effect]
 ) -> list[str]:
-    """Causes that are not claimed and would change the residuals as the number does."""
+    """Causes that are not claimed and would change the residuals as the number does, beside all that is fitted."""
     others = np.delete(columns, k, axis=1)
     own = orthogonal(others, columns[:, k])
     alike = []
@@ -79,48 +87,15 @@ def _alike(
         probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
         shown = orthogonal(others, (problem.residual((*found.claims, probe)) - found.residual) * weight)
         size = float(np.linalg.norm(shown) * np.linalg.norm(own))
-        if size > 0.0 and abs(float(shown @ own)) > ALIKE * size:
+        if size > 0.0 and abs(float(shown @ own)) > 0.999 * size:  # a correlation
             alike.append(effect.label)
     return alike
-
-
-def _entry(
-    bench: Bench, name: str, claim: Claim, bound: Interval, given: float | None, others: list[str], *, told: bool
-) -> NumberEstimate:
-    number = Bench.quantities()[name]
-    parameter = pack([claim])[0][0].name
-    value, low, high = (
-        float(getattr(claim.effect.settled(bench, {parameter: one}), name))
-        for one in (bound.value, bound.low, bound.high)
-    )
-    sure = told and bound.identifiable and not (number.low > 0.0 and high - low > 2.0 * VAGUE * abs(value))
-    return NumberEstimate(
-        name=name,
-        value=value,
-        unit=number.unit,
-        ci95=[low, high] if sure else None,
-        given=given,
-        alike=[one for one in others if one != name],
-        sentence=_sentence(name, f"{value:.5g} {number.unit}", f"{low:.5g} to {high:.5g}" if sure else "", others),
-    )
-
-
-def _sentence(name: str, value: str, interval: str, others: Sequence[str]) -> str:
-    alike = " and ".join(one for one in others if one != name)
-    if interval:
-        said = f"{name} is estimated at {value} (95 % {interval})"
-        return f"{said}, provided that there is none of what would look the same: {alike}." if alike else f"{said}."
-    if alike:
-        return f"{name} cannot be told from {alike} by these recordings: it is left open."
-    return f"These recordings hold too little of {name} to tell it: it is left open."
 
 
 NUMBERS = (
     "piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure", "valve_gain",
 )  # fmt: skip
 """Causes that are a number of the bench file times a ratio."""
-CONFIRMED = 0.05
-"""Share to which such a number must be known to be called confirmed."""
 
 
 def confirmed(
@@ -143,24 +118,18 @@ def confirmed(
         own = orthogonal(columns, signature)
         power = max(float(own @ own), 1e-300)
         off = 0.01 * (abs(float(own @ left)) / power + QUANTILE * inflation / power**0.5)
-        if off < CONFIRMED:
+        if off < MATTERS:
             said.append(f"{name} within {100.0 * max(off, ratio.smallest):.2g} %")
     return f"confirmed of the bench file, each if the others hold: {', '.join(said)}" if said else ""
 
 
-MUCH = 10.0
-"""Multiple of its smallest size worth claiming that a cause may hide without being listed."""
-_PROBES = 3
-"""Values at which each cause is tried."""
-
-
-def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
-    """Causes that could hide in missing rows, with the size from which they would show; None if none are missing.
+def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str:
+    """Causes that could hide in missing rows, with the size from which they would show; empty if none are missing.
 
     `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
     """
     if problem.thinner is None:
-        return None
+        return ""
     weight = problem.weight(found.residual)
     change = problem.change(found.claims) * weight
     limits: dict[str, tuple[float, str]] = {}
@@ -170,15 +139,12 @@ def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect],
             continue
         name = _plain(effect)
         price = threshold + len(effect.parameters) * float(np.log(len(weight)))
-        tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
+        tried = (_least(problem, found, effect, k, weight, change, price) for k in range(3))
         limit = min(tried, key=lambda one: one[0])
         limits[name] = min(limit, limits.get(name, limit), key=lambda one: one[0])
-    hidden = [f"{name}{words}" for name, (_, words) in limits.items() if words]
-    if not hidden:
-        return None
-    return "the recording has too few rows a second to show these causes, so they are not reported: " + ", ".join(
-        hidden
-    )
+    hidden = ", ".join(f"{name}{words}" for name, (_, words) in limits.items() if words)
+    said = "the recording has too few rows a second to show these causes, so they are not reported: "
+    return f"{said}{hidden}" if hidden else ""
 
 
 def _plain(effect: Effect) -> str:
@@ -199,7 +165,7 @@ def _least(
     if main is None:
         return share, " at any size" if share > 1.0 else ""
     size = share * abs(start[main.name] - main.neutral)
-    if size <= MUCH * main.smallest:
+    if size <= 10.0 * main.smallest:  # so much may hide without being listed
         return share, ""
     unit, factor = ("%", 100.0) if main.unit == "-" else display_unit(main.unit)
     return share, f" {'under' if main.neutral == 0.0 else 'within'} {size * factor:.2g} {unit}"

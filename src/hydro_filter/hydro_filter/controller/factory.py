@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -62,18 +62,14 @@ class FilterChoice:
         files = [*self.files.values(), *([self.bench_file] if self.bench_file else [])]
         return tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
 
-    def reload(self) -> FilterChoice:
-        """Read the files again and return the new choice.
-
-        Raises PairingError: they do not belong together; ValueError, OSError: one cannot be read.
-        """
-        choice = replace(self, bench=Bench.load(self.bench_file) if self.bench_file else self.bench)
-        raise_if_mismatched(choice.pairing_error())
-        return choice
-
     def describe(self) -> dict[str, str]:
         """Return the files with digests, certified gains and regions as text by name, for logs and /diagnostics."""
-        told = {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
+        told = {}
+        for name, path in self.files.items():
+            try:
+                told[name] = f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}"
+            except OSError as error:
+                raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None
         ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.certificates)
         certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
         proved, foreign = self._statements
@@ -100,7 +96,6 @@ class FilterChoice:
 
     @cached_property
     def _model_digest(self) -> str:
-        """The model's digest, read from its file at first access."""
         return learned_bench.digest(self.files["model"])
 
     @cached_property
@@ -157,45 +152,31 @@ class FilterChoice:
         return RegionMonitor(proved, float(filtering.parts["closing"][0])) if proved else None
 
 
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-    except OSError as error:
-        raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None
-
-
 NUMERIC_OPTIONS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "state_age_max")
 """Settings that are options, too."""
-
-
-def parser() -> argparse.ArgumentParser:
-    """Return the argument parser; options have the names and meanings of the ROS parameters."""
-    result = argparse.ArgumentParser(
-        prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
-    )
-    result.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
-    result.add_argument("--metric", metavar="FILE", help=f"of `learn_metric`; default: {LEARNED}, the shipped one")
-    result.add_argument(
-        "--model",
-        type=Path,
-        metavar="FILE",
-        help="bench file that the metric was made for; default: the shipped one",
-    )
-    site.add_site_option(result, "--bench, --metric and --model")
-    docs = describe(LoopFilterSettings)
-    for name in NUMERIC_OPTIONS:
-        result.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=docs[name].text)
-    result.add_argument("--bypass", action="store_true", help=docs["bypass"].text)
-    result.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
-    return result
 
 
 def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:
     """Parse the command line into the filter choice, its settings, and the remaining options.
 
-    Raises PairingError: metric, model and bench do not belong together.
+    Options have the names and meanings of the ROS parameters. Raises PairingError: metric, model and bench do not
+    belong together.
     """
-    asked = parser().parse_args(given)
+    parser = argparse.ArgumentParser(
+        prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
+    )
+    parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
+    parser.add_argument("--metric", metavar="FILE", help=f"of `learn_metric`; default: {LEARNED}, the shipped one")
+    parser.add_argument(
+        "--model", type=Path, metavar="FILE", help="bench file that the metric was made for; default: the shipped one"
+    )
+    site.add_site_option(parser, "--bench, --metric and --model")
+    docs = describe(LoopFilterSettings)
+    for name in NUMERIC_OPTIONS:
+        parser.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=docs[name].text)
+    parser.add_argument("--bypass", action="store_true", help=docs["bypass"].text)
+    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
+    asked = parser.parse_args(given)
     site.apply_site_option(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
     choice = FilterChoice.from_files(metric=asked.metric, model=asked.model, bench=asked.bench)
     numbers = {name: value for name in NUMERIC_OPTIONS if (value := getattr(asked, name)) is not None}

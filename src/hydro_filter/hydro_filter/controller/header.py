@@ -9,9 +9,6 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
-
-import numpy.typing as npt
 
 from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_whole
@@ -62,20 +59,19 @@ def render_header(parts: Records, loop: Loop, table: FloatArray, origin: str) ->
             embedded_source(BenchModel(of, substeps=SUBSTEPS).symbols(), SUBSTEPS, name, jacobian=jacobian)
             for name, of, jacobian in models
         ),
-        *(_array(names.get(name, members["table"]), array) for name, array in arrays.items()),
-        f"static const hydro_loop_filter HYDRO_LOOP_FILTER = {initializer(members)};",
     ]
+    for name, array in arrays.items():
+        kind = "int" if array.dtype.kind == "i" else "hydro_real"
+        words = [initializer(number) for number in array.ravel()] or ["0"]
+        word = names.get(name, members["table"])
+        lines.append(f"static const {kind} {word}[{len(words)}] = {{\n{wrap_words(words)}\n}};\n")
+    lines.append(f"static const hydro_loop_filter HYDRO_LOOP_FILTER = {initializer(members)};")
     return header_file("HYDRO_LOOP_FILTER_CONFIG_H", origin, "\n".join(lines))
 
 
-def _array(name: str, numbers: npt.NDArray[Any]) -> str:
-    kind = "int" if numbers.dtype.kind == "i" else "hydro_real"
-    words = [initializer(number) for number in numbers.ravel()] or ["0"]
-    return f"static const {kind} {name}[{len(words)}] = {{\n{wrap_words(words)}\n}};\n"
-
-
-def parser() -> argparse.ArgumentParser:
-    """Return the argument parser."""
+@command(ValueError)
+def main() -> None:
+    """Entry point."""
     parser = argparse.ArgumentParser(
         prog="export_c",
         description="Write a filter's numbers for a box in C, for firmware/hydro/loop_filter.h.",
@@ -93,13 +89,7 @@ def parser() -> argparse.ArgumentParser:
         "--contraction-rate", type=float, metavar="1/s", default=LoopFilterSettings().contraction_rate,
         help="for gains of the certified range; default: %(default)g",
     )  # fmt: skip
-    return parser
-
-
-@command(ValueError)
-def main() -> None:
-    """Entry point."""
-    options = parser().parse_args()
+    options = parser.parse_args()
     choice = FilterChoice.from_files(metric=options.metric, model=options.model, bench=options.bench)
     if trouble := choice.pairing_error():
         raise ValueError(trouble)

@@ -24,24 +24,15 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
-from hydro_core.size import Size
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import coordinate_names, make_loop
-from hydro_filter.model.records import (
-    DECISION,
-    FILTER,
-    SAMPLE,
-    library,
-    make_record,
-    new_memories,
-    new_monitors,
-)
+from hydro_filter.model.records import DECISION, FILTER, SAMPLE, library, make_record, new_memories, new_monitors
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.terms import valve_overlap
 from hydro_sim.box.firmware import Records, address_of
@@ -50,7 +41,6 @@ from hydro_sim.model.bench import NOMINAL, Bench
 
 C1_TOLERANCE = 1e-3
 """HYDRO_SAME: largest difference at which two values of C_1 count as equal."""
-
 EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
 """Of the model monitor."""
 SUSPECTED_CAUSES = (
@@ -61,7 +51,6 @@ SUSPECTED_CAUSES = (
     "valve, supply, oil or area",
 )
 """Suspected causes of a violation of each equation."""
-
 FORCE, RATE, PRESSURE, POSITION, SPEED, CURRENT, GAIN = 1e5, 1e9, 1e8, 1.0, 20.0, 1e4, 1e4
 """N, N/s, Pa, m, m/s, A, 1/s: magnitudes beyond which a sample is none of the nominal bench, far beyond its sensors."""
 
@@ -216,6 +205,11 @@ def loop_parts(
     Raises ValueError: the metric's coordinates are not those of the model's loop, or as `make_loop`.
     """
     settings, levels, loop = settings or LoopFilterSettings(), metric.thresholds, make_loop(model, bench)
+    force, pressure, length, current = (
+        getattr(bench.size, name) / getattr(NOMINAL, name) for name in ("force", "pressure", "length", "current")
+    )
+    force, rate, current, p_max = force * FORCE, force * RATE, current * CURRENT, pressure * PRESSURE
+    x_max = force, rate, force, rate, p_max, p_max, length * POSITION, length * SPEED
     if metric.coordinates != (needed := coordinate_names(loop)):
         raise ValueError(
             f"the metric is of the coordinates {', '.join(metric.coordinates)}, this model's loop has "
@@ -229,20 +223,10 @@ def loop_parts(
         "noise_size": settings.noise_share * levels.noise_size,
         "foreign_noise_size": settings.noise_share * levels.foreign_noise_size,
         "integral_allowance": levels.integral_allowance,
-        "most": _most(bench.size),
+        "most": (x_max, current, 2.0 * bench.size.current, force, rate, GAIN, force, rate, 0.0, 0.0, True),
     }
     arrays = {f"loop.{name}": array for name, array in loop.arrays.items()}
     return make_record(FILTER, values, arrays | {"table": metric.table})
-
-
-def _most(size: Size) -> tuple[Any, ...]:
-    """Magnitudes of a record of SAMPLE that are none of a bench of this size."""
-    forces, pressures, lengths, currents = (
-        getattr(size, name) / getattr(NOMINAL, name) for name in ("force", "pressure", "length", "current")
-    )
-    force, rate, current = forces * FORCE, forces * RATE, currents * CURRENT
-    x = (force, rate, force, rate, pressures * PRESSURE, pressures * PRESSURE, lengths * POSITION, lengths * SPEED)
-    return x, current, 2.0 * size.current, force, rate, GAIN, force, rate, 0.0, 0.0, True
 
 
 def default_filter(bench: Bench | None = None) -> LoopFilter:

@@ -26,30 +26,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, StateArray, to_matrix
-from hydro_filter.model.coordinates import LOOP_FIELDS, Q_HYDRAULIC, Q_SPOOL, Q_SPOOL_RATE, coordinate_scales
+from hydro_filter.model import terms
+from hydro_filter.model.coordinates import LOOP_FIELDS, Q_HYDRAULIC, Q_SPOOL, coordinate_scales
 from hydro_filter.model.records import LOOP, SAMPLE, make_record
 from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
-from hydro_filter.model.terms import (
-    FORCE_CELL_LAG,
-    LOAD_CELL_LAG,
-    OVERLAP,
-    PRESSURE_LAGS,
-    UNCERTAINTY,
-    VALVE_LAG,
-    depends_on_velocity,
-    dry_friction,
-    find_parameters,
-    hidden_state_indices,
-    lag_delay,
-    lagging_sensors,
-    load_cell_coefficients,
-    load_cell_indices,
-    load_curve,
-    null_shifts,
-    pressure_observer,
-    sensor_calibration,
-    state_index,
-)
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.firmware import BENCH_FIELDS, Records
 from hydro_sim.model import hydraulics
@@ -59,9 +39,8 @@ from hydro_sim.model.effects import catalogue
 from hydro_sim.model.grammar import depends_on_direction, has_hidden_states, signals_of
 from hydro_sim.model.sensors import Sensors
 
-DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", OVERLAP, "backlash")
+DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", terms.OVERLAP, "backlash")
 """Effects that the linearized loop leaves out."""
-
 REFERENCE_ACCELERATION_MAX = 2000.0 / 3.0
 """1/s^2, limit of f_r'' over the bench's force: that at 4 Hz."""
 VELOCITY_NOISE_FLOOR = 0.025
@@ -76,16 +55,14 @@ within the sample, whose bend is unknown at first."""
 
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
-
 SINGLE_LAG_EFFECTS = {
-    "the valve": VALVE_LAG,
-    "the load cell": LOAD_CELL_LAG,
-    "the load cell of f_h": FORCE_CELL_LAG,
-    "the pressure sensor of a": PRESSURE_LAGS[0],
-    "the pressure sensor of b": PRESSURE_LAGS[1],
+    "the valve": terms.VALVE_LAG,
+    "the load cell": terms.LOAD_CELL_LAG,
+    "the load cell of f_h": terms.FORCE_CELL_LAG,
+    "the pressure sensor of a": terms.PRESSURE_LAGS[0],
+    "the pressure sensor of b": terms.PRESSURE_LAGS[1],
 }
 """Labels of effects of which a bench has one at most."""
-
 WHOLE_SAMPLE = 1e-9
 """Of a sample: a dead time this close to whole samples is one of them."""
 
@@ -126,7 +103,7 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     # both models, and where the states of the loop's are in the whole one
     linear_bench = without_disturbances(truth)
     whole, linear = BenchModel(truth, substeps=SUBSTEPS), BenchModel(linear_bench, substeps=SUBSTEPS)
-    states, linear_states = hidden_state_indices(truth), hidden_state_indices(linear_bench)
+    states, linear_states = terms.hidden_state_indices(truth), terms.hidden_state_indices(linear_bench)
     k, rest, _ = whole.begin(whole.values)
     carried = whole.values * [MASS_FACTOR if one.name == "moving_mass" else 1.0 for one in whole.parameters]
     past = whole.structure.past
@@ -135,23 +112,24 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     # load, friction, sensors and valve
     numbers, law, size = truth.constants()[0], believed.constants()[0], believed.size
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
-    forces = load_curve(numbers, [one for one in truth.terms if one["id"] not in DISTURBANCES], positions)
+    forces = terms.load_curve(numbers, [one for one in truth.terms if one["id"] not in DISTURBANCES], positions)
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
-    level, (before, after) = dry_friction(truth), null_shifts(truth)
+    level, (before, after) = terms.dry_friction(truth), terms.null_shifts(truth)
     bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
-    (lag, inertia), (gain, bias) = load_cell_coefficients(truth), sensor_calibration(truth)
+    (lag, inertia), (gain, bias) = terms.load_cell_coefficients(truth), terms.sensor_calibration(truth)
     area, stiffness_a = float(numbers["piston_area"]), hydraulics.stiffnesses(numbers, float(rest[2]))[0]
     half_supply = sqrt(0.5 * float(numbers["supply_pressure"]))
     delay = catalogue.total_delay(truth.effects)
 
     # coordinates that the bench file adds to the eight: of lagging pressure sensors, then of currents in the dead time
-    sensors, on_their_way = lagging_sensors(truth, states, linear_states), ceil(delay / SAMPLE_PERIOD - WHOLE_SAMPLE)
+    sensors = terms.lagging_sensors(truth, states, linear_states)
+    on_their_way = ceil(delay / SAMPLE_PERIOD - WHOLE_SAMPLE)
     lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
     for i, one in enumerate(sensors):
         lagging[i] = one.signal, one.rate, one.chamber, one.delay
     if count := len(sensors):
-        observer[: count + 1, : 3 * count] = pressure_observer(linear, sensors, size)
+        observer[: count + 1, : 3 * count] = terms.pressure_observer(linear, sensors, size)
     scale = coordinate_scales(believed)
     pressure, currents = float(scale[Q_HYDRAULIC]) / truth.piston_area, TEXTBOOK + len(linear_states)
     kept = [index for one in sensors for index in (one.linear_signal, one.linear_rate)]
@@ -162,14 +140,14 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     values: dict[str, Any] = {
         "sample": whole.address_of("bench_sample"), "jacobian": linear.address_of("bench_jacobian"),
         "coordinates": len(scale) + len(added), "lagging": lagging, "lagging_count": count, "observer": observer,
-        "force_shown": state_index(states, FORCE_CELL_LAG, "signal"),
+        "force_shown": terms.state_index(states, terms.FORCE_CELL_LAG, "signal"),
         "delay": delay, "past": past, "at_valve": floor(delay / SAMPLE_PERIOD + WHOLE_SAMPLE),
-        "on_their_way": on_their_way, "spool_age": lag_delay(find_parameters(truth, VALVE_LAG)),
+        "on_their_way": on_their_way, "spool_age": terms.lag_delay(terms.find_parameters(truth, terms.VALVE_LAG)),
         "before": before, "after": after,
         "points": len(forces), "first": positions[0], "step": positions[1] - positions[0],
         "level": level, "holds": level > 0.0 and not bristles, "creep": size.length * VELOCITY_NOISE_FLOOR,
         "lag": lag, "inertia": inertia, "gain": gain, "bias": bias,
-        "allowed": size.force * FORCES_ALLOWED + size.pressure * UNCERTAINTY * PRESSURES_ALLOWED,
+        "allowed": size.force * FORCES_ALLOWED + size.pressure * terms.UNCERTAINTY * PRESSURES_ALLOWED,
         "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
         "dead_a": float(numbers["dead_volume_a"]), "dead_b": float(numbers["dead_volume_b"]),
         "stroke": float(numbers["stroke"]), "bend_max": size.force * REFERENCE_ACCELERATION_MAX,
@@ -181,11 +159,11 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
         "bench": tuple(float(law[name]) for name in BENCH_FIELDS),
     }  # fmt: skip
     for name, model, indices in (("whole", whole, states), ("linear", linear, linear_states)):
-        cell, cell_rate = load_cell_indices(model.bench, indices)
+        cell, cell_rate = terms.load_cell_indices(model.bench, indices)
         values |= {
             f"{name}.rates": model.address_of("bench_rates"), f"{name}.states": len(model.states),
-            f"{name}.spool": state_index(indices, VALVE_LAG, "spool"),
-            f"{name}.spool_rate": state_index(indices, VALVE_LAG, "rate"),
+            f"{name}.spool": terms.state_index(indices, terms.VALVE_LAG, "spool"),
+            f"{name}.spool_rate": terms.state_index(indices, terms.VALVE_LAG, "rate"),
             f"{name}.cell": cell, f"{name}.cell_rate": cell_rate,
         }  # fmt: skip
     arrays: dict[str, npt.NDArray[Any]] = {
@@ -204,7 +182,7 @@ def check_representable(truth: Bench) -> None:
         "what closures remember": [one for one in truth.closures if has_hidden_states(one)],
         "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
         "a mass that the load drags along": [one for one in loads if "acceleration" in signals_of(one)],
-        "a load that follows the velocity": [one for one in loads if depends_on_velocity(truth, one)],
+        "a load that follows the velocity": [one for one in loads if terms.depends_on_velocity(truth, one)],
     }
     for what, closures in refused.items():
         if closures:
@@ -228,11 +206,6 @@ def coordinate_names(loop: Loop) -> tuple[str, ...]:
     chambers = loop["lagging"]["chamber"][: loop["lagging_count"]]
     shown = [f"p_{'ab'[chamber]}_shown{ending}" for chamber in chambers for ending in ("", "_rate")]
     return (*LOOP_FIELDS, *shown, *(f"current_{i + 1}" for i in range(loop["on_their_way"])))
-
-
-def input_coordinate(loop: Loop) -> int:
-    """Return the index of the coordinate through which the current enters: the spool's rate, or the newest current."""
-    return len(loop.scale) - loop["on_their_way"] if loop["on_their_way"] else Q_SPOOL_RATE
 
 
 def rest_measurement(loop: Loop) -> FloatArray:
@@ -276,5 +249,5 @@ def without_disturbances(truth: Bench) -> Bench:
 
 def without_overlap(truth: Bench) -> Bench | None:
     """Return the bench without its valve's overlap; None if it has none."""
-    kept = tuple(effect for effect in truth.effects if effect["id"] != OVERLAP)
+    kept = tuple(effect for effect in truth.effects if effect["id"] != terms.OVERLAP)
     return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None

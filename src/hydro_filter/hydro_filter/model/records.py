@@ -82,19 +82,16 @@ def make_record(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapp
     begins = np.cumsum([-(-size // 8) for size in sizes])  # in words
     memory = np.zeros(int(begins[-1]))
     record: Records = memory.view(np.uint8)[: kind.itemsize].view(kind)
-    for name, value in values.items():
-        *path, last = name.split(".")
-        _within(record, path)[last] = value
+    pointers = {}
     for (name, array), begin in zip(arrays.items(), begins, strict=False):
         memory.view(np.uint8)[8 * begin : 8 * begin + array.nbytes] = np.ascontiguousarray(array).view(np.uint8).ravel()
+        pointers[name] = address_of(memory) + 8 * int(begin)
+    for name, value in {**values, **pointers}.items():
         *path, last = name.split(".")
-        _within(record, path)[last] = address_of(memory) + 8 * int(begin)
-    return record
-
-
-def _within(record: Records, path: list[str]) -> Records:
-    for name in path:
-        record = record[name]
+        field: Any = record
+        for part in path:
+            field = field[part]
+        field[last] = value
     return record
 
 

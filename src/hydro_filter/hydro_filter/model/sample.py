@@ -14,15 +14,8 @@ STATES = 8
 """Length of x (paper eq. state_def)."""
 
 (
-    HYDRAULIC_FORCE,
-    HYDRAULIC_FORCE_RATE,
-    LOAD_FORCE,
-    LOAD_FORCE_RATE,
-    PRESSURE_A,
-    PRESSURE_B,
-    POSITION,
-    VELOCITY,
-) = range(STATES)
+    HYDRAULIC_FORCE, HYDRAULIC_FORCE_RATE, LOAD_FORCE, LOAD_FORCE_RATE, PRESSURE_A, PRESSURE_B, POSITION, VELOCITY,
+) = range(STATES)  # fmt: skip
 """Indices into x."""
 
 

@@ -34,7 +34,6 @@ from hydro_sim.model.sensors import Sensors
 
 StateName = tuple[str, int, str]
 """Of a hidden state: its effect's label, which one of several with that label, the state."""
-
 VALVE_LAG, LOAD_CELL_LAG, FORCE_CELL_LAG = (
     "valve_lag", "sensor_lag sensor=load_force", "sensor_lag sensor=hydraulic_force",
 )  # fmt: skip
@@ -44,7 +43,6 @@ OVERLAP = "valve_deadband"
 """Effect within which no current moves anything."""
 POSITION_STATE, VELOCITY_STATE, LOAD_STATE, LOAD_RATE_STATE = 2, 3, 4, 5
 """Of the textbook's states; the load is what an amplifier of the bench itself shows."""
-
 UNCERTAINTY = 1.875e-4
 """Standard deviation of the model's pressure after one sample, over the supply's: what the monitor allows."""
 
@@ -121,9 +119,7 @@ def sensor_calibration(bench: Bench) -> tuple[FloatArray, FloatArray]:
 
 def _evaluable(effect: Mapping[str, Any], numbers: Any, velocity: float = 0.0) -> Effect:
     """Return an effect with its parameters' values, for terms that need no state but the velocity [m/s]."""
-    kind, values = catalogue.parse_entry(effect)
-    parameters = zip((one.name for one in kind.parameters), values, strict=True)
-    return kind.bound(dict(parameters), numbers=numbers, velocity=velocity)
+    return catalogue.parse_entry(effect)[0].bound(parameters_of(effect), numbers=numbers, velocity=velocity)
 
 
 def dry_friction(bench: Bench) -> float:

@@ -35,7 +35,7 @@ import signal
 import threading
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,14 +61,7 @@ from hydro_bridge.ros.messages import (
     subscribe_to_box,
 )
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import (
-    AUTHORITY,
-    CORRECTION,
-    LAW_STATE,
-    STATE,
-    create_publisher,
-    create_subscription,
-)
+from hydro_bridge.ros.topics import AUTHORITY, CORRECTION, LAW_STATE, STATE, create_publisher, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.pace import FILTER_WINDOW
 from hydro_core.cli.console import UserError, command
@@ -81,32 +74,33 @@ from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, 
 from hydro_filter.model.sample import Sample
 from hydro_filter.region.watch import RegionMonitor
 from hydro_msgs.msg import Authority
+from hydro_sim.files.pairing import raise_if_mismatched
+from hydro_sim.model.bench import Bench
 
 WAIT_NOTICE_DELAY = 2.0
 """s after which a wait is explained to the user."""
-
 DISCOVERY_TIME = 0.5
 """s after the start within which another filter is discovered, if there is one."""
-
 LAW_VALID_SAMPLES = 50
 """Number of samples for which a LawState message stays valid, as one may be lost."""
-
+REPORTED = (
+    CorrectionStatus.BYPASSED, CorrectionStatus.MISMATCH, CorrectionStatus.NAN, CorrectionStatus.STALE,
+    CorrectionStatus.INFEASIBLE, CorrectionStatus.RELAXED, CorrectionStatus.MODIFIED,
+)  # fmt: skip
+"""Statuses whose counts are reported, worst first."""
 FAILURE_STATUSES = (CorrectionStatus.NAN, CorrectionStatus.INFEASIBLE)
 """Statuses of which a single one is reported as a warning."""
 STALE_SHARE_MAX = 0.01
 """Share of stale corrections above which the node warns; /diagnostics counts each of them."""
-
 STALE_HINT = "stale ones came too late to be applied: the machine is busy; close other programs"
-
 FILE_POLL_PERIOD = 1.0
 """s between checks of the files; changed files are read once they are unchanged for as long."""
-
 _PLANT = slice(2, 2 + len(PLANT_FIELDS))  # of a state's record, behind stamp and sequence
 
 
 @dataclass
 class FilterStatistics:
-    """Statistics since the node started; `counts_since_last` compares with its previous call."""
+    """Statistics since the node started."""
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)
     outside: int = 0
@@ -117,46 +111,6 @@ class FilterStatistics:
     """From the callback's begin to the correction's publication."""
     age: Latency = field(default_factory=Latency)
     """From a sample's stamp to the publication of its correction."""
-    _sequence: int | None = None
-    _told: Counter[CorrectionStatus] = field(default_factory=Counter)
-
-    def track_sequence(self, sequence: int) -> bool:
-        """Record a sample's sequence number, modulo 2^32; return whether it succeeds the last one."""
-        gap = -1 if self._sequence is None else (sequence - self._sequence - 1) & 0xFFFFFFFF
-        self.missing += gap if 0 < gap < 0x80000000 else 0  # a restarted source counts from zero
-        self._sequence = sequence
-        return gap == 0
-
-    def counts_since_last(self) -> Counter[CorrectionStatus]:
-        """Return the number of corrections by status since the last call."""
-        fresh = self.statuses - self._told
-        self._told = self.statuses.copy()
-        return fresh
-
-    def values(self) -> dict[str, object]:
-        """Return the values by name, for /diagnostics."""
-        shown: dict[str, object] = {status.name.lower(): self.statuses[status] for status in CorrectionStatus}
-        shown |= {"outside": self.outside, "missing_states": self.missing}
-        for name, latency in (("work", self.work), ("age", self.age)):
-            for percent, key in ((50.0, "p50"), (99.0, "p99"), (99.9, "p99_9")):
-                shown[f"{name}_{key}_ms"] = 1e3 * latency.percentile(percent)
-        return shown
-
-
-def summarize_statuses(counts: Counter[CorrectionStatus]) -> str:
-    """Return a summary of the statuses of the last second, worst first."""
-    order = (
-        CorrectionStatus.BYPASSED,
-        CorrectionStatus.MISMATCH,
-        CorrectionStatus.NAN,
-        CorrectionStatus.STALE,
-        CorrectionStatus.INFEASIBLE,
-        CorrectionStatus.RELAXED,
-        CorrectionStatus.MODIFIED,
-    )
-    parts = [f"{counts[status]} {status.name.lower()}" for status in order if counts[status]]
-    total = counts.total()
-    return f"{total} corrections" + (f": {', '.join(parts)}" if parts else "")
 
 
 class Loaded(NamedTuple):
@@ -190,7 +144,7 @@ class FileWatch:
     def poll(self, *, armed: bool) -> Loaded | None:
         """Return new files once they are read; None: there are none, or the plant is armed.
 
-        Raises ValueError, OSError, UserError: they cannot be read, or do not belong together.
+        Raises ValueError, OSError, UserError: one cannot be read, or they do not belong together (PairingError).
         """
         if self._reading is not None:
             if armed or not self._reading.done():
@@ -206,7 +160,10 @@ class FileWatch:
 
     def _load(self, reading: concurrent.futures.Future[Loaded]) -> None:
         try:
-            reading.set_result(Loaded.load(self._choice.reload(), self._settings))
+            file = self._choice.bench_file
+            choice = replace(self._choice, bench=Bench.load(file) if file else self._choice.bench)
+            raise_if_mismatched(choice.pairing_error())
+            reading.set_result(Loaded.load(choice, self._settings))
         except Exception as error:
             reading.set_exception(error)
 
@@ -225,6 +182,8 @@ class FilterNode(Node):
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
         self._statistics, self._handed, self._armed = FilterStatistics(), handed, False
+        self._reported: Counter[CorrectionStatus] = Counter()
+        """Statuses when they were last reported."""
         self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
         self._loaded, self._files = self._load(choice), FileWatch(choice, self.settings)
         self._box: KnownBox | None = None
@@ -283,7 +242,6 @@ class FilterNode(Node):
         return loaded
 
     def _start_publishing(self) -> None:
-        """Start answering, unless another filter does."""
         if self._publisher is not None:
             return
         if others := self.get_publishers_info_by_topic(CORRECTION):
@@ -297,10 +255,13 @@ class FilterNode(Node):
             self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
 
     def _poll_files(self) -> None:
-        """Take new files over, if the plant is disarmed or silent and they have been written."""
-        armed, self._armed = self._armed, False  # the next sample tells
+        """Take new files over, if the plant is disarmed or gone and they have been written.
+
+        A plant that is silent is not gone: its samples may wait for this process, which a busy machine holds up.
+        """
+        self._armed &= self._states is None or self._states.get_publisher_count() > 0
         try:
-            if (loaded := self._files.poll(armed=armed)) is None:
+            if (loaded := self._files.poll(armed=self._armed)) is None:
                 return
         except (ValueError, OSError, UserError) as error:
             self.get_logger().warning(f"the new files are not taken over: {error}")
@@ -335,7 +296,7 @@ class FilterNode(Node):
             self.publish()
             return
         if self._waiting is not None:  # its law never came
-            self._answer_waiting()
+            self._answer(self._waiting)
         law = self._law_near(message.sequence)
         if law is None or law.sequence == message.sequence or not self._armed or self._bypass_reason(law):
             self._answer(message)
@@ -352,11 +313,7 @@ class FilterNode(Node):
                 self.get_logger().info(f"the box runs the compensated law{bypassed}")
         self._law = message
         if self._waiting is not None and self._waiting.sequence == message.sequence:
-            self._answer_waiting()
-
-    def _answer_waiting(self) -> None:
-        waiting, self._waiting = self._waiting, None
-        self._answer(waiting)
+            self._answer(self._waiting)
 
     def _bypass_reason(self, law: Any) -> str:
         """Return why nothing is decided under this law; empty: the metric is made for it."""
@@ -375,10 +332,12 @@ class FilterNode(Node):
         return None
 
     def _answer(self, message: Any) -> None:
-        """Correct a state and publish the correction."""
+        self._waiting = None
         with self._lock:
             begin, made = time.perf_counter(), self._loaded.filter
-            if not self._statistics.track_sequence(message.sequence):
+            gap = -1 if self._last is None else (message.sequence - self._last.sequence - 1) & 0xFFFFFFFF
+            self._statistics.missing += gap if 0 < gap < 0x80000000 else 0  # a restarted source counts from zero
+            if gap:
                 made.reset_history()
             age, law, armed = self._age(message), self._law_near(message.sequence), message.flags & Flag.ARMED
             if law is not None and self._bypass_reason(law):
@@ -387,7 +346,11 @@ class FilterNode(Node):
                 made.reset_history()
                 result = Result.uncorrected(CorrectionStatus.STALE)
             else:
-                sample = make_sample(message, law)
+                sample = Sample(
+                    np.array(message[_PLANT]), message.nominal_valve_current, message.reference_force,
+                    message.proportional_gain, message.valve_current, message.reference_force_rate, bool(armed),
+                    None if law is None else law_state_from_message(law),
+                )  # fmt: skip
                 if message.sequence % SAMPLES_PER_STEP == 0:
                     self._check_region(sample)
                 result = made.correct(sample, age)
@@ -406,7 +369,6 @@ class FilterNode(Node):
             self._statistics.age.add(self._age(message))
 
     def _age(self, state: Any) -> float:
-        """Return the age [s] of a state."""
         return 0.0 if state.flags & Flag.PACED else 1e-9 * (time.time_ns() - state.stamp)
 
     def _check_region(self, sample: Sample) -> None:
@@ -457,9 +419,11 @@ class FilterNode(Node):
         self._identity = identity
 
     def _status(self) -> Status:
-        counts = self._statistics.counts_since_last()
-        told, late = summarize_statuses(counts), counts[CorrectionStatus.STALE]
-        level = Level.OK
+        seen = self._statistics
+        counts, self._reported = seen.statuses - self._reported, seen.statuses.copy()
+        parts = [f"{counts[status]} {status.name.lower()}" for status in REPORTED if counts[status]]
+        told = f"{counts.total()} corrections" + (f": {', '.join(parts)}" if parts else "")
+        level, late = Level.OK, counts[CorrectionStatus.STALE]
         if not counts:
             level, told = Level.STALE, "no states"
         elif any(counts[status] for status in FAILURE_STATUSES) or late > STALE_SHARE_MAX * counts.total():
@@ -474,22 +438,17 @@ class FilterNode(Node):
             told = f"BYPASSED, the box does not run the paper's law: {reason}; {told}"
         if self._mismatch:
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
-        values = {**self._loaded.description, **self._statistics.values()}
+        values: dict[str, object] = {**self._loaded.description}
+        values |= {status.name.lower(): seen.statuses[status] for status in CorrectionStatus}
+        values |= {"outside": seen.outside, "missing_states": seen.missing}
+        for name, latency in (("work", seen.work), ("age", seen.age)):
+            for percent, key in ((50.0, "p50"), (99.0, "p99"), (99.9, "p99_9")):
+                values[f"{name}_{key}_ms"] = 1e3 * latency.percentile(percent)
         values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
         crowd = publisher_conflicts(self, STATE)
         if not crowd and self._publisher is None:
             crowd = "another filter answers: this one waits"
         return with_publisher_conflicts(Status(level=level, message=told, values=values), crowd)
-
-
-def make_sample(message: Any, law: Any = None) -> Sample:
-    """Convert the records of a BenchState and its LawState (None: the paper's law) to the filter's input."""
-    state = np.array(message[_PLANT])
-    return Sample(
-        state, message.nominal_valve_current, message.reference_force, message.proportional_gain,
-        message.valve_current, message.reference_force_rate, bool(message.flags & Flag.ARMED),
-        None if law is None else law_state_from_message(law),
-    )  # fmt: skip
 
 
 @command(ValueError)

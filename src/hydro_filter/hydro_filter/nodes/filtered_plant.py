@@ -23,24 +23,19 @@ from hydro_sim.nodes import sim
 PLANTS = {"bridge": bridge.plant_factory, "sim": sim.plant_factory}
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the parser of the options that are not the plant's."""
-    result = argparse.ArgumentParser(
+@command(ValueError)
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(
         prog="filtered_plant",
         description="A plant and the filter in one process: same nodes and topics as side by side, less work.",
         epilog="Further options are the plant's: `filtered_plant bridge --port /dev/ttyUSB0`; see `bridge --help`.",
         allow_abbrev=False,
     )
-    result.add_argument("plant", choices=tuple(PLANTS), help="which node")
-    result.add_argument("--filter", default="", metavar="WORDS", help='of the filter: --filter="--contraction-rate 2"')
-    return result
-
-
-@command(ValueError)
-def main() -> None:
-    """Entry point."""
+    parser.add_argument("plant", choices=tuple(PLANTS), help="which node")
+    parser.add_argument("--filter", default="", metavar="WORDS", help='of the filter: --filter="--contraction-rate 2"')
     own, ros = ros_arguments()
-    asked, words = parser().parse_known_args(own)
+    asked, words = parser.parse_known_args(own)
     choice, settings, filtering = parse_args(shlex.split(asked.filter))
     if filtering.realtime:
         raise UserError("--realtime is the plant's: say it outside of --filter")

@@ -146,8 +146,8 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     told_b = right_b * (rate_b - push_b * across + g_b * symmetric(error)) - left_b + compensation * c_law_b * late
 
     slope = state["gain_drift"]
-    drift = Interval(math.expm1(PERIOD * slope.low) * (1.0 + 1e-9), math.expm1(PERIOD * slope.high) * (1.0 + 1e-9))
-    drift = drift.hull(interval(0.0))
+    down, up = (math.expm1(PERIOD * end) * (1.0 + 1e-9) for end in (slope.low, slope.high))
+    drift = Interval(min(down, 0.0), max(up, 0.0))
     flow_apart = per_opening.high * (0.5 * PERIOD * state["opening_rate"].size + drift.size * largest)
     return JacobianBounds(
         c_law=c_law_a + c_law_b, zeta=rho_a * stiffer,

@@ -3,7 +3,7 @@
 
 ::
 
-    Interval    [low, high]                         every operation rounds outward by `numpy.nextafter`
+    Interval    [low, high]                         every operation rounds outward by `math.nextafter`
     Affine      C + sum_i s_i G_i + E               |s_i| <= 1, |E| <= R entry by entry
 
 An affine set keeps its first-order dependence on each symbol s_i: it is their vertices that a convex condition is asked
@@ -12,10 +12,10 @@ at. What is of second order, and rounding, goes into R. Source: de Figueiredo an
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from math import inf, nextafter, sqrt
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class Interval:
     @property
     def radius(self) -> float:
         """Distance from `midpoint` that covers both ends."""
-        return _up(max(self.high - self.midpoint, self.midpoint - self.low))
+        return nextafter(max(self.high - self.midpoint, self.midpoint - self.low), inf)
 
     @property
     def size(self) -> float:
@@ -51,7 +51,7 @@ class Interval:
 
     def __add__(self, other: Interval | float) -> Interval:
         other = interval(other)
-        return Interval(_down(self.low + other.low), _up(self.high + other.high))
+        return Interval(nextafter(self.low + other.low, -inf), nextafter(self.high + other.high, inf))
 
     __radd__ = __add__
 
@@ -64,7 +64,7 @@ class Interval:
     def __mul__(self, other: Interval | float) -> Interval:
         other = interval(other)
         ends = [a * b for a, b in product((self.low, self.high), (other.low, other.high))]
-        return Interval(_down(min(ends)), _up(max(ends)))
+        return Interval(nextafter(min(ends), -inf), nextafter(max(ends), inf))
 
     __rmul__ = __mul__
 
@@ -72,7 +72,7 @@ class Interval:
         other = interval(other)
         if other.low <= 0.0 <= other.high:
             raise ValueError("division by an interval with zero in it")
-        return self * Interval(_down(1.0 / other.high), _up(1.0 / other.low))
+        return self * Interval(nextafter(1.0 / other.high, -inf), nextafter(1.0 / other.low, inf))
 
     def __rtruediv__(self, other: float) -> Interval:
         return interval(other) / self
@@ -81,11 +81,7 @@ class Interval:
         """Return the square root; raises ValueError if a part is negative."""
         if self.low < 0.0:
             raise ValueError("a pressure of the box is beyond the supply or the tank")
-        return Interval(max(_down(math.sqrt(self.low)), 0.0), _up(math.sqrt(self.high)))
-
-    def hull(self, other: Interval) -> Interval:
-        """Return the smallest interval that contains both."""
-        return Interval(min(self.low, other.low), max(self.high, other.high))
+        return Interval(max(nextafter(sqrt(self.low), -inf), 0.0), nextafter(sqrt(self.high), inf))
 
 
 def interval(value: Interval | float | Sequence[float]) -> Interval:
@@ -100,14 +96,6 @@ def interval(value: Interval | float | Sequence[float]) -> Interval:
 def symmetric(size: float) -> Interval:
     """Return the interval [-size, size]."""
     return Interval(-size, size)
-
-
-def _up(value: float) -> float:
-    return float(np.nextafter(value, np.inf))
-
-
-def _down(value: float) -> float:
-    return float(np.nextafter(value, -np.inf))
 
 
 @dataclass(frozen=True)

@@ -41,22 +41,6 @@ def interpolate_metric(cell: ToleranceCell, gain: float) -> FloatArray:
     return (1.0 - share) * cell.matrices[low] + (share * cell.matrices[low + 1] if share else 0.0)
 
 
-def metric_vertices(
-    region: CertifiedRegion, cell: ToleranceCell, gain: Interval
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return the vertices of (M(K_p), M(K_p+)) for K_p in an interval within one segment of the table."""
-    reach = region.gain_rate * SAMPLE_PERIOD
-    first, last = interpolate_metric(cell, gain.low), interpolate_metric(cell, gain.high)
-    if reach == 0.0:
-        return [(first, first), (last, last)]
-    step = (last - first) * (reach / (gain.high - gain.low))
-    ends = product(((first, gain.low), (last, gain.high)), (1.0, -1.0))
-    # by this segment's slope, and where the next one begins by its own
-    return [
-        (m, after) for (m, k), sign in ends for after in (m + sign * step, interpolate_metric(cell, k + sign * reach))
-    ]
-
-
 def reduce_symbols(sample: AffineSet) -> tuple[AffineSet, FloatArray]:
     """Return the set with few symbols, and the symbols' vertices, shape (2^symbols, symbols).
 
@@ -98,11 +82,17 @@ def decay_margin(
 
 def prove_cell(region: CertifiedRegion, cell: ToleranceCell, parts: int = 1) -> float:
     """Return the smallest `decay_margin` over a cell, each segment split into `parts`; positive: the cell is proved."""
-    least = math.inf
+    least, reach = math.inf, region.gain_rate * SAMPLE_PERIOD
     for segment in pairwise(cell.gains):
-        for low, high in pairwise(np.linspace(*segment, parts + 1)):
-            gain = Interval(float(low), float(high))
-            pairs = metric_vertices(region, cell, gain)
+        for low, high in pairwise(np.linspace(*segment, parts + 1).tolist()):
+            gain, first, last = Interval(low, high), interpolate_metric(cell, low), interpolate_metric(cell, high)
+            pairs = [(first, first), (last, last)]  # vertices of (M(K_p), M(K_p+))
+            if reach != 0.0:  # by this segment's slope, and where the next one begins by its own
+                step, ends = (last - first) * (reach / (high - low)), ((first, low), (last, high))
+                pairs = [
+                    (m, after) for (m, k), sign in product(ends, (1.0, -1.0))
+                    for after in (m + sign * step, interpolate_metric(cell, k + sign * reach))
+                ]  # fmt: skip
             for side in (1, -1):
                 sample, signs = reduce_symbols(enclose_closed_loop(region, cell.tolerances, side, gain))
                 least = min(least, *(float(decay_margin(region, pair, sample, signs).min()) for pair in pairs))

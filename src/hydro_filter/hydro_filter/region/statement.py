@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -112,19 +112,16 @@ class CertifiedRegion:
 
     def save(self, path: Path) -> None:
         """Write the region to a JSON file."""
-        content = {**asdict(replace(self, cells=())), "assumed": ASSUMPTIONS, "period": SAMPLE_PERIOD}
-        content["cells"] = [
-            {"tolerances": cell.tolerances, "gains": cell.gains, "matrices": np.asarray(cell.matrices).tolist()}
-            for cell in self.cells
-        ]
+        content = {**asdict(self), "assumed": ASSUMPTIONS, "period": SAMPLE_PERIOD}
+        for cell in content["cells"]:
+            cell["matrices"] = cell["matrices"].tolist()
         write_whole(path, json.dumps(content, indent=1).encode())
 
     @classmethod
     def load(cls, path: Path) -> CertifiedRegion:
         """Read a region's file. Raises ValueError: it is not one."""
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            return cls.from_mapping(content)
+            return cls.from_mapping(json.loads(path.read_text(encoding="utf-8")))
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"{path} is no statement of a region: {error}") from error
 

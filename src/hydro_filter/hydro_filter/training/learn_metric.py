@@ -17,38 +17,32 @@ from hydro_sim.files.weights import WeightsError
 @command(WeightsError, RecordingError, ValueError)
 def main() -> None:
     """Entry point."""
-    options = parse_args()
-    from hydro_filter.training.metric_learning import learn_metric  # with compiled code: not for --help or a slip
-
-    learn_metric(options)
-
-
-def parse_args() -> argparse.Namespace:
-    """Parse the command line and return the options."""
-    result = argparse.ArgumentParser(
+    parser = argparse.ArgumentParser(
         prog="learn_metric", description="Solve the contraction metric of the learned bench."
     )
-    result.add_argument(
+    parser.add_argument(
         "--out", required=True, type=writable_file, metavar="METRIC", help="file to write, .safetensors"
     )
-    result.add_argument("--model", metavar="FILE", help="bench file of the learned bench; the shipped one by default")
-    result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
-    result.add_argument(
+    parser.add_argument("--model", metavar="FILE", help="bench file of the learned bench; the shipped one by default")
+    parser.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
+    parser.add_argument(
         "--recording", metavar="BAG",
         help="recording of the box, whose compensated law it told; by default that of the emulator for this bench",
     )  # fmt: skip
-    result.add_argument(
+    parser.add_argument(
         "--law", choices=("both", "paper", "compensated"), default="both",
         help="force law that the metric is for; a learned bench has the paper's alone. Default: %(default)s",
     )  # fmt: skip
-    result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
-    result.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
-    result.add_argument(
+    parser.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
+    parser.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
+    parser.add_argument(
         "--region", action="store_true",
         help="prove a region of states and gains over which the loop contracts, too, and write METRIC.region.json",
     )  # fmt: skip
-    add_json_argument(result)
-    asked = result.parse_args()
-    if asked.seed < 0:
-        result.error("--seed needs 0 or more")
-    return asked
+    add_json_argument(parser)
+    options = parser.parse_args()
+    if options.seed < 0:
+        parser.error("--seed needs 0 or more")
+    from hydro_filter.training.metric_learning import learn_metric  # with compiled code: not for --help or a slip
+
+    learn_metric(options)

@@ -41,8 +41,8 @@ from hydro_filter.metric import (
     require_stable_gain,
     solve_riccati,
 )
-from hydro_filter.model.coordinates import Q_LOAD
-from hydro_filter.model.loop import Loop, input_coordinate, make_loop, without_overlap
+from hydro_filter.model.coordinates import Q_LOAD, Q_SPOOL_RATE
+from hydro_filter.model.loop import Loop, make_loop, without_overlap
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,
@@ -97,8 +97,9 @@ class RiccatiCorrection(NamedTuple):
 
     @classmethod
     def from_design(cls, loop: Loop, design: MetricDesign) -> RiccatiCorrection:
-        """Solve the correction for the loop at rest."""
-        driven, push = input_coordinate(loop), linearize_at_rest(loop, design.gain_low)[1]
+        """Solve the correction for the loop at rest; the current enters by the spool's rate, or the newest current."""
+        on_their_way, push = loop["on_their_way"], linearize_at_rest(loop, design.gain_low)[1]
+        driven = len(loop.scale) - on_their_way if on_their_way else Q_SPOOL_RATE
         return cls(solve_riccati(loop, design)[1], driven, float(push[driven]))
 
     def feedback_at(self, push: FloatArray) -> FloatArray:
@@ -106,35 +107,16 @@ class RiccatiCorrection(NamedTuple):
         return (self.push / push[..., self.driven])[..., np.newaxis] * self.feedback
 
 
-class Samples(NamedTuple):
-    """b samples of closed loops, with the gain at which the metric is evaluated; shapes for eight coordinates."""
-
-    gain: FloatArray
-    """K_p [1/s], shape (b,); infinite: of the metric for all other gains."""
-    closed: FloatArray
-    """F + G K, shape (b, 8, 8)."""
-
-
 def close_loop(transition: FloatArray, push: FloatArray, feedback: FloatArray) -> FloatArray:
     """Return F + G K, shape (..., 8, 8)."""
     return transition + push[..., np.newaxis] * feedback[..., np.newaxis, :]
 
 
-def certified_samples(windows: Windows, metric: ScheduledMetric) -> Samples:
-    """Return the samples of stable windows with certified gains, closed by the force law."""
+def certified_loops(windows: Windows, metric: ScheduledMetric) -> tuple[FloatArray, FloatArray]:
+    """Return K_p, shape (n,), and F + G K, shape (n, H, 8, 8), of stable windows with certified gains."""
     inside = (windows.gain >= metric.gains[0]) & (windows.gain <= metric.gains[-1])
     wanted = windows.subset(inside & (windows.label == STABLE))
-    return _flatten(close_loop(wanted.transition, wanted.push, wanted.feedback), wanted.gain)
-
-
-def uncertified_samples(windows: Windows, correction: RiccatiCorrection) -> Samples:
-    """Return all samples, closed by the optimal correction."""
-    closed = close_loop(windows.transition, windows.push, correction.feedback_at(windows.push))
-    return _flatten(closed, np.full(len(windows), np.inf))
-
-
-def _flatten(closed: FloatArray, gain: FloatArray) -> Samples:
-    return Samples(np.repeat(gain, closed.shape[1]), closed.reshape(-1, *closed.shape[2:]))
+    return wanted.gain, close_loop(wanted.transition, wanted.push, wanted.feedback)
 
 
 def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, correction: RiccatiCorrection) -> Table:
@@ -143,17 +125,18 @@ def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, co
     Raises ValueError: no held-out run has gains of one of the two.
     """
     table = Table(COLUMNS, title=f"Contraction at lambda = {RATE:g} and {FOREIGN_RATE:g} 1/s, held out")
+    corrected = close_loop(held_out.transition, held_out.push, correction.feedback_at(held_out.push))
     for name, metric in metrics.items():
-        for kind, samples, rate in (
-            ("certified", certified_samples(held_out, metric), RATE),
-            ("foreign", uncertified_samples(held_out, correction), FOREIGN_RATE),
+        for kind, (gain, closed), rate in (
+            ("certified", certified_loops(held_out, metric), RATE),
+            ("foreign", (np.full(len(held_out), np.inf), corrected), FOREIGN_RATE),
         ):
-            if not len(samples.gain):
+            if not len(gain):
                 low, high = metric.gains[0], metric.gains[-1]
                 raise ValueError(
                     f"no {kind} gains were held out: its range, K_p {low:.0f} to {high:.0f} 1/s, is too narrow"
                 )
-            grown, condition = contraction_eigenvalues(metric, samples, rate)
+            grown, condition = contraction_eigenvalues(metric, gain, closed, rate)
             q50, q99, q999, largest = (float(value) for value in np.quantile(grown, QUANTILES))
             table.add(
                 metric=name, gains=kind, samples=len(grown),
@@ -163,23 +146,29 @@ def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, co
     return table
 
 
-def describe_violations(metric: ScheduledMetric, samples: Samples, rate: float) -> str:
+def describe_violations(metric: ScheduledMetric, windows: Windows, rate: float) -> str:
     """Return a description of the gains whose certified samples violate the metric; empty if none do."""
-    bad = contraction_eigenvalues(metric, samples, rate)[0] > 0.0
+    gain, closed = certified_loops(windows, metric)
+    bad = (contraction_eigenvalues(metric, gain, closed, rate)[0] > 0.0).reshape(closed.shape[:2])
     if not bad.any():
         return ""
-    gains, slowest = samples.gain[bad], np.abs(np.linalg.eigvals(samples.closed[bad])).max(axis=1)
+    gains, slowest = gain[bad.any(axis=1)], np.abs(np.linalg.eigvals(closed[bad])).max(axis=1)
     decay = float(-np.log(np.quantile(slowest, 0.5, method="lower"))) / SAMPLE_PERIOD
     return f"K_p {gains.min():.0f} to {gains.max():.0f} 1/s, where the loop itself decays at {decay:.2g} 1/s"
 
 
-def contraction_eigenvalues(metric: ScheduledMetric, samples: Samples, rate: float) -> tuple[FloatArray, FloatArray]:
-    """Return the largest eigenvalue [1/s] of the contraction matrix relative to M, and cond(M), shape (b,) each."""
-    gains, which = np.unique(samples.gain, return_inverse=True)
-    matrices = np.array([metric.matrix(gain) for gain in gains])
-    moved, matrix = samples.closed.transpose(0, 2, 1), matrices[which]
+def contraction_eigenvalues(
+    metric: ScheduledMetric, gain: FloatArray, closed: FloatArray, rate: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the largest eigenvalue [1/s] of the contraction matrix relative to M, and cond(M), shape (n H,) each.
+
+    `gain`: K_p [1/s], shape (n,); infinite: of the metric for all other gains. `closed`: F + G K, shape (n, H, 8, 8).
+    """
+    gains, which = np.unique(np.repeat(gain, closed.shape[1]), return_inverse=True)
+    matrices, closed = np.array([metric.matrix(one) for one in gains]), closed.reshape(-1, *closed.shape[2:])
+    moved, matrix = closed.transpose(0, 2, 1), matrices[which]
     factor = np.linalg.cholesky(matrix)
-    half = np.linalg.solve(factor, moved @ matrix @ samples.closed)
+    half = np.linalg.solve(factor, moved @ matrix @ closed)
     whole = np.linalg.solve(factor, half.transpose(0, 2, 1))
     largest = np.linalg.eigvalsh(0.5 * (whole + whole.transpose(0, 2, 1)))[:, -1]
     return (largest - np.exp(-2.0 * rate * SAMPLE_PERIOD)) / SAMPLE_PERIOD, np.linalg.cond(matrices)[which]
@@ -258,14 +247,6 @@ OVERLAP_WARNING = (
     "it, and corrections leap over it; reduce the overlap, or expect leaps of the current by both half widths"
 )
 """Told of a bench with an overlap."""
-
-
-class TrainingData(NamedTuple):
-    """Training data from the rollouts."""
-
-    training: Windows
-    held_out: Windows
-    rollouts: list[Rollout]
 
 
 def learn_metric(options: argparse.Namespace) -> None:
@@ -369,7 +350,7 @@ def _certify(
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data),
         "rates": {"rate": RATE, "foreign_rate": FOREIGN_RATE, "margin": MARGIN},
         "design": asdict(design), "model": model.digest, "violated": violated, "foreign_violated": foreign,
-        "where": describe_violations(metric, certified_samples(held_out, metric), RATE),
+        "where": describe_violations(metric, held_out, RATE),
     }  # fmt: skip
     return replace(metric, thresholds=thresholds, training=facts), table
 
@@ -403,8 +384,8 @@ def require_held_out(held_out: Windows, design: MetricDesign) -> None:
 
 def collect_rollouts(
     plant: AnalyticPlant, bench: Bench, loop: Loop, data: DataSettings, free: AnalyticPlant | None = None
-) -> TrainingData:
-    """Collect all rollouts, every fifth held out; `free`: see `roll_out`."""
+) -> tuple[Windows, Windows, list[Rollout]]:
+    """Return windows to train on, those of every fifth rollout, held out, and all rollouts; `free`: see `roll_out`."""
     kept: list[Windows] = []
     held_out: list[Windows] = []
     rollouts: list[Rollout] = []
@@ -413,7 +394,7 @@ def collect_rollouts(
         windows = draw_windows(rollout, loop, data, index)
         if windows is not None and rollout.label != NEITHER:
             (held_out if index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1 else kept).append(windows)
-    return TrainingData(Windows.concatenate(kept), Windows.concatenate(held_out), rollouts)
+    return Windows.concatenate(kept), Windows.concatenate(held_out), rollouts
 
 
 def _say(sentence: str) -> None:

@@ -98,7 +98,6 @@ def simulate_states(
 
 
 def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
-    """Ranges of the samples, widened."""
     low, high = samples.min(axis=0), samples.max(axis=0)
     wider = RANGE_MARGIN * (high - low)
     ranges = {name: (float(a), float(b)) for name, a, b in zip(STATES, low - wider, high + wider, strict=True)}
@@ -111,7 +110,7 @@ def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the matrices are small: more threads only wait for one another
-def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool = True) -> CertifiedRegion | None:
+def certify_region(model: Bench, bench: Bench, wanted: RegionTarget) -> CertifiedRegion | None:
     """Return the certified region of the largest provable amplitude; None: none is proved."""
     ours, law = bench_numbers(model, bench)
     sensors, began = Sensors.of_size(model.size), time.process_time()
@@ -142,7 +141,7 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool =
         )  # fmt: skip
         cells: list[ToleranceCell] = []
         for part in _parts(tolerances, wanted.split):
-            if (cell := _proved(region, part, wanted.gains, say)) is None:
+            if (cell := _proved(region, part, wanted.gains)) is None:
                 break
             cells.append(cell)
         else:
@@ -150,14 +149,13 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget, say: bool =
             tubes = [region.scale[Q_LOAD] * math.sqrt(one) for one in inverse]
             facts = {
                 "force": force, "seconds": round(time.process_time() - began, 1), "tubes": tubes,
-                "inside": containment_share(region.states, samples)[0], "model": model.digest, "box": bench.digest,
+                "inside": containment_share(region.states, samples), "model": model.digest, "box": bench.digest,
             }  # fmt: skip
             return replace(region, cells=tuple(cells), tube=max(tubes) * (1.0 + 1e-9), facts=facts)
     return None
 
 
 def _parts(tolerances: dict[str, Bounds], split: int) -> Iterator[dict[str, Bounds]]:
-    """Parts of the tolerances, of equal size."""
     names = [name for name in SPLIT_TOLERANCES if tolerances[name][0] < tolerances[name][1]]
     ends = {name: np.linspace(*tolerances[name], split + 1) for name in names}
     for places in product(range(split), repeat=len(names)):
@@ -165,10 +163,7 @@ def _parts(tolerances: dict[str, Bounds], split: int) -> Iterator[dict[str, Boun
         yield tolerances | parts
 
 
-def _proved(
-    region: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...], say: bool
-) -> ToleranceCell | None:
-    """Return a metric that is proved for a part of the tolerances; None: none was found."""
+def _proved(region: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...]) -> ToleranceCell | None:
     for reserve in RESERVES if region.velocity_compensation[1] == 1.0 else FAST_RESERVES:
         cell, left = None, -math.inf
         try:
@@ -176,8 +171,7 @@ def _proved(
             left = prove_cell(region, cell, SEGMENT_PARTS) if cell is not None else left
         except (ValueError, np.linalg.LinAlgError) as error:
             print(f"{error}", file=sys.stderr)
-        if say:
-            print(f"reserve {reserve:g} 1/s: room {left:.2g}", file=sys.stderr)
+        print(f"reserve {reserve:g} 1/s: room {left:.2g}", file=sys.stderr)
         if cell is not None and left > 0.0:
             return cell
     return None

@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cache
 from math import nan
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -36,7 +36,6 @@ from hydro_core.signals import (
     StateArray,
     Waveform,
 )
-from hydro_core.size import Size
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
@@ -151,8 +150,13 @@ class Trial:
 def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
     """Simulate a trial; a filter with `bypass` set gives the loop without correction."""
     contraction_filter.reset()
-    box = Box(trial.bench, trial.box)
-    guard = CommandGuard(settings=permissive_guard(box.config, trial.bench.size))
+    box, limits = Box(trial.bench, trial.box), trial.box
+    # as wide as the box's limits, so that only the filter intervenes
+    guard = CommandGuard(settings=replace(
+        GuardSettings.of_size(trial.bench.size), delta_kp_min=limits.delta_kp_min, delta_kp_max=limits.delta_kp_max,
+        delta_ki_min=limits.delta_ki_min, delta_ki_max=limits.delta_ki_max, delta_u_max=limits.delta_u_max,
+        require_filter=False,
+    ))  # fmt: skip
     guard.set_arm(True)
     guard.set_reference(trial.reference)
     changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
@@ -174,14 +178,6 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
             return Run(states[: k + 1], results)
         measurement = plant.step(float(states["valve_current"][k]))
     return Run(states, results)
-
-
-def permissive_guard(box: BoxConfig, size: Size) -> GuardSettings:
-    """Return guard settings as wide as the box's limits, so that only the filter intervenes."""
-    return replace(
-        GuardSettings.of_size(size), delta_kp_min=box.delta_kp_min, delta_kp_max=box.delta_kp_max,
-        delta_ki_min=box.delta_ki_min, delta_ki_max=box.delta_ki_max, delta_u_max=box.delta_u_max, require_filter=False,
-    )  # fmt: skip
 
 
 class Gammas(NamedTuple):
@@ -323,41 +319,3 @@ def tracking_rmse(states: StateArray) -> float:
 def chattering(states: StateArray) -> float:
     """Return the RMS [A/s] of the valve current's rate."""
     return float(np.sqrt(np.mean((np.diff(states["valve_current"]) / SAMPLE_PERIOD) ** 2))) if len(states) > 1 else 0.0
-
-
-COLUMNS = {
-    "plant": "",
-    "case": "",
-    "filter": "none: bypassed, evaluated only",
-    "runs": "",
-    "bounded": "%, runs in which the box never tripped (700 N, sensor ranges)",
-    "peak": "N, largest |f_l| of all runs",
-    "rmse": "N, median over runs of the RMSE of f_r - f_l, first 2 s left out, until the end or the trip",
-    "chatter": "A/s, median over runs of the RMS of u'",
-    "gamma_1": "%, mean |delta_u| over u_max",
-    "gamma_2": "%, samples with M_c > 0 (violated) before the correction",
-    "verified_2": "%, samples with M_c <= 0 (verified) before",
-    "gamma_3": "1/s, mean M_c before",
-    "gamma_4": "%, violated after the correction",
-    "verified_4": "%, verified after",
-    "gamma_5": "1/s, mean M_c after",
-    "failed": "%, samples whose certificate could not be restored",
-    "osqp": "%, corrections on which OSQP agrees with the filter's closed form",
-}
-
-
-def table_row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> dict[str, Any]:
-    """Return a row of the table: shares and means over all samples of all runs."""
-    weights = np.array([one.samples for one in outcomes], float)
-    numbers = np.average(np.array([tuple(one.numbers) for one in outcomes]), axis=0, weights=weights)
-    agreed, differed = sum(one.agreed for one in outcomes), sum(one.differed for one in outcomes)
-    return {
-        "plant": plant, "case": case, "filter": chosen, "runs": len(outcomes),
-        "bounded": 100.0 * sum(one.bounded for one in outcomes) / len(outcomes),
-        "peak": max(one.peak for one in outcomes), "rmse": float(np.median([one.rmse for one in outcomes])),
-        "chatter": float(np.median([one.chattering for one in outcomes])),
-        "gamma_1": 100.0 * numbers[0], "gamma_2": 100.0 * numbers[1], "verified_2": 100.0 * (1.0 - numbers[1]),
-        "gamma_3": numbers[2], "gamma_4": 100.0 * numbers[3], "verified_4": 100.0 * (1.0 - numbers[3]),
-        "gamma_5": numbers[4], "failed": 100.0 * sum(one.failed for one in outcomes) / weights.sum(),
-        "osqp": 100.0 * agreed / (agreed + differed) if agreed + differed else nan,
-    }  # fmt: skip

@@ -9,29 +9,41 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from itertools import product
+from math import nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, add_json_argument, bounded_number, command, writable_folder
 from hydro_filter.controller.factory import FilterChoice
-from hydro_filter.validation.runs import (
-    CASES,
-    COLUMNS,
-    FILTERS,
-    PLANTS,
-    Outcome,
-    Run,
-    Task,
-    evaluate_task,
-    simulate,
-    table_row,
-)
+from hydro_filter.validation.runs import CASES, FILTERS, PLANTS, Outcome, Run, Task, evaluate_task, simulate
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure, plot_field
+
+COLUMNS = {
+    "plant": "",
+    "case": "",
+    "filter": "none: bypassed, evaluated only",
+    "runs": "",
+    "bounded": "%, runs in which the box never tripped (700 N, sensor ranges)",
+    "peak": "N, largest |f_l| of all runs",
+    "rmse": "N, median over runs of the RMSE of f_r - f_l, first 2 s left out, until the end or the trip",
+    "chatter": "A/s, median over runs of the RMS of u'",
+    "gamma_1": "%, mean |delta_u| over u_max",
+    "gamma_2": "%, samples with M_c > 0 (violated) before the correction",
+    "verified_2": "%, samples with M_c <= 0 (verified) before",
+    "gamma_3": "1/s, mean M_c before",
+    "gamma_4": "%, violated after the correction",
+    "verified_4": "%, verified after",
+    "gamma_5": "1/s, mean M_c after",
+    "failed": "%, samples whose certificate could not be restored",
+    "osqp": "%, corrections on which OSQP agrees with the filter's closed form",
+}
 
 
 @command(WeightsError, ValueError)
@@ -42,7 +54,9 @@ def main() -> None:
     raise_if_mismatched(choice.pairing_error())  # before the work
     lines = list(product(options.plants, options.cases, FILTERS))
     runs = {line: [f"{', '.join(line)}, seed {seed}" for seed in range(options.seeds)] for line in lines}
-    tasks = {name: (make_task(options, *line, seed),) for line in lines for seed, name in enumerate(runs[line])}
+    make = partial(Task, seconds=options.seconds, metric=options.metric, model=options.model, bench=options.bench)
+    tasks = {name: (make(plant=plant, case=case, filter=chosen, seed=seed),)
+             for plant, case, chosen in lines for seed, name in enumerate(runs[plant, case, chosen])}  # fmt: skip
     table, done = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run"), dict[str, Outcome]()
     for name, result in jobs.run(evaluate_task, tasks, **jobs.job_options(options), label="runs", unit="run"):
         done[name] = result
@@ -54,16 +68,25 @@ def main() -> None:
     table.show(options.json)
     print("\n" + "\n".join(f"{name}: {CASES[name].about}" for name in options.cases))
     for plant, case in product(options.plants, options.cases) if options.plots else ():
-        without, filtered = (simulate(make_task(options, plant, case, name, 0)) for name in FILTERS)
+        without, filtered = (simulate(make(plant=plant, case=case, filter=name, seed=0)) for name in FILTERS)
         plot_tracking(without, filtered, f"{plant}: {CASES[case].about}", Path(options.plots) / f"{plant}_{case}.png")
 
 
-def make_task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
-    """Return the task of one run by the command's options."""
-    return Task(
-        plant=plant, case=case, filter=chosen, seed=seed, seconds=options.seconds, metric=options.metric,
-        model=options.model, bench=options.bench,
-    )  # fmt: skip
+def table_row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> dict[str, Any]:
+    """Return a row of the table: shares and means over all samples of all runs."""
+    weights = np.array([one.samples for one in outcomes], float)
+    numbers = np.average(np.array([tuple(one.numbers) for one in outcomes]), axis=0, weights=weights)
+    agreed, differed = sum(one.agreed for one in outcomes), sum(one.differed for one in outcomes)
+    return {
+        "plant": plant, "case": case, "filter": chosen, "runs": len(outcomes),
+        "bounded": 100.0 * sum(one.bounded for one in outcomes) / len(outcomes),
+        "peak": max(one.peak for one in outcomes), "rmse": float(np.median([one.rmse for one in outcomes])),
+        "chatter": float(np.median([one.chattering for one in outcomes])),
+        "gamma_1": 100.0 * numbers[0], "gamma_2": 100.0 * numbers[1], "verified_2": 100.0 * (1.0 - numbers[1]),
+        "gamma_3": numbers[2], "gamma_4": 100.0 * numbers[3], "verified_4": 100.0 * (1.0 - numbers[3]),
+        "gamma_5": numbers[4], "failed": 100.0 * sum(one.failed for one in outcomes) / weights.sum(),
+        "osqp": 100.0 * agreed / (agreed + differed) if agreed + differed else nan,
+    }  # fmt: skip
 
 
 def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:

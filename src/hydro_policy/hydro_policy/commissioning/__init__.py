@@ -1,4 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commissioning of a bench: checks of its recordings, and the record of its gates."""
-
-from __future__ import annotations

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -86,11 +85,12 @@ def channel_correlations(states: StateArray, bench: Bench) -> dict[str, float]:
             f"the piston did not move under currents up to {1e3 * np.abs(states['valve_current']).max():.3g} mA: see "
             "supply and overlap of the valve, or the box's base_kp of the compensated law is too low for this bench"
         )
-    speed = np.gradient(states["piston_position"], SAMPLE_PERIOD)
+    speeds = states["piston_velocity"], np.gradient(states["piston_position"], SAMPLE_PERIOD)
+    read, derived = (np.convolve(values, np.full(50, 0.02), "valid") for values in speeds)
     pairs: dict[str, tuple[FloatArray, FloatArray]] = {
         "hydraulic force and pressures": (states["hydraulic_force"], _pressure_force(states, bench)),
         "position and load force": (states["piston_position"], states["load_force"]),
-        "velocity and position": (_smooth(states["piston_velocity"]), _smooth(speed)),
+        "velocity and position": (read, derived),
     }
     found = {"load force and its reference": _follows(states, SLOW)}
     found |= {name: float(np.corrcoef(*pair)[0, 1]) for name, pair in pairs.items()}
@@ -132,11 +132,6 @@ def disturbed_share(scores: Sequence[Score]) -> float:
     return float(spoilt / max(sum(score.samples for score in scores), 1))
 
 
-def hardly_follows(entry: Mapping[str, Any], amplitude: float) -> bool:
-    """Return whether the load force hardly followed sines of this amplitude [N]; `entry` of `record.scored`."""
-    return any(rmse is not None and rmse > STILL * amplitude / np.sqrt(2.0) for rmse in entry["rmse"].values())
-
-
 def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None:
     """Raise GateError if the filter would say MISMATCH in a recording: its model predicts this bench too badly.
 
@@ -162,10 +157,6 @@ def _follows(states: StateArray, frequency: float) -> float:
     force, reference = states["load_force"], states["reference_force"]
     delays = range(0, min(round(0.25 / (frequency * SAMPLE_PERIOD)), len(force) // 2), 25)
     return max(float(np.corrcoef(force[delay:], reference[: len(force) - delay])[0, 1]) for delay in delays)
-
-
-def _smooth(values: FloatArray) -> FloatArray:
-    return np.convolve(values, np.full(50, 0.02), "valid")
 
 
 def _pressure_force(states: StateArray, bench: Bench) -> FloatArray:

@@ -101,11 +101,6 @@ class Record:
                 getattr(self, field_name).clear()
         return count
 
-    @property
-    def complete(self) -> bool:
-        """Whether no gate failed or is pending."""
-        return all(gate.status in (PASSED, SKIPPED) for gate in self.gates)
-
     def write(self, folder: Path) -> None:
         """Write commission.json and report.html."""
         write_whole(folder / RECORD, encode_json(self))
@@ -147,17 +142,15 @@ class Record:
 
 def digests(folder: Path, names: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     """Return the SHA-256 of files and folders of a site, by name; empty text for one that is not there."""
-
-    def digest(path: Path) -> str:
+    found = {}
+    for name in names:
+        path, total = folder / name, sha256()
         files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
-        if not files or not all(file.is_file() for file in files):
-            return ""
-        total = sha256()
-        for file in files:
+        there = bool(files) and all(file.is_file() for file in files)
+        for file in files if there else ():
             total.update(file.read_bytes())
-        return total.hexdigest()
-
-    return {name: digest(folder / name) for name in names}
+        found[name] = total.hexdigest() if there else ""
+    return found
 
 
 def scored(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:

@@ -127,12 +127,6 @@ class LoadCell:
     def __post_init__(self) -> None:
         check(self)
 
-    @property
-    def inverse(self) -> tuple[float, ...]:
-        """Polynomial in s from its reading to the force in front of it."""
-        omega = 2.0 * math.pi * self.bandwidth
-        return 1.0, 2.0 * self.damping / omega, 1.0 / omega**2
-
     @classmethod
     def load(cls, path: Path) -> LoadCell:
         """Read the cell of a bench file or of a diagnosis' corrected.yaml.
@@ -184,16 +178,8 @@ _SETTINGS = np.dtype([(each.name, np.float64) for each in fields(CompensatorSett
 class Compensator:
     """Estimator for n benches at once; arrays have one row per bench.
 
-    Parameters
-    ----------
-    count
-        Number of benches n.
-    settings
-        See there.
-    law
-        Limits of the coefficients.
-    cell
-        Amplifier in front of which the force is to follow the reference; absent: the measured force follows it.
+    `count`: number of benches n. `law`: limits of the coefficients. `cell`: amplifier in front of which the force is to
+    follow the reference; None: the measured force follows it.
     """
 
     def __init__(
@@ -211,7 +197,10 @@ class Compensator:
         valve = 1.0 / force, omega, omega * force, omega * force
         scale = np.array((1.0, omega, omega**2, 1.0 / force, *valve, *[omega] * len(PLAYS)))
         least, most, share = self.law.coefficient_min, self.law.coefficient_max, -self.law.coefficient_min[1]
-        inverse = (1.0,) if cell is None else cell.inverse
+        inverse: tuple[float, ...] = (1.0,)  # polynomial in s from the cell's reading to the force in front of it
+        if cell is not None:
+            natural = 2.0 * math.pi * cell.bandwidth
+            inverse = 1.0, 2.0 * cell.damping / natural, 1.0 / natural**2
         regressors = np.zeros((3, ORDER))
         for row in range(3):
             regressors[row, row : row + len(inverse)] = inverse
@@ -240,6 +229,8 @@ class Compensator:
             steps=np.empty(count, np.int64),
             excitation=np.empty(count),
         )
+        self.excitation: FloatArray = self._memory.excitation
+        """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
         self.reset()
 
     def reset(self, rows: int | slice = slice(None)) -> None:
@@ -248,11 +239,6 @@ class Compensator:
         for array in self._memory:
             array[rows] = 0
         self._memory.found[rows], self._memory.rates[rows] = START, np.nan
-
-    @property
-    def excitation(self) -> FloatArray:
-        """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
-        return self._memory.excitation
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
@@ -272,15 +258,9 @@ class Compensator:
     ) -> FloatArray:
         """Take the samples of a policy step; return a copy of `coefficients`.
 
-        Parameters
-        ----------
-        commanded, measured
-            f_c as it acted and f [N], shape (n, 10).
-        active
-            Benches whose samples count, shape (n,). False while disarmed, saturated, tripped, or where samples are
-            missing: the coefficients hold, and the filter starts again behind it.
-        reference_rate, reference
-            f_r' [N/s] and f_r [N], shape (n, 10); absent: 0.
+        `commanded`, `measured`: f_c as it acted and f [N], shape (n, 10). `active`: benches whose samples count, shape
+        (n,); not while disarmed, saturated, tripped, or where samples are missing: the coefficients hold, and the
+        filter starts again behind it. `reference_rate`, `reference`: f_r' [N/s] and f_r [N], shape (n, 10); None: 0.
 
         A load cell that is stuck or jumps, and a load out of contact, count as samples missing do.
         """

@@ -17,6 +17,7 @@ from hydro_sim.jit import njit
 def take(settings, constants, memory, samples, active, frozen, counted, coefficients):
     """Take f_c, f, f_r' and f_r of a policy step, shape (n, 4, 10); learn on the benches that count."""
     signals = np.empty((memory.last.shape[1], SAMPLES_PER_STEP))
+    transition, inputs, before = constants.transition, constants.inputs, np.empty(ORDER)
     for i in range(len(samples)):
         counted[i] = active[i] and np.isfinite(samples[i]).all() and _plausible(settings[0], memory, samples, i)
         if counted[i]:
@@ -24,7 +25,20 @@ def take(settings, constants, memory, samples, active, frozen, counted, coeffici
             for k in range(SAMPLES_PER_STEP):
                 _terms(settings[0], samples[i, 3, k], samples[i, 2, k], signals[2:, k])
                 _play(constants.plays, memory.within[i], samples[i, 2, k], SAMPLE_PERIOD, signals[6:, k])
-            _run_filter(constants, memory, signals, i)
+            for channel in range(len(signals)):  # the state-variable filter
+                state, now = memory.states[i, channel], signals[channel]
+                if memory.steps[i] == 0:
+                    state[:], memory.last[i, channel] = 0.0, now[0]
+                    state[0] = now[0]
+                before[:] = state
+                for j in range(ORDER):
+                    total = inputs[0, j] * memory.last[i, channel]
+                    for k in range(ORDER):
+                        total += transition[j, k] * before[k]
+                    for k in range(SAMPLES_PER_STEP):
+                        total += inputs[k + 1, j] * now[k]
+                    state[j] = total
+                memory.last[i, channel] = now[-1]
             memory.steps[i] += 1
             if memory.steps[i] * STEP > SETTLED and not frozen[i]:
                 _learn(settings[0], constants, memory, i)
@@ -47,25 +61,6 @@ def _play(plays, within, rate, seconds, into):
         free = within[j] + rate * seconds
         within[j] = min(max(free, -plays[j]), plays[j])
         into[j] = (free - within[j]) / seconds
-
-
-@njit
-def _run_filter(constants, memory, signals, i):
-    transition, inputs, before = constants.transition, constants.inputs, np.empty(ORDER)
-    for channel in range(len(signals)):
-        state, now = memory.states[i, channel], signals[channel]
-        if memory.steps[i] == 0:
-            state[:], memory.last[i, channel] = 0.0, now[0]
-            state[0] = now[0]
-        before[:] = state
-        for j in range(ORDER):
-            total = inputs[0, j] * memory.last[i, channel]
-            for k in range(ORDER):
-                total += transition[j, k] * before[k]
-            for k in range(SAMPLES_PER_STEP):
-                total += inputs[k + 1, j] * now[k]
-            state[j] = total
-        memory.last[i, channel] = now[-1]
 
 
 @njit

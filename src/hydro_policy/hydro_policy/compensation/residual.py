@@ -91,26 +91,6 @@ class Period:
         self.trust = np.where(found, 1.0 - np.clip(least / (ALIKE * power[:, 0]), 0.0, 1.0), 0.0)
 
 
-class Past:
-    """Last values of n benches, `width` each, one set per policy step."""
-
-    def __init__(self, count: int, width: int, length: int) -> None:
-        self._values: FloatArray = np.zeros((count, length, width))
-        self._rows, self._steps = np.arange(count), 0
-
-    def push(self, values: FloatArray) -> None:
-        """Enter the values of a step, shape (n, width)."""
-        self._steps += 1
-        self._values[:, self._steps % self._values.shape[1]] = values
-
-    def at(self, back: FloatArray) -> FloatArray:
-        """Return the values so many steps back, between steps by linear interpolation; shapes (n,) and (n, width)."""
-        low, length = np.floor(back).astype(int), self._values.shape[1]
-        between = (back - low)[:, np.newaxis]
-        late, early = (self._values[self._rows, (self._steps - low - k) % length] for k in (0, 1))
-        return (1.0 - between) * late + between * early
-
-
 STRUCTURE = "residual"  # structure in the header of a weights file
 NOMINAL_SCALE = 300.0
 """N, force scale of the benches on which it was trained; forces of another bench are brought to it."""
@@ -222,7 +202,8 @@ class Residual:
         self._mean, self._variance = np.zeros(n), np.zeros(n)
         self._period = Period(n)
         self._lately: FloatArray = np.zeros((n, REMEMBERED + 1, 9))  # needed correction, law, reference
-        self._past = Past(n, OUTPUTS + 8, len(REPEATS) * LONGEST)  # of each step: corrections, law, reference
+        self._past: FloatArray = np.zeros((n, len(REPEATS) * LONGEST, OUTPUTS + 8))
+        """Of the last steps, in turn: corrections, law, reference."""
         self._steps = 0
 
     def step(
@@ -241,10 +222,8 @@ class Residual:
         """
         finite = (np.isfinite(signal).all(axis=1) for signal in (reference, rate, measured, coefficients))
         fine: npt.NDArray[np.bool_] = np.all(tuple(finite), axis=0)
-        a, rates = (
-            np.where(fine[:, np.newaxis], coefficients, 0.0),
-            np.where(fine[:, np.newaxis], rate, 0.0) / self._scale,
-        )
+        a = np.where(fine[:, np.newaxis], coefficients, 0.0)
+        rates = np.where(fine[:, np.newaxis], rate, 0.0) / self._scale
         fine &= counted
         error = np.where(fine[:, np.newaxis], reference - measured, 0.0) / self._scale
         self._rate = np.concatenate((self._rate[:, SAMPLES_PER_STEP:], rates), axis=1)
@@ -259,7 +238,15 @@ class Residual:
         shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
         plain = (now / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
         z = np.concatenate((shaped, np.stack(plain, axis=1)), axis=1)
-        self._remember(now, second, a)
+        # the corrections needed at the step `REMEMBERED` ago and at the one behind it, its law and reference
+        shape = np.stack((self.needed, *a.T[:3], a[:, 3] / self._scale, now, self._rate[:, -1], second), axis=1)
+        shape = np.concatenate((shape, np.ones((self._count, 1))), axis=1)
+        late = self._lately = np.concatenate((self._lately[:, 1:], shape[:, np.newaxis]), axis=1)
+        taps, part = len(SMOOTHING), AHEAD / SAMPLES_PER_STEP - 1.0  # its correction acts `AHEAD` samples later
+        corrections = (late[:, -1 - taps : -1, 0] @ SMOOTHING, late[:, -taps:, 0] @ SMOOTHING)
+        acted = (1.0 - part) * late[:, 1, 5:] + part * late[:, 2, 5:]
+        entry = np.concatenate((np.stack(corrections, axis=1), late[:, 0, 1:5], acted), axis=1)
+        self._past[:, self._steps % self._past.shape[1]] = entry
         self._seen = np.concatenate((self._seen[:, 1:], z[:, np.newaxis]), axis=1)
         self.inputs = self._inputs(z, a)
         self._predict(a)
@@ -308,16 +295,6 @@ class Residual:
         correlation = self._zy / (self._zz + 0.02)
         return np.concatenate((z, correlation * z, np.stack((*law, *late, *alike), axis=1)), axis=1)
 
-    def _remember(self, reference: FloatArray, second: FloatArray, a: FloatArray) -> None:
-        """Enter the corrections needed at the step `REMEMBERED` ago and at the one behind it, its law and reference."""
-        shape = np.stack((self.needed, *a.T[:3], a[:, 3] / self._scale, reference, self._rate[:, -1], second), axis=1)
-        shape = np.concatenate((shape, np.ones((self._count, 1))), axis=1)
-        late = self._lately = np.concatenate((self._lately[:, 1:], shape[:, np.newaxis]), axis=1)
-        taps, part = len(SMOOTHING), AHEAD / SAMPLES_PER_STEP - 1.0  # its correction acts `AHEAD` samples later
-        corrections = (late[:, -1 - taps : -1, 0] @ SMOOTHING, late[:, -taps:, 0] @ SMOOTHING)
-        acted = (1.0 - part) * late[:, 1, 5:] + part * late[:, 2, 5:]
-        self._past.push(np.concatenate((np.stack(corrections, axis=1), late[:, 0, 1:5], acted), axis=1))
-
     def _predict(self, a: FloatArray) -> None:
         predicted: FloatArray = np.zeros((self._count, OUTPUTS))
         if self._network is not None:
@@ -326,7 +303,11 @@ class Residual:
             for number, usual in enumerate(REPEATS):  # corrections needed whole periods ago
                 back = (number + 1) * self._period.steps - REMEMBERED
                 known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
-                then = self._past.at(np.where(known, back, 0.0))
+                back = np.where(known, back, 0.0)
+                low, length = np.floor(back).astype(int), self._past.shape[1]
+                between = (back - low)[:, np.newaxis]
+                late, early = (self._past[np.arange(self._count), (self._steps - low - k) % length] for k in (0, 1))
+                then = (1.0 - between) * late + between * early
                 changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - law) * then[:, OUTPUTS + 4 :], axis=1)
                 share = (usual * known / (1.0 + (changed / STALE) ** 2))[:, np.newaxis]
                 total, weight = total + share * then[:, :OUTPUTS], weight + share

@@ -44,10 +44,11 @@ class Episodes:
         """
         if self.randomisation is None:
             return reference
-        drawn = events.episode_bench(self.randomisation, self.source, episode, seed)
-        if drawn is None:
+        if np.random.default_rng((seed, episode, events.KNOWN)).random() < self.randomisation.known_share:
             fleet.replace(index, self.believed, self.plant())
             return reference
+        bench_seed = events.stream_seed(seed, episode, events.BENCH)
+        drawn = events.draw_bench(self.randomisation, self.source, bench_seed)
         fleet.replace(index, self.believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
         return drawn.within_reach(reference)
 
@@ -99,7 +100,8 @@ class Environment:
         self.fleet.begin(index, reference, seed, law=self.law)
         if self._adapted is not None:
             self._adapted.estimator.reset(index)
-        self.observation[index] = observe(self._last()[index], np.zeros(ACTIONS), self.task.size)
+        first = records(self.fleet.samples[index, -1], STATE_FIELDS)
+        self.observation[index] = observe(first, np.zeros(ACTIONS), self.task.size)
 
     def step(self, actions: FloatArray, *, restart: bool = True) -> Transitions:
         """Advance ten samples under `actions`, shape (n, 2); `restart`: tripped benches begin their episode anew."""
@@ -109,14 +111,10 @@ class Environment:
         error_rate = samples["reference_force_rate"] - samples["load_force_rate"]
         tripped = terminations.tripped(samples["flags"][:, -1])
         reward = np.where(tripped, rewards.trip(self.task), rewards.tracking(self.task, error, error_rate))
-        following = observe(self._last(), actions, self.task.size)
+        following = observe(records(samples[:, -1], STATE_FIELDS), actions, self.task.size)
         unknown = tripped & ~np.isfinite(following).all(axis=1)
         following[unknown] = before[unknown]  # terminal: its value is not used
         self.observation = following.copy()
         for index in np.flatnonzero(tripped) if restart else ():
             self.begin_one(int(index), self._references[index], int(self._seeds[index]) + 1)
         return Transitions(before, actions, reward, following, tripped, samples)
-
-    def _last(self) -> FloatArray:
-        """Return the last samples, shape (n, 14), in the order of `STATE_FIELDS`."""
-        return records(self.fleet.samples[:, -1], STATE_FIELDS)

@@ -92,17 +92,16 @@ def _measurement(plants, i):
     return None
 
 
-def _analytic(plants: Sequence[AnalyticPlant]) -> Analytic:
-    return Analytic(*(np.concatenate([getattr(plant, name) for plant in plants]) for name in Analytic._fields))
-
-
 def _copy_analytic(arrays: Analytic, index: int, plant: AnalyticPlant) -> None:
     for name in Analytic._fields:
         getattr(arrays, name)[index] = getattr(plant, name)[0]
 
 
 KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
-    AnalyticPlant: (_analytic, _copy_analytic)
+    AnalyticPlant: (
+        lambda plants: Analytic(*(np.concatenate([getattr(p, name) for p in plants]) for name in Analytic._fields)),
+        _copy_analytic,
+    )
 }
 """Kinds of plants, with the functions that stack them and write one, its constants and memory, into a row. A benchmark
 may add its own."""
@@ -130,21 +129,6 @@ def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
     return FleetFilter(kind == "learned", filter_records.decide_address(), parts, memory, seen, made)
 
 
-@njit
-def _correct(filters, i, x, sample, law):
-    """Return delta_u [A] for the next sample of bench i under a law (f_c, f_c', C_1, C_2)."""
-    if not filters.fresh:
-        return 0.0
-    seen = filters.seen[0]
-    copy_vector(seen.x, x)
-    seen.nominal, seen.current = sample.nominal_valve_current, sample.valve_current
-    seen.reference, seen.reference_rate = sample.reference_force, sample.reference_force_rate
-    seen.k_p, seen.armed = sample.proportional_gain, (sample.flags & _ARMED) != 0
-    seen.followed, seen.followed_rate, seen.c_1, seen.c_2 = law
-    filter_records.decide(filters.decide, filters.parts, filters.memory[i : i + 1], filters.seen, filters.made)
-    return filters.made[0].delta_u
-
-
 DEAD_TIME_MAX = 8  # maximum delay of a command, samples
 
 LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held", np.float64, (DEAD_TIME_MAX + 1,))])
@@ -154,16 +138,8 @@ LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held
 class VectorBench:
     """Fleet of benches in one compiled loop (see the module's docstring).
 
-    Parameters
-    ----------
-    benches
-        Bench assumed by each box.
-    plants
-        Plant behind each box, all of one kind.
-    config
-        Settings of the boxes.
-    filters
-        Filter between policy and box; None: no filter.
+    `benches`: bench assumed by each box. `plants`: plant behind each box, all of one kind. `config`: settings of the
+    boxes. `filters`: filter between policy and box; None: no filter.
     """
 
     def __init__(
@@ -235,12 +211,8 @@ class VectorBench:
     def step(self, changes: FloatArray, coefficients: FloatArray | None = None) -> StateArray:
         """Advance ten samples; returns `samples`.
 
-        Parameters
-        ----------
-        changes
-            Gain changes (delta_kp, delta_ki), shape (benches, 2).
-        coefficients
-            Of the compensated reference, shape (benches, 4); absent: as they were.
+        `changes`: gain changes (delta_kp, delta_ki), shape (benches, 2). `coefficients`: of the compensated reference,
+        shape (benches, 4); absent: as they were.
         """
         if coefficients is None:
             coefficients = self.commands["shaping"][:, :COEFFICIENTS]
@@ -269,10 +241,17 @@ def _exchange(code, settings, box, command, filters, i, measurement, sample):
     time = box[0].sequence * SAMPLE_PERIOD
     firmware.receive(code.receive, box, settings, command, time)
     firmware.tick(code.tick, box, settings, measurement, time, sample)
-    acting = box[0].acting
-    scales = acting.shaping[VELOCITY_COMPENSATION], acting.shaping[VALVE_GAIN_SCALE]
-    law = acting.reference, acting.reference_rate, scales[0], scales[1]
-    command[0].delta_u = _correct(filters, i, measurement, sample[0], law)
+    command[0].delta_u = 0.0
+    if filters.fresh:
+        seen, now, acting = filters.seen[0], sample[0], box[0].acting
+        copy_vector(seen.x, measurement)
+        seen.nominal, seen.current = now.nominal_valve_current, now.valve_current
+        seen.reference, seen.reference_rate = now.reference_force, now.reference_force_rate
+        seen.k_p, seen.armed = now.proportional_gain, (now.flags & _ARMED) != 0
+        seen.followed, seen.followed_rate = acting.reference, acting.reference_rate
+        seen.c_1, seen.c_2 = acting.shaping[VELOCITY_COMPENSATION], acting.shaping[VALVE_GAIN_SCALE]
+        filter_records.decide(filters.decide, filters.parts, filters.memory[i : i + 1], filters.seen, filters.made)
+        command[0].delta_u = filters.made[0].delta_u
 
 
 @njit
@@ -282,7 +261,10 @@ def _step(code, settings, boxes, commands, filters, plants, links, changes, coef
         one, link = slice(i, i + 1), links[i]
         current = samples[i, length - 1].valve_current
         for k in range(length):
-            advance(plants, i, noise[i, k], _delayed(link, current))
+            for j in range(link.dead_time, 0, -1):
+                link.held[j] = link.held[j - 1]
+            link.held[0] = current
+            advance(plants, i, noise[i, k], link.held[link.dead_time])
             if k == link.gain_delay - 1:
                 commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
                 for j in range(COEFFICIENTS):
@@ -295,18 +277,6 @@ def _step(code, settings, boxes, commands, filters, plants, links, changes, coef
 
 # Kinds defined elsewhere (in a benchmark): the cache's index would name a module that others cannot import.
 _step_foreign = njit(_step.py_func, cache=False)
-
-
-@njit
-def _delayed(link, current):
-    """Return the current that reaches the valve when `current` leaves the box."""
-    late = link.dead_time
-    if late == 0:
-        return current
-    for j in range(late, 0, -1):
-        link.held[j] = link.held[j - 1]
-    link.held[0] = current
-    return link.held[late]
 
 
 def records(samples: StateArray, fields: Sequence[str]) -> npt.NDArray[np.float64]:

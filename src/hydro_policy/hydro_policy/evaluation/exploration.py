@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import FloatArray, ReferenceSignal
+from hydro_core.signals import FloatArray
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
@@ -63,16 +63,8 @@ class EpisodeRecord:
 
     def summary(self) -> dict[str, float]:
         """Return the episode's summary for records."""
-        return {
-            "episode": self.episode,
-            "amplitude": self.amplitude,
-            "frequency": self.frequency,
-            "return": self.episode_return,
-            "force_rmse": self.force_rmse,
-            "lag": self.lag,
-            "whole_steps": self.whole_steps,
-            "overridden_steps": self.overridden_steps,
-        }
+        names = ("episode", "amplitude", "frequency", "force_rmse", "lag", "whole_steps", "overridden_steps")
+        return {**{name: getattr(self, name) for name in names}, "return": self.episode_return}
 
 
 class Explorer(Controller):
@@ -107,15 +99,6 @@ class Explorer(Controller):
         self._observation: FloatArray | None = None
         self._action: FloatArray = np.zeros(ACTIONS)
 
-    @property
-    def finished(self) -> bool:
-        """Whether the episode has all its steps."""
-        return self.current.steps >= self.task.steps_per_episode
-
-    def begin(self, episode: int, signal: ReferenceSignal) -> None:
-        """Begin an episode, or begin it again."""
-        self.current = EpisodeRecord(episode=episode, amplitude=signal.amplitude, frequency=signal.frequency)
-
     def act(self, step: Step) -> None:
         """Act on a step under the newest policy, then store the transition, so that gains leave at once."""
         parameters = self._new_weights()
@@ -127,7 +110,8 @@ class Explorer(Controller):
             self._action, mean = self.policy.draw(observation, self.rng)
             gains = self.task.gains.gains(self._action)
             self.inference.add(time.perf_counter() - began)
-            self._publish(gains)
+            self._outputs.gains(*gains, self.published)
+            self.published += 1
             self._observation = observation
             reward = math.nan if before is None else self._end_step(before, taken, step, observation)
             weights = int(self.policy.digest(), 16)
@@ -143,29 +127,23 @@ class Explorer(Controller):
             after = observe(step.sample, self._action, self.task.size)
             self._end_step(self._observation, self._action, step, after, under_way=under_way)
         self.current.overridden_steps += under_way
-        self._publish(gains)
+        self._outputs.gains(*gains, self.published)
+        self.published += 1
         self._observation = None
         self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # previous action in the policy's observation
-
-    def gains(self, sample: FloatArray) -> tuple[float, float]:
-        """See `Controller`: those of the last action."""
-        return self.task.gains.gains(self._action)
 
     def terminate(self, sample: FloatArray) -> None:
         """Store the last action's transition as terminal, with the penalty: its result had to be stopped."""
         if self._observation is not None:
             after = observe(sample, self._action, self.task.size)
             after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
-            self._remember(self._observation, self._action, rewards.trip(self.task), after, terminated=True)
+            transition = np.concatenate((self._observation, after, self._action, (rewards.trip(self.task), 1.0)))
+            self._replay.extend(transition.astype(np.float32)[np.newaxis])
         self.forget()
 
     def forget(self) -> None:
         """Discard the last action: the next sample does not follow from it."""
         self._observation = None
-
-    def _publish(self, gains: tuple[float, float]) -> None:
-        self._outputs.gains(*gains, self.published)
-        self.published += 1
 
     def _end_step(
         self, before: FloatArray, action: FloatArray, step: Step, after: FloatArray, *, under_way: bool = True
@@ -173,14 +151,9 @@ class Explorer(Controller):
         """Store the transition that ends with this step, and count it; returns its reward."""
         reward = float(rewards.tracking(self.task, step.error, step.error_rate))
         if step.whole and np.isfinite(after).all():
-            self._remember(before, action, reward, after, terminated=False)
+            transition = np.concatenate((before, after, action, (reward, 0.0)))
+            self._replay.extend(transition.astype(np.float32)[np.newaxis])
         if under_way:
             self.current.add(step, reward)
             self.total_steps += 1
         return reward
-
-    def _remember(
-        self, before: FloatArray, action: FloatArray, reward: float, after: FloatArray, *, terminated: bool
-    ) -> None:
-        row = np.concatenate((before, after, action, (reward, float(terminated)))).astype(np.float32)
-        self._replay.extend(row[np.newaxis])

@@ -18,7 +18,6 @@ from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, relative_scores
-from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 SPOILT_MARK = (
@@ -41,8 +40,11 @@ def table(session: TrialRunner[Comparison]) -> Table:
     result = Table(columns, title=title)
     reaches = {controller.name: controller.reach for controller in session.plan.controllers}
     for name in dict.fromkeys(score.controller for score in session.scores):
+        (kp, ki), reach = session.override.base, reaches[name]
+        ends = (kp + reach.delta_kp_min, kp + reach.delta_kp_max), (ki + reach.delta_ki_min, ki + reach.delta_ki_max)
+        total = ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
         cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
-        result.add(controller=name, authority=authority(reaches[name], session.override.base), **cells)
+        result.add(controller=name, authority=total, **cells)
     return result
 
 
@@ -56,14 +58,12 @@ def best(session: TrialRunner[Comparison]) -> str:
     names = dict.fromkeys(score.controller for score in session.scores)
     felt = session.compensation is not None and session.compensation.cell is not None
     felt = felt and all(math.isfinite(score.true_rmse) for score in session.scores if math.isfinite(score.rmse))
-
-    def mean(name: str, case: str) -> float:
-        found = runs(session.scores, name, case)
-        if not found or any(score.spoilt for score in found):
-            return math.nan
-        return float(np.mean([score.true_rmse if felt else score.rmse for score in found]))
-
-    rmse = {name: np.array([mean(name, case) for case in cases]) for name in names}
+    rmse = {name: np.full(len(cases), np.nan) for name in names}
+    for name in names:
+        for column, case in enumerate(cases):
+            found = runs(session.scores, name, case)
+            if found and not any(score.spoilt for score in found):
+                rmse[name][column] = np.mean([score.true_rmse if felt else score.rmse for score in found])
     scores = relative_scores(rmse)
     if len(scores) < 2:
         held_up = dict.fromkeys(score.controller for score in session.scores if score.spoilt)
@@ -72,13 +72,6 @@ def best(session: TrialRunner[Comparison]) -> str:
     ratio = rmse[first] / rmse[second]
     told = f"{ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}"
     return f"Best: {first}, with {told}" + (", as the specimen feels it." if felt else ".")
-
-
-def authority(reach: GainRange, base: tuple[float, float]) -> str:
-    """Return a controller's range of total gains on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
-    changes = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
-    ends = [(own + low, own + high) for own, (low, high) in zip(base, changes, strict=True)]
-    return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
 
 
 def runs(scores: list[Score], controller: str, case: str) -> list[Score]:

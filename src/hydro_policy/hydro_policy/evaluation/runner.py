@@ -197,7 +197,7 @@ class TrialRunner(Generic[P]):
                 self._stop(run.trial, reason, sample)
             else:
                 explorer.act(step)
-            if explorer.finished and self._run is run:
+            if explorer.current.steps >= explorer.task.steps_per_episode and self._run is run:
                 self._end(run)
         else:
             return False

@@ -9,46 +9,44 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import IO
 
 from hydro_bridge.ros.companion import Companion
 from hydro_core.cli.console import print_above_progress
 
 
+@dataclass
 class RepeatFilter:
-    """Passes the first few occurrences of a sentence, numbers aside, and counts the rest.
+    """Passes the first few occurrences of a sentence, numbers aside, and counts the rest."""
 
-    `most`: maximum number of repeats of a sentence within 10 s.
-    """
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._said: dict[str, tuple[float, int]] = {}  # start of the period, and count
+    most: int  # of a sentence within 10 s
+    said: dict[str, tuple[float, int]] = field(default_factory=dict)
+    """Start of the period and count, by sentence."""
 
     def passed(self, sentence: str) -> str:
         """Return the sentence with the number of similar ones omitted before; empty if it is omitted itself."""
         now, kind = time.monotonic(), re.sub(r"[\d.]+", "", sentence)
-        since, count = self._said.get(kind, (-math.inf, 0))
+        since, count = self.said.get(kind, (-math.inf, 0))
         if now - since > 10.0:
-            self._said[kind] = (now, 1)
-            left_out = count - self._most
+            self.said[kind] = (now, 1)
+            left_out = count - self.most
             return f"{sentence} ({left_out} more since the last one)" if left_out > 0 else sentence
-        self._said[kind] = (since, count + 1)
-        return sentence if count < self._most else ""
+        self.said[kind] = (since, count + 1)
+        return sentence if count < self.most else ""
 
 
+@dataclass
 class Announcer:
     """Output of a trainer or an evaluation to terminal and log; failures of either never stop the run."""
 
-    def __init__(self) -> None:
-        self.log: IO[str] | None = None  # destination of sentences besides the terminal
-        self.journal: Callable[[str, bool], None] = lambda sentence, warning: None
-        """Publisher of sentences for recordings."""
-        self._flood = RepeatFilter(8)
+    journal: Callable[[str, bool], None]  # publisher of sentences for recordings
+    log: IO[str] | None = None  # destination of sentences besides the terminal
+    flood: RepeatFilter = field(default_factory=lambda: RepeatFilter(8))
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """Print a sentence, with an exclamation mark if it is a warning."""
-        told = self._flood.passed(f"! {sentence}" if warning else sentence)
+        told = self.flood.passed(f"! {sentence}" if warning else sentence)
         if not told:
             return
         print_above_progress(told)
@@ -91,24 +89,25 @@ _REFUSED = 2  # exit status of all our commands for invalid input
 UNRECORDED = "acting goes on unrecorded"
 
 
+@dataclass
 class CompanionWatch:
-    """Reports a companion that ended by itself, once. `unrecorded`: what the end of a recorder means."""
+    """Reports a companion that ended by itself, once."""
 
-    def __init__(self, companions: list[Companion], unrecorded: str = UNRECORDED) -> None:
-        self._running, self._unrecorded = list(companions), unrecorded
-        self.refused = ""
-        """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
-        self.lost = ""  # message about an essential companion that ended, and its consequence
+    running: list[Companion]
+    unrecorded: str = UNRECORDED  # what the end of a recorder means
+    refused: str = ""
+    """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
+    lost: str = ""  # message about an essential companion that ended, and its consequence
 
     def ended(self) -> list[str]:
         """Return sentences about those that ended since the last call."""
-        gone = [companion for companion in self._running if not companion.running]
-        self._running = [companion for companion in self._running if companion not in gone]
+        gone = [companion for companion in self.running if not companion.running]
+        self.running = [companion for companion in self.running if companion not in gone]
         told = []
         for companion in gone:
             code, outcome = companion.process.returncode, "no samples come from then on, and the box disarms itself"
             if companion.name == "recorder":
-                outcome = f"what it had written stays readable, {self._unrecorded}"
+                outcome = f"what it had written stays readable, {self.unrecorded}"
             status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
             told.append(f"{companion.name} ended by itself ({status}): {outcome}")
             if code == _REFUSED:

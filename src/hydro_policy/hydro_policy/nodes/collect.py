@@ -169,7 +169,8 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         node.watch_companions([recorder], options.out, "the plant is disarmed")
         stack.callback(node.disarm, still=True)
         runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
-        bar = stack.enter_context(TrialProgress(runner, "collecting"))
+        bar = TrialProgress(runner, "collecting")
+        stack.callback(bar.close)
 
         def tick() -> None:
             bar.tick()

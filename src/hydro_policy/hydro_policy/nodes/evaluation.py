@@ -11,7 +11,7 @@ import json
 import shutil
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, replace
 from datetime import datetime
 from functools import partial
@@ -67,14 +67,6 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
     controllers: list[Controller] = [policy_controller(path) for path in options.policy]
     gains = options.fixed or ([] if options.law == "compensated" else [(90.0, 15.0), (15.0, 5.0)])
     return controllers + [FixedGains(kp, ki, box.base_gains or BASE) for kp, ki in gains]
-
-
-def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
-    """Evaluation settings from defaults and command line."""
-    given = {name: getattr(options, name) for name in ("repeats", "multisine", "steps", "fast")}
-    given["recorded"] = tuple(map(str, options.recorded))
-    given["frequencies"] = options.frequencies and tuple(options.frequencies)
-    return EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
 
 
 def required_gain_range(
@@ -161,7 +153,10 @@ def report_results(
 def evaluate(options: argparse.Namespace) -> int:
     """Run the evaluation of the command line; returns the exit status."""
     make_controllers(options, expected_box(options))  # invalid input is refused before anything is created
-    evaluation_settings(options)
+    given = {name: getattr(options, name) for name in ("repeats", "multisine", "steps", "fast")}
+    given["recorded"] = tuple(map(str, options.recorded))
+    given["frequencies"] = options.frequencies and tuple(options.frequencies)
+    settings = EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
     if load_cell(options) and options.learned_residual:
         raise UserError(
             "--learned-residual makes the measured force follow, --load-cell the force in front of it: one of them"
@@ -177,13 +172,13 @@ def evaluate(options: argparse.Namespace) -> int:
             "--filter none leaves the compensated law: say --law compensated, without --fixed, --policy, --grid"
         )
     with evaluation_folder(options) as run:
-        return evaluate_in(run, options)
+        return evaluate_in(run, options, settings)
 
 
-def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
+def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: EvaluationSettings) -> int:
     """Run the evaluation with its results in `run`; returns the exit status."""
     box, cell, unfiltered = expected_box(options), load_cell(options), options.filter.split() == list(NO_FILTER)
-    controllers, settings, rearm = make_controllers(options, box), evaluation_settings(options), may_rearm(options)
+    controllers, rearm = make_controllers(options, box), may_rearm(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
     with Ending() as stack:
         node = GraphNode("evaluate")
@@ -288,7 +283,7 @@ def compare_on(
             controllers.append(Compensated(compensation, node.override.base, learned=True))
     plan = Comparison(settings, controllers)
     session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force, record=record)
-    with TrialProgress(session, "evaluating") as bar:
+    with closing(TrialProgress(session, "evaluating")) as bar:
         node.run_session(session, bar.tick)
     return session
 
@@ -311,7 +306,7 @@ def search_on(
             node.say(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
             told += 1
 
-    with TrialProgress(runner, "searching fixed gains") as bar:
+    with closing(TrialProgress(runner, "searching fixed gains")) as bar:
         node.run_session(runner, tick)
         tick()
     if runner.finished and not plan.search.found:

@@ -11,6 +11,7 @@ import queue
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -69,20 +70,21 @@ _SAMPLE = slice(2, 2 + len(STATE_FIELDS))  # of a state's record, behind stamp a
 _PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
 
 
+@dataclass
 class GainTiming:
     """Latencies of policy steps."""
 
-    def __init__(self) -> None:
-        self.response = Latency()  # from the sample's arrival in this process to the gains' publication
-        self.age = Latency()  # from the sample's stamp to the gains' stamp: total latency
-        self.jitter = Latency()  # |interval between gains - 10 ms|; pauses of five intervals or more are excluded
-        self._published = 0.0
+    response: Latency = field(default_factory=Latency)  # from a sample's arrival in this process to the gains' leaving
+    age: Latency = field(default_factory=Latency)  # from the sample's stamp to the gains' stamp: total latency
+    jitter: Latency = field(default_factory=Latency)
+    """|interval between gains - 10 ms|; pauses of five intervals or more are excluded."""
+    published: float = 0.0  # time of the last gains, s
 
     def add(self, arrived: float, published: float, age: float) -> None:
         """Count one step: a sample's arrival and the gains' publication [s, monotonic], and their age [s]."""
         self.response.add(published - arrived)
         self.age.add(age)
-        interval, self._published = published - self._published, published
+        interval, self.published = published - self.published, published
         if interval < 5 * _PERIOD:
             self.jitter.add(abs(interval - _PERIOD))
 
@@ -121,8 +123,8 @@ class GraphNode(Node):
 
     def __init__(self, name: str, *, realtime: bool = True, alone_within: float = LEASE_WAIT_MAX) -> None:
         super().__init__(name)
-        self.announcer, journal = Announcer(), RosoutLogger(self)
-        self.announcer.journal, self._log_call = journal.log, journal.log_call
+        journal = RosoutLogger(self)
+        self.announcer, self._log_call = Announcer(journal.log), journal.log_call
         self._realtime, self._scheduling = realtime, ""
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
@@ -298,9 +300,6 @@ class GraphNode(Node):
         """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it. Call once."""
         self.compensation = compensation
 
-        def take(message: Any) -> None:
-            compensation.on_law_state(message.sequence, message.law, message.compensated_reference)
-
         def freeze(request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
             compensation.frozen, answer.success = bool(request.data), True
             answer.message = "the coefficients are frozen" if request.data else "the coefficients adapt again"
@@ -315,7 +314,8 @@ class GraphNode(Node):
 
         self.create_service(SetBool, FREEZE_SERVICE, freeze)
         DiagnosticsPublisher(self, status, name="compensation")
-        subscribe(self, LAW_STATE, LAW_STATES, take)  # each before its sample
+        take = compensation.on_law_state  # each before its sample
+        subscribe(self, LAW_STATE, LAW_STATES, lambda m: take(m.sequence, m.law, m.compensated_reference))
 
     def destroy_node(self) -> None:
         """Leave the graph."""

@@ -9,8 +9,6 @@ ros2 run hydro_policy override --kp 60 --ki 10 --of trainer    # only of a node 
 
 from __future__ import annotations
 
-import argparse
-
 from hydro_bridge.ros.node import call_service, ros_arguments
 from hydro_bridge.ros.topics import OVERRIDE_SERVICE
 from hydro_core.cli.console import UserError, command, make_parser
@@ -21,32 +19,23 @@ TIMEOUT = 3.0  # s, for its answer
 _WHO = "a person, by `override`"
 
 
-def parser() -> argparse.ArgumentParser:
-    """Build the parser of the command line."""
-    result = make_parser("override", __doc__)
-    result.add_argument("--kp", type=float, metavar="1/s", help="K_p in all, the box's base gain included")
-    result.add_argument("--ki", type=float, metavar="1/s^2", help="K_i in all")
-    result.add_argument("--seconds", type=float, default=0.0, metavar="S", help="give back after so long")
-    result.add_argument("--off", action="store_true", help="give back now")
-    result.add_argument("--of", dest="whom", default="", metavar="NODE", help="only if this node chooses the gains")
-    return result
-
-
-def request(options: argparse.Namespace) -> OverrideGains.Request:
-    """Build the service request. Raises UserError: neither both gains nor --off."""
+@command()
+def main() -> None:
+    """Entry point."""
+    parser = make_parser("override", __doc__)
+    parser.add_argument("--kp", type=float, metavar="1/s", help="K_p in all, the box's base gain included")
+    parser.add_argument("--ki", type=float, metavar="1/s^2", help="K_i in all")
+    parser.add_argument("--seconds", type=float, default=0.0, metavar="S", help="give back after so long")
+    parser.add_argument("--off", action="store_true", help="give back now")
+    parser.add_argument("--of", dest="whom", default="", metavar="NODE", help="only if this node chooses the gains")
+    own, ros = ros_arguments()
+    options = parser.parse_args(own)
     given = (options.kp is not None) + (options.ki is not None)
     if given != (0 if options.off else 2):
         raise UserError("override needs --kp and --ki, or --off")
     gains = {} if options.off else {"proportional_gain": options.kp, "integral_gain": options.ki}
     seconds = 0.0 if options.off else options.seconds
-    return OverrideGains.Request(active=not options.off, name=_WHO, whom=options.whom, seconds=seconds, **gains)
-
-
-@command()
-def main() -> None:
-    """Entry point."""
-    own, ros = ros_arguments()
-    wanted = request(parser().parse_args(own))
+    wanted = OverrideGains.Request(active=not options.off, name=_WHO, whom=options.whom, seconds=seconds, **gains)
     answer = call_service(
         "override", ros, OVERRIDE_SERVICE, OverrideGains, wanted,
         absent=f"no trainer or evaluate found in {DISCOVERY:g} s: there are no gains to take over",

@@ -17,8 +17,10 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.pace import parse_pace
 from hydro_core.cli.console import UserError
 from hydro_core.files import site
+from hydro_core.settings import read_yaml
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.evaluation.controllers import policy_file
+from hydro_policy.runs.run import RunDirectory
 from hydro_policy.task.mdp import BASE
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched, read_provenance
 
@@ -119,8 +121,10 @@ def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mapping[str, Any]) -> None:
-    """Make a run's original plant options, `plant`, the defaults, unless another plant is requested."""
+def restore_plant_options(result: argparse.ArgumentParser, run: RunDirectory, said: Mapping[str, Any]) -> None:
+    """Make a run's original plant options, if they were saved, the defaults, unless another plant is requested."""
+    plant = read_yaml(run.config).get("plant")
+    plant = plant if isinstance(plant, dict) else {}
     if said.get("plant", plant.get("plant")) == plant.get("plant"):
         files = {name for name, (_, option) in _OPTIONS.items() if option.get("type") is Path}
         words = {name: Path(value) if name in files else value for name, value in plant.items() if name in _KEPT}

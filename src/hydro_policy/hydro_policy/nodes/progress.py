@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
 from tqdm import tqdm
@@ -20,15 +20,13 @@ from hydro_policy.nodes.graph_node import GraphNode
 if TYPE_CHECKING:  # evaluate does without
     from hydro_policy.training_plan import TrainingPlan
 
-P = TypeVar("P", bound="TrialProgress")
-
 _REDRAW = 4  # ticks of 50 ms
 _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
 """Without a rate: waiting and examinations take their time too."""
 
 
 class TrialProgress:
-    """Progress bar of a plan's trials; use as context manager.
+    """Progress bar of a plan's trials, until `close`.
 
     `label`: of the bar. `total`: trials, or s of them; 0: not known. `bar_format`: as of tqdm.
     """
@@ -38,10 +36,8 @@ class TrialProgress:
         form = bar_format or (_BAR.replace("{elapsed}", "{elapsed}<{remaining}") if self._total else None)
         self._bar: tqdm[None] = progress(total=self._total or None, label=label, bar_format=form)
 
-    def __enter__(self: P) -> P:
-        return self
-
-    def __exit__(self, *_: object) -> None:
+    def close(self) -> None:
+        """Show where it ended."""
         self.tick()
         self._redraw()
         self._bar.close()
@@ -83,7 +79,13 @@ class TrainingProgress(TrialProgress):
         """Redraw at intervals, and print a line for each finished episode and examination."""
         progress = self._plan.progress
         while self._told < progress.episode:
-            self._node.say(_episode_line(progress.history[self._told], self._plan.settings.episodes))
+            record = progress.history[self._told]
+            self._node.say(
+                f"episode {record['episode']:.0f}/{self._plan.settings.episodes}: {record['amplitude']:.0f} N at "
+                f"{record['frequency']:.2f} Hz, return {record['return']:.0f}, RMSE {record['force_rmse']:.1f} N (lag "
+                f"{1e3 * record['lag']:.1f} ms), alpha {record['entropy_coefficient']:.4f}, "
+                f"{record['updates']:.0f} updates"
+            )
             self._told += 1
         while self._examined < len(progress.exams):
             self._node.say(_exam_line(progress.exams[self._examined], self._plan))
@@ -170,12 +172,4 @@ def _exam_line(result: dict[str, Any], plan: TrainingPlan) -> str:
         f"examined after episode {result['episode']}{of}: "
         f"RMSE {rmse} N, {result['score']:.3f}{error} of fixed {fixed}, "
         f"better at {result['beaten']} of {len(result['rmse'])} sines{ends}"
-    )
-
-
-def _episode_line(record: dict[str, float], episodes: int) -> str:
-    return (
-        f"episode {record['episode']:.0f}/{episodes}: {record['amplitude']:.0f} N at {record['frequency']:.2f} Hz, "
-        f"return {record['return']:.0f}, RMSE {record['force_rmse']:.1f} N (lag {1e3 * record['lag']:.1f} ms), "
-        f"alpha {record['entropy_coefficient']:.4f}, {record['updates']:.0f} updates"
     )

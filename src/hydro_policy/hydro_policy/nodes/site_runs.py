@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from hydro_bridge.bags.writer import code_version
@@ -48,7 +47,7 @@ ENDS_WITHIN = 30.0  # s, for a recorder to complete its recording
 
 
 class Site:
-    """The folder of one bench, and what runs on it; use as context manager.
+    """The folder of one bench, and what runs on it, until `close`.
 
     `folder`: of the site. `record`: what is known of it; its plant is the serial port of the box, or `EMULATED`.
     `rearm`: whether the plant is armed without a person. `policy`: whether a policy is to be trained. `log`: takes what
@@ -61,15 +60,13 @@ class Site:
         self._typed = None if rearm else terminal_lines()
         self._port = str(folder / "port") if record.plant == EMULATED else record.plant
         self._emulator: Companion | None = None
-        self._bridge: Companion | None = None
+        self._running: list[Companion] = []  # emulator and bridge
         self._node: GraphNode | None = None
         self._serves: list[tuple[str, str, list[str]]] = []  # command line of the bridge
         self._stack, self._connection = ExitStack(), ExitStack()
 
-    def __enter__(self) -> Site:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def close(self) -> None:
+        """End all that runs on it."""
         with self._stack:
             self._disconnect()
 
@@ -154,50 +151,46 @@ class Site:
 
     def _disconnect(self) -> None:
         self._connection.close()
-        self._bridge, self._node, self._serves = None, None, []
-
-    def _connected(self, options: PlantOptions, reach: GainRange) -> GraphNode:
-        """Return the node that commands this plant, behind a bridge with this filter, for this range of gains."""
-        serves = commands(options, reach, self.folder)
-        if self._node is not None and serves == self._serves:
-            return self._node
-        self.free_port()
-        node = GraphNode("commission")
-        self._connection.callback(leave_graph, node)
-        node.announcer.log = self._log
-        for package, executable, arguments in serves:
-            output = companion_output(node.announcer.keep)
-            self._bridge = self._connection.enter_context(Companion(package, executable, arguments, output=output))
-        node.companions = self._watched()
-        kp, ki = self.record.base_gains or (None, None)
-        base = None if kp is None or ki is None else (kp, ki)  # not told before the first recording
-        node.box_fault = partial(box_mismatch, BoxIdentity.of_file(self.bench, base))
-        if not node.wait_for_plant(law=True) or node.box is None:
-            raise KeyboardInterrupt
-        node.override = GainOverride(guard_range(reach), node.override.say, node.box.base_gains)
-        if options.filter != NO_FILTER:
-            node.listen_to_corrections()
-        self._node, self._serves = node, serves
-        return node
-
-    def _watched(self, *others: Companion) -> CompanionWatch:
-        return CompanionWatch([one for one in (self._emulator, self._bridge, *others) if one is not None])
+        self._running, self._node, self._serves = [], None, []
 
     @contextmanager
     def _recorded(
         self, name: str, reach: GainRange, words: Sequence[str] = NO_FILTER, policies: Sequence[Path] = ()
     ) -> Iterator[tuple[GraphNode, Requirement]]:
-        """Give the node, and the requirement of its recorder; the plant is left disarmed, before the recording ends."""
+        """Give the node, and the requirement of its recorder; the plant is left disarmed, before the recording ends.
+
+        The node commands the plant behind a bridge with this filter, for this range of gains.
+        """
         options = PlantOptions(
             plant="bench", port=self._port, bench=self.bench, filter=tuple(words), policies=tuple(policies)
         )
-        node, folder = self._connected(options, reach), self.recording(name)
+        serves = commands(options, reach, self.folder)
+        if self._node is None or serves != self._serves:
+            self.free_port()
+            node = GraphNode("commission")
+            self._connection.callback(leave_graph, node)
+            node.announcer.log = self._log
+            self._running = [self._emulator] if self._emulator is not None else []
+            for package, executable, arguments in serves:
+                bridge = Companion(package, executable, arguments, output=companion_output(node.announcer.keep))
+                self._running.append(self._connection.enter_context(bridge))
+            node.companions = CompanionWatch(self._running)
+            kp, ki = self.record.base_gains or (None, None)
+            base = None if kp is None or ki is None else (kp, ki)  # not told before the first recording
+            node.box_fault = partial(box_mismatch, BoxIdentity.of_file(self.bench, base))
+            if not node.wait_for_plant(law=True) or node.box is None:
+                raise KeyboardInterrupt
+            node.override = GainOverride(guard_range(reach), node.override.say, node.box.base_gains)
+            if options.filter != NO_FILTER:
+                node.listen_to_corrections()
+            self._node, self._serves = node, serves
+        node, folder = self._node, self.recording(name)
         shutil.rmtree(folder, ignore_errors=True)
         with Ending() as stack:
             arguments = ["--realtime", *recorder_arguments(options, folder)]
             output = companion_output(node.announcer.keep)
             recorder = Companion("hydro_bridge", "recorder", arguments, output=output)
             stack.callback(recorder.stop, ENDS_WITHIN)
-            node.companions = self._watched(recorder)
+            node.companions = CompanionWatch([*self._running, recorder])
             stack.callback(node.disarm)
             yield node, RecorderWatch(node, folder, recorder).requirement

@@ -87,7 +87,7 @@ def parse_options(words: Sequence[str]) -> argparse.Namespace:
         begun = {"start": FIXED_ON_RESUME, "configuration": FIXED_ON_RESUME, "seed": run.load_settings().seed}
         place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
         reject_changed_options(parser(), words, str(run.path), {**begun, **place})
-        restore_plant_options(result, run.load_plant(), explicit_options(parser(), words))
+        restore_plant_options(result, run, explicit_options(parser(), words))
         options = result.parse_args(words)
     apply_site(options)
     return options

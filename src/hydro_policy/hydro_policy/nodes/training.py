@@ -6,7 +6,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -57,25 +58,10 @@ UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
 """Updates per step. From scratch: above the paper's 1, since bench time is costly; a good agent would degrade."""
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A prepared run."""
-
-    run: RunDirectory
-    settings: TrainingSettings
-    checkpoint: Checkpoint | None
-    start: InitialAgent | None
-    made: bool = False  # whether the run's folder was newly created
-
-    @property
-    def best(self) -> bytes | None:
-        """Best agent of the resumed run, if it has one."""
-        path = self.run.best / AGENT
-        return path.read_bytes() if self.checkpoint is not None and path.is_file() else None
-
-
-def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
-    """Prepare a new run with its folder and first checkpoint, or one to resume.
+def prepare(
+    options: argparse.Namespace, node: GraphNode
+) -> tuple[RunDirectory, TrainingSettings, Checkpoint | None, InitialAgent | None, bool]:
+    """Prepare a new run with its folder and first checkpoint, or one to resume; last, whether its folder is new.
 
     Invalid input is refused before anything is created. Where the plant runs already its box is awaited, whose base
     gains the configuration's range of total gains is then relative to.
@@ -135,7 +121,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     run.save_settings(
         settings, plant_options_as_yaml(options)
     )  # last: a folder without it is not a run, and its name is free
-    return Prepared(run, settings, checkpoint, start, made)
+    return run, settings, checkpoint, start, made
 
 
 def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpoint) -> None:
@@ -227,9 +213,8 @@ def train(options: argparse.Namespace) -> int:
     with Ending() as stack:
         node = GraphNode("trainer")
         stack.callback(leave_graph, node)
-        prepared = prepare(options, node)
-        stack.enter_context(remove_rejected(prepared.run, node, made=prepared.made))
-        run, settings, checkpoint, start = prepared.run, prepared.settings, prepared.checkpoint, prepared.start
+        run, settings, checkpoint, start, made = prepare(options, node)
+        stack.enter_context(remove_rejected(run, node, made=made))
         node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
         gains, (kp, ki) = settings.task.gains, settings.base_gains
@@ -262,7 +247,8 @@ def train(options: argparse.Namespace) -> int:
         if uncovered := start_plant(stack, node, plant, settings.task.gains, run.path, page=options.dashboard):
             record.add("uncovered", uncovered)
         state = (checkpoint.trainer or None) if checkpoint else None
-        plan = TrainingPlan(settings, learner, node, state=state, best=prepared.best, record=record)
+        best = (run.best / AGENT).read_bytes() if checkpoint and (run.best / AGENT).is_file() else None
+        plan = TrainingPlan(settings, learner, node, state=state, best=best, record=record)
         watch = node.supervisor(plant_supervisor.learner_requirement(lambda: learner.ready), rearm=may_rearm(options))
         session = training(plan, watch)
         node.listen_to_corrections()
@@ -306,7 +292,7 @@ def drive(
         node.listen_for_enter()
     if not node.wait_for_plant():
         return False, None
-    with TrainingProgress(node, session) as bar:
+    with closing(TrainingProgress(node, session)) as bar:
         finished = plan.trained or node.run_session(session, bar.tick)
     inference = plan.explorer.inference.sentence()
     node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; inference took {inference}")

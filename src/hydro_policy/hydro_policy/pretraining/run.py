@@ -95,15 +95,15 @@ def requested(options: argparse.Namespace) -> tuple[TrainingSettings, Simulation
     chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
     source = SimulationSetup(model=model, box=options.box and os.path.abspath(options.box), **chosen)
 
-    def given(**names: str) -> dict[str, Any]:
-        return {name: value for name, option in names.items() if (value := getattr(options, option)) is not None}
-
+    sac = {} if options.hidden is None else {"hidden_size": options.hidden}
+    task = {} if options.steps is None else {"steps_per_episode": options.steps}
+    given = {name: getattr(options, name) for name in ("episodes", "updates_per_step")}
+    numbers = {name: value for name, value in given.items() if value is not None}
     box = source.box_config()
     settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki), source.believed().size)
-    numbers = given(episodes="episodes", updates_per_step="updates_per_step")
     settings = replace(
-        settings, made=source.made_for(), sac=replace(settings.sac, **given(hidden_size="hidden")),
-        task=replace(settings.task, **given(steps_per_episode="steps")), **numbers,
+        settings, made=source.made_for(), sac=replace(settings.sac, **sac), task=replace(settings.task, **task),
+        **numbers,
     )  # fmt: skip
     rows = min(settings.episodes * settings.task.steps_per_episode, REPLAY_MAX)
     return replace(settings, replay_capacity=max(settings.replay_capacity, rows)), source
@@ -134,7 +134,7 @@ def load_simulation_setup(folder: Path) -> SimulationSetup:
 
 
 def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    """Run the remaining rounds; checkpoints after the first, the last, and every `SAVE_PERIOD` in between."""
+    """Run the remaining rounds; save the run after the first, the last, and every `SAVE_PERIOD` in between."""
     settings = pretraining.settings.training
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
@@ -151,33 +151,26 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
         bar.update(len(transitions.reward))
 
     endings.install_handlers(ask)
-
     while not pretraining.finished:
         entry = pretraining.round(each_step)
         scalars.add("pretraining", entry)
         if pretraining.finished or time.monotonic() > due:
-            _save(run, pretraining, source)
+            best = pretraining.best or dump(pretraining.sac)
+            write_whole(run.path / AGENT, with_provenance(best, settings.made))
+            policy = Policy(settings.sac, settings.task.size)
+            policy.load_flat(actor_parameters(best))
+            notes = {
+                "command": " ".join(["pretrain", *sys.argv[1:]]), "simulated": asdict(source), "seed": settings.seed,
+                "episodes": pretraining.episode, "score": pretraining.best_score, "task": asdict(settings.task),
+                "code": code_version(),
+            }  # fmt: skip
+            policy.save(run.policy, settings.task.gains, notes, settings.made)
+            agent = with_provenance(dump(pretraining.sac), settings.made)
+            save_checkpoint(run.latest, agent, pretraining.replay, pretraining.state())
+            draw_curve(pretraining, run.path / CURVE)
             due = time.monotonic() + SAVE_PERIOD
         bar.set_postfix_str(f"{entry['score']:.2f} of fixed gains' RMSE, best {pretraining.best_score:.2f}")
     bar.close()
-
-
-def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    """Save a checkpoint, the best agent so far with its policy, and the learning curve."""
-    best = pretraining.best or dump(pretraining.sac)
-    training = pretraining.settings.training
-    write_whole(run.path / AGENT, with_provenance(best, training.made))
-    policy = Policy(training.sac, training.task.size)
-    policy.load_flat(actor_parameters(best))
-    notes = {
-        "command": " ".join(["pretrain", *sys.argv[1:]]), "simulated": asdict(source), "seed": training.seed,
-        "episodes": pretraining.episode, "score": pretraining.best_score, "task": asdict(training.task),
-        "code": code_version(),
-    }  # fmt: skip
-    policy.save(run.policy, training.task.gains, notes, training.made)
-    agent = with_provenance(dump(pretraining.sac), training.made)
-    save_checkpoint(run.latest, agent, pretraining.replay, pretraining.state())
-    draw_curve(pretraining, run.path / CURVE)
 
 
 def curve_table(pretraining: Pretraining) -> Table:

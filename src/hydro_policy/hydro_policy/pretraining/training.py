@@ -86,7 +86,7 @@ class Pretraining:
         """One entry per round: episode, mean return, trips, RMSE at each frequency, scores."""
         self.best_score = math.inf
         self.best: bytes | None = None  # agent (`sac.dump`) with the best score so far; not part of `state`
-        self._take_weights()
+        self.policy.load_flat(self.sac.actor_parameters())
         self._examined: list[RandomisedBench | None] = [None]  # the known bench, then drawn ones
         fixed = vector_runs.fixed(np.array(REFERENCE_GAINS), (settings.box.base_kp, settings.box.base_ki))
         known = self._rmse(fixed, self._examined)
@@ -122,7 +122,7 @@ class Pretraining:
             due = training.updates_due(self.replay.produced) - self.sac.updates
             if due > 0:
                 self.sac.learn(self.replay, due)
-                self._take_weights()
+                self.policy.load_flat(self.sac.actor_parameters())
             returns += transitions.reward
             trips += int(transitions.terminated[:count].sum())
             each_step(transitions)
@@ -144,9 +144,6 @@ class Pretraining:
         state = checkpoint.trainer
         self.episode, self.history, self.best_score = state["episode"], state["history"], state["best_score"]
         self.best, self.rng.bit_generator.state = best, state["random_state"]
-        self._take_weights()
-
-    def _take_weights(self) -> None:
         self.policy.load_flat(self.sac.actor_parameters())
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:

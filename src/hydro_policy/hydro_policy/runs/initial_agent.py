@@ -44,14 +44,9 @@ class InitialAgent:
         A good agent is changed slowly: learning starts once the replay buffer holds an episode of the bench, and the
         actor's step size is a tenth of the original.
         """
-        sac = replace(
-            settings.sac,
-            actor_learning_rate=ACTOR_LEARNING_RATE_SCALE * settings.sac.actor_learning_rate,
-            hidden_size=self.sac.hidden_size,
-            log_std_min=self.sac.log_std_min,
-            log_std_max=self.sac.log_std_max,
-            reward_scale=self.sac.reward_scale,
-        )
+        rate = ACTOR_LEARNING_RATE_SCALE * settings.sac.actor_learning_rate
+        kept = {name: getattr(self.sac, name) for name in ("hidden_size", "log_std_min", "log_std_max", "reward_scale")}
+        sac = replace(settings.sac, actor_learning_rate=rate, **kept)
         reward = rescale(replace(settings.task, **self.reward), self.size, settings.task.size)
         task = replace(settings.task, gains=self.gains, **{name: getattr(reward, name) for name in self.reward})
         starts = max(settings.learning_starts, task.steps_per_episode)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,6 @@ from hydro_core.cli.console import Table, plural, print_above_progress
 from hydro_core.files.atomic import write_whole
 from hydro_policy.runs.run import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
-
-Events = Sequence[Mapping[str, Any]]
 
 NONE_BETTER = "no policy trained here was better, by more than noise, than the one it started from: that is kept"
 _LOSSES = ("critics_loss", "actor_loss")
@@ -31,11 +30,25 @@ def sections(record: RunRecord, curve: Path) -> list[Section]:
         summary += f" {NONE_BETTER[0].upper()}{NONE_BETTER[1:]}."
     found = [Section(heading="Learning curve", text=summary, picture=curve)]
     if exams:
-        found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=_table(exams)))
+        columns = {
+            "episode": "episodes learnt from",
+            "score": "mean of the RMSE over that of the fixed gains",
+            "beaten": "sines at which it beats them",
+            "rmse": "N, one for each sine",
+            "kept": "whether it was the best so far",
+        }
+        table = Table(columns, title="Examinations")
+        for event in exams:
+            cells = {key: event[key] for key in ("episode", "score", "beaten")}
+            table.add(**cells, rmse=", ".join(map(_number, event["rmse"])), kept="yes" if event["best"] else "no")
+        found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=table))
     happened = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
     for event in record.events:
         if event["kind"] in _TOLD:
-            happened.add(time=_utc(str(event.get("time", ""))), event=event["kind"], sentence=_sentence(event))
+            when = str(event.get("time", ""))
+            with suppress(ValueError):
+                when = datetime.fromisoformat(when).astimezone(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
+            happened.add(time=when, event=event["kind"], sentence=_sentence(event))
     return [*found, Section(heading="What happened", table=happened)]
 
 
@@ -87,28 +100,6 @@ def draw_curve(record: RunRecord, path: Path) -> None:
         axes[-1].set(xlabel="episodes")
         axes[-1].xaxis.get_major_locator().set_params(integer=True)
         drawing.align_ylabels()
-
-
-def _table(exams: Events) -> Table:
-    columns = {
-        "episode": "episodes learnt from",
-        "score": "mean of the RMSE over that of the fixed gains",
-        "beaten": "sines at which it beats them",
-        "rmse": "N, one for each sine",
-        "kept": "whether it was the best so far",
-    }
-    table = Table(columns, title="Examinations")
-    for event in exams:
-        cells = {key: event[key] for key in ("episode", "score", "beaten")}
-        table.add(**cells, rmse=", ".join(map(_number, event["rmse"])), kept="yes" if event["best"] else "no")
-    return table
-
-
-def _utc(time: str) -> str:
-    try:
-        return datetime.fromisoformat(time).astimezone(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
-    except ValueError:
-        return time
 
 
 def _sentence(event: Mapping[str, Any]) -> str:

@@ -137,11 +137,6 @@ class RunDirectory:
         values = asdict(settings) | ({"plant": dict(plant)} if plant else {})
         write_whole(self.config, yaml.safe_dump(values, sort_keys=False).encode())
 
-    def load_plant(self) -> dict[str, Any]:
-        """Return the run's original plant options; empty if they were not saved."""
-        plant = read_yaml(self.config).get("plant")
-        return plant if isinstance(plant, dict) else {}
-
     def load_settings(self) -> TrainingSettings:
         """Read config.yaml back. Raises ValueError: the file is missing, or does not hold the settings of a run."""
         try:
@@ -158,15 +153,13 @@ class RunDirectory:
             raise ValueError(f"{self.path} holds no run to resume: {error}") from error
 
 
+@dataclass
 class Scalars:
-    """Numbers of a run as TensorBoard event files; `tensorboard --logdir runs` shows runs beside each other.
+    """Numbers of a run as TensorBoard event files; `tensorboard --logdir runs` shows runs beside each other."""
 
-    `folder`: folder of the run; the files are in its `tensorboard`. A resumed run adds another file.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder / "tensorboard"
-        self._writer: Any = None
+    folder: Path
+    """Of the run; the files are in its `tensorboard`. A resumed run adds another file."""
+    _writer: Any = None
 
     def add(self, kind: str, numbers: Mapping[str, Any]) -> None:
         """Add `kind/name` at `episode` for each finite number, `kind/name_0` and so on for each of a list."""
@@ -175,8 +168,8 @@ class Scalars:
         from tensorboardX.summary import scalar
 
         if self._writer is None:  # its own SummaryWriter loses what waits in its queue at the end of the process
-            self._folder.mkdir(parents=True, exist_ok=True)
-            self._writer = EventsWriter(str(self._folder / "events"))
+            (self.folder / "tensorboard").mkdir(parents=True, exist_ok=True)
+            self._writer = EventsWriter(str(self.folder / "tensorboard" / "events"))
         tagged: dict[str, Any] = {}
         for name, value in numbers.items():
             several = isinstance(value, (list, tuple))
@@ -216,7 +209,7 @@ class RunRecord:
         event = {"time": datetime.now().astimezone().isoformat(timespec="milliseconds"), "kind": kind}
         if sentence:
             event["sentence"] = sentence
-        self.events.append(event | {key: _plain(value) for key, value in numbers.items()})
+        self.events.append(event | json.loads(encode_json(numbers)))
         if self._path is not None:
             if self._written.done():
                 self._written.result()  # raises a write error
@@ -245,12 +238,6 @@ class RunRecord:
         Raises OSError: the file cannot be written.
         """
         self._written.result()
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, (list, tuple)):
-        return [_plain(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True)

@@ -18,18 +18,6 @@ from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
 from hydro_sim.box.header import header_file, initializer, wrap_words
 
 
-def parser() -> argparse.ArgumentParser:
-    """Parser of the command line."""
-    parser = argparse.ArgumentParser(
-        prog="export_c",
-        description="Write a policy's weights for a box in C (firmware/hydro/policy.h).",
-        allow_abbrev=False,
-    )
-    parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="policy.safetensors of a run")
-    parser.add_argument("--out", type=writable_file, required=True, metavar="FILE.h", help="header to write")
-    return parser
-
-
 def header(policy: Policy, gains: GainRange, origin: str) -> str:
     """Return the header that defines `HYDRO_POLICY`; the last layer contains only the outputs of the mean."""
     weights = [*policy.weights[:-1], policy.weights[-1][:, :ACTIONS]]
@@ -37,7 +25,7 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
     arrays = []
     for k, pair in enumerate(zip(weights, biases, strict=True), 1):
         for name, array in zip(("HYDRO_POLICY_WEIGHT", "HYDRO_POLICY_BIAS"), pair, strict=True):
-            numbers = wrap_words(map(_decimal, np.asarray(array, np.float32).ravel()))
+            numbers = wrap_words(f"{number!s}f" for number in np.asarray(array, np.float32).ravel())
             arrays.append(f"static const float {name}_{k}[{array.size}] = {{\n{numbers}}};\n")
     low, high = (gains.changes(np.full(ACTIONS, end)) for end in (-1.0, 1.0))
     center, scale = normalization(policy.size)
@@ -54,16 +42,14 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
     return header_file("HYDRO_POLICY_WEIGHTS_H", origin, "\n".join(body))
 
 
-def _decimal(number: np.float32) -> str:
-    """Return a number as the decimal that converts back to the same float32."""
-    text = str(number)
-    return f"{text}f" if "." in text or "e" in text else f"{text}.0f"
-
-
 @command(ValueError)
 def main() -> None:
     """Entry point."""
-    options = parser().parse_args()
+    words = "Write a policy's weights for a box in C (firmware/hydro/policy.h)."
+    parser = argparse.ArgumentParser(prog="export_c", description=words, allow_abbrev=False)
+    parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="policy.safetensors of a run")
+    parser.add_argument("--out", type=writable_file, required=True, metavar="FILE.h", help="header to write")
+    options = parser.parse_args()
     policy, gains, _ = load_policy(options.policy)
     origin = f"Written by `ros2 run hydro_policy export_c` from {options.policy.name}."
     write_whole(Path(options.out), header(policy, gains, origin).encode())

@@ -424,14 +424,8 @@ class Sac:
 
     Batches and noise of an update follow from the seed and the number of the update: no generator has to be saved.
 
-    Parameters
-    ----------
-    observations, actions
-        Sizes of the observation and of the action; actions lie in (-1, 1).
-    settings
-        See `SacSettings`.
-    dtype
-        float32 in use; float64 for checks.
+    `observations`, `actions`: sizes of the observation and of the action; actions lie in (-1, 1). `dtype`: float32 in
+    use; float64 for checks.
     """
 
     def __init__(self, observations: int, actions: int, settings: SacSettings, dtype: Any = np.float32) -> None:

@@ -9,27 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from hydro_policy.task.mdp import BASE, GainRange
 
 
+@dataclass
 class GainOverride:
-    """State of a manual override.
+    """State of a manual override."""
 
-    `reach`: gain changes that may be requested: those that the plant's guard passes. `say`: takes a sentence for each
-    change. `base`: K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's).
-    """
-
-    def __init__(
-        self,
-        reach: GainRange | None = None,
-        say: Callable[[str], None] = lambda _: None,
-        base: tuple[float, float] = BASE,
-    ) -> None:
-        self.reach, self.base = reach or GainRange(), base
-        self.say = say
-        self._held: tuple[float, float] | None = None  # (delta_kp, delta_ki)
-        self._until = math.inf  # s
+    reach: GainRange = field(default_factory=GainRange)
+    """Gain changes that may be requested: those that the plant's guard passes."""
+    say: Callable[[str], None] = lambda _: None  # takes a sentence for each change
+    base: tuple[float, float] = BASE
+    """K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's)."""
+    _held: tuple[float, float] | None = None  # (delta_kp, delta_ki)
+    _until: float = math.inf  # s
 
     def hold(self, proportional: float, integral: float, seconds: float, now: float) -> str:
         """Hold K_p [1/s] and K_i [1/s^2], base gains included, for `seconds` (0: until released); returns a report.
@@ -46,20 +41,24 @@ class GainOverride:
             raise ValueError(f"({proportional:g}, {integral:g}) cannot be held here: K_p {kp}, K_i {ki}")
         self._held, self._until = change, now + seconds if seconds else math.inf
         how_long = f"for {seconds:g} s" if seconds else "until told otherwise"
-        return self._told(f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}")
+        sentence = f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}"
+        self.say(sentence)
+        return sentence
 
     def release(self) -> str:
         """Return the gains to the controller; returns a report."""
         if self._held is None:
             return "nothing was overridden"
         self._held = None
-        return self._told("override ended: the gains are the policy's again")
+        sentence = "override ended: the gains are the policy's again"
+        self.say(sentence)
+        return sentence
 
     def gains(self, now: float) -> tuple[float, float] | None:
         """Return the (delta_kp, delta_ki) to publish instead of the controller's at time `now` [s], or None."""
         if self._held is not None and now >= self._until:
             self._held = None
-            self._told("override is over: the gains are the policy's again")
+            self.say("override is over: the gains are the policy's again")
         return self._held
 
     @property
@@ -72,7 +71,3 @@ class GainOverride:
         """Text for /diagnostics: the gains held, or no."""
         held, base = self._held, self.base
         return "no" if held is None else f"K_p {base[0] + held[0]:g}, K_i {base[1] + held[1]:g}"
-
-    def _told(self, sentence: str) -> str:
-        self.say(sentence)
-        return sentence

@@ -79,15 +79,15 @@ class EvaluationSettings:
     @property
     def cases(self) -> tuple[Case, ...]:
         """Return all cases in order."""
-        cases = [Case(f"{f:g} Hz", _signal(Waveform.SINE, self.amplitude, f)) for f in self.frequencies]
+        signals = [(f"{f:g} Hz", Waveform.SINE, self.amplitude, f) for f in self.frequencies]
         if self.multisine:
-            cases.append(Case("multisine", _signal(Waveform.MULTISINE, self.amplitude, 0.5)))
+            signals.append(("multisine", Waveform.MULTISINE, self.amplitude, 0.5))
         if self.steps:
-            cases.append(Case("steps", _signal(Waveform.SMOOTH_STEP, self.amplitude * 2.0 / 3.0, 0.5)))
-        if self.fast:
-            for frequency, share in FAST.items():
-                force = self.amplitude * share
-                cases.append(Case(f"{frequency:g} Hz, {force:g} N", _signal(Waveform.SINE, force, frequency)))
+            signals.append(("steps", Waveform.SMOOTH_STEP, self.amplitude * 2.0 / 3.0, 0.5))
+        for frequency, share in FAST.items() if self.fast else ():
+            force = self.amplitude * share
+            signals.append((f"{frequency:g} Hz, {force:g} N", Waveform.SINE, force, frequency))
+        cases = [Case(name, ReferenceSignal(waveform=w, amplitude=a, frequency=f)) for name, w, a, f in signals]
         for file in self.recorded:
             first, *others = recorded.pieces(Path(file), self.amplitude)
             cases.append(Case(Path(file).stem, first, tuple(others)))
@@ -130,10 +130,6 @@ class ExamSettings:
         return EvaluationSettings(
             amplitude=self.amplitude, settle=self.settle, measure=self.measure, repeats=self.repeats
         )
-
-
-def _signal(waveform: Waveform, amplitude: float, frequency: float) -> ReferenceSignal:
-    return ReferenceSignal(waveform=waveform, amplitude=amplitude, frequency=frequency)
 
 
 SPOILT = 0.01

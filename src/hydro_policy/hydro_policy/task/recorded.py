@@ -62,7 +62,10 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
-    """Signals to send one after the other, a `FADE` apart; the record's largest magnitude is `amplitude` [N]."""
+    """Signals to send one after the other, a `FADE` apart; the record's largest magnitude is `amplitude` [N].
+
+    No piece has more than twice that of offset and amplitude.
+    """
     from scipy.signal import butter, sosfiltfilt
 
     time, value = read(path)
@@ -77,25 +80,21 @@ def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     largest = float(np.abs(part).max())
     if largest == 0.0:
         raise SettingsError(f"{path} holds nothing but one value")
-    return tuple(fitted(amplitude / largest * part, 2.0 * amplitude))
-
-
-def fitted(record: FloatArray, limit: float) -> list[ReferenceSignal]:
-    """Pieces of a record [N] at 1 kHz, shape (n,); no piece with more than `limit` [N] of offset and amplitude."""
+    record = amplitude / largest * part
     since, fade = SAMPLE_PERIOD * np.arange(2 * SAMPLES), np.arange(SAMPLES) / SAMPLES
     rising = fade**2 * (3.0 - 2.0 * fade)
     weight = np.concatenate((rising, 1.0 - rising))
     angles = 2.0 * np.pi * np.outer(FREQUENCIES, since)
     bases = np.stack((np.ones_like(angles), np.sin(angles), np.cos(angles)), axis=-1)
     inverses = np.linalg.pinv(bases * weight[:, np.newaxis], rcond=0.03)
-    made, leaving = [], np.zeros(SAMPLES)
+    made, leaving = list[ReferenceSignal](), np.zeros(SAMPLES)
     for start in range(0, len(record) - 2 * SAMPLES + 1, SAMPLES):
         target = weight * record[start : start + 2 * SAMPLES]
         target[:SAMPLES] = record[start : start + SAMPLES] - (1.0 - rising) * leaving
         found = inverses @ target
         played = np.einsum("fsn,fn->fs", bases, found)
         size = np.abs(found[:, 0]) + np.hypot(found[:, 1], found[:, 2])
-        missed = np.where(size <= limit, np.sum((target - weight * played) ** 2, axis=1), np.inf)
+        missed = np.where(size <= 2.0 * amplitude, np.sum((target - weight * played) ** 2, axis=1), np.inf)
         best = int(np.argmin(missed))
         offset, sine, cosine = map(float, found[best])
         made.append(
@@ -105,4 +104,4 @@ def fitted(record: FloatArray, limit: float) -> list[ReferenceSignal]:
             )
         )  # fmt: skip
         leaving = played[best, SAMPLES:]
-    return made
+    return tuple(made)

@@ -34,16 +34,12 @@ from hydro_sim.model.sensors import Sensors
 
 RATE_RANGE = 1e6 / 3.0
 """1/s, largest differentiated force over the bench's force: a load cell's full range within a tenth of a sample."""
-
 VELOCITY_RANGE = 125.0
 """1/s, largest differentiated position over the stroke."""
-
 Integral = Literal["bumpless", "paper"]
 """Forms of the force law's integral: int K_i e dt, or K_i int e dt."""
-
 NAME = "hydro firmware"
 """Name of a box on the line."""
-
 EMULATED_BOX = "hydro emulator"
 """Name of the emulator's box on the line: no person stands beside that one."""
 
@@ -110,16 +106,8 @@ class BoxConfig:
     ) -> Records:
         """Return the firmware's configuration hydro_config: one record, shape (1,).
 
-        Parameters
-        ----------
-        bench
-            What its force law believes.
-        sensors
-            Ages of its rates; absent: the defaults.
-        name
-            What it calls itself on the line.
-        precision
-            Of its numbers.
+        `bench`: what its force law believes. `sensors`: ages of its rates; absent: the defaults. `name`: what it calls
+        itself on the line. `precision`: of its numbers.
         """
         kinds, believed, ages = firmware.STRUCTURES[precision], bench.constants()[0], sensors or Sensors()
         gains = {entry: getattr(self, entry) for entry in GAIN_FIELDS}
@@ -153,7 +141,6 @@ class BoxConfig:
 
 
 def _law(law: BoxLaw) -> tuple[Any, ...]:
-    """Numbers of hydro_law."""
     low, safe, high, rate = map(tuple, law.shaping)
     return (*(getattr(law, name) for name in GAIN_FIELDS), law.reference_max, safe, low, high, rate)
 
@@ -172,14 +159,8 @@ _NOMINAL_RATIO = stiffness_ratio(Bench.nominal())
 class Box:
     """One box: the C firmware with its memory. Times are seconds of the box's clock, which never goes back.
 
-    Parameters
-    ----------
-    bench, config, sensors
-        Bench that its force law assumes, its settings, and the filters of its rates.
-    name, epoch
-        Name in HELLO, and number of the power-on.
-    precision
-        Of its numbers.
+    `bench`, `config`, `sensors`: bench that its force law assumes, its settings, and the filters of its rates. `name`,
+    `epoch`: name in HELLO, and number of the power-on. `precision`: of its numbers.
 
     Raises SettingsError: the firmware is not built.
     """
@@ -233,7 +214,6 @@ class Box:
         return values, references
 
     def _call(self, name: str, *arguments: Any) -> Any:
-        """Call a function of the firmware; arrays are given by their address."""
         given = (firmware.address_of(one) if isinstance(one, np.ndarray) else one for one in arguments)
         return getattr(firmware.library(self.precision), f"hydro_c_{name}")(*given)
 

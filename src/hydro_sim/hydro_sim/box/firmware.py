@@ -37,7 +37,6 @@ Pointer = ctypes.c_void_p
 
 BURST_MAX = 516
 """HYDRO_BURST_MAX: bytes that a box sends after one sample at most."""
-
 COEFFICIENTS = 4
 """Coefficients a_0 to a_3 at the beginning of a law's shaping."""
 VELOCITY_COMPENSATION, VALVE_GAIN_SCALE = 4, 5
@@ -183,22 +182,9 @@ def nominal_current(
 ) -> float:  # fmt: skip
     """Return u_nom [A] of the force law, before correction and saturation.
 
-    Parameters
-    ----------
-    config
-        A record of `DOUBLE.config`, shape (1,).
-    measurement
-        x, shape (8,), finite.
-    error
-        e_c = f_c - feedback [N].
-    action
-        I [N/s], the integral action.
-    reference_rate
-        f_c' [N/s].
-    kp
-        K_p + delta K_p [1/s].
-    velocity_compensation, valve_gain_scale
-        C_1, C_2.
+    `config`: a record of `DOUBLE.config`, shape (1,). `measurement`: x, shape (8,), finite. `error`: e_c = f_c -
+    feedback [N]. `action`: I [N/s], the integral action. `reference_rate`: f_c' [N/s]. `kp`: K_p + delta K_p [1/s].
+    `velocity_compensation`, `valve_gain_scale`: C_1, C_2.
     """
     numbers = (error, action, reference_rate, kp, velocity_compensation, valve_gain_scale)
     x = np.ascontiguousarray(measurement)

@@ -44,43 +44,28 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--truth", metavar="FILE", help="what the bench is made of (default: the default profile)")
     parser.add_argument("--bench", metavar="FILE", help="what the box believes, and the numbers of the "
                         "emulated bench where --truth has no others (default: the nominal bench)")  # fmt: skip
-    parser.add_argument(
-        "--seconds",
-        type=bounded_number(1e-3, 36000.0),
-        metavar="S",
-        help="how long (default: until stopped, or the schedule)",
-    )
-    parser.add_argument(
-        "--seed", type=bounded_number(0), default=0, metavar="N", help="of noise, random forces, link faults"
-    )
-    parser.add_argument(
-        "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
-    )
+    parser.add_argument("--seconds", type=bounded_number(1e-3, 36000.0), metavar="S",
+                        help="how long (default: until stopped, or the schedule)")  # fmt: skip
+    parser.add_argument("--seed", type=bounded_number(0), default=0, metavar="N",
+                        help="of noise, random forces, link faults")  # fmt: skip
+    parser.add_argument("--integral", choices=get_args(Integral), default="bumpless",
+                        help="of the force law (default: bumpless)")  # fmt: skip
     line = parser.add_argument_group("on a serial line")
     line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
     presets = ", ".join(PRESETS)
     line.add_argument("--faults", default="clean", metavar="FILE", help=f"what goes wrong: a file, or one of {presets}")
-    line.add_argument(
-        "--precision", choices=get_args(Precision), default="double", help="of the box's numbers (default: double)"
-    )
-    line.add_argument(
-        "--pace", default="plant", metavar="PACE", help="plant: each sample waits for the host's answer (default); "
-        "real: real time; a number: that many times real time",
-    )  # fmt: skip
+    line.add_argument("--precision", choices=get_args(Precision), default="double",
+                      help="of the box's numbers (default: double)")  # fmt: skip
+    line.add_argument("--pace", default="plant", metavar="PACE", help="plant: each sample waits for the host's answer "
+                      "(default); real: real time; a number: that many times real time")  # fmt: skip
     line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
-    line.add_argument(
-        "--load-force", type=Path, metavar="FILE", help="keep the last forces on the load there meanwhile, in front of "
-        "its cell, for scoring only",
-    )  # fmt: skip
+    line.add_argument("--load-force", type=Path, metavar="FILE", help="keep the last forces on the load there "
+                      "meanwhile, in front of its cell, for scoring only")  # fmt: skip
     group = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
     group.add_argument("--offline", action="store_true")
     group.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
-    group.add_argument(
-        "--noise-free",
-        type=writable_file,
-        metavar="FILE.npz",
-        help="also write the run without noise, for scoring only",
-    )
+    group.add_argument("--noise-free", type=writable_file, metavar="FILE.npz",
+                       help="also write the run without noise, for scoring only")  # fmt: skip
     group.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
     return parser
 

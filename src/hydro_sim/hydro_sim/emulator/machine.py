@@ -24,30 +24,14 @@ _NO_COMMAND = np.array([-1])
 class Machine:
     """An emulated bench with its box.
 
-    Parameters
-    ----------
-    config
-        The truth.
-    bench
-        What the box believes; absent: the nominal bench.
-    box
-        Settings of the box.
-    seed
-        Of noise and random force.
-    precision, epoch
-        Of the box's numbers, and of its power-on.
+    `config`: the truth. `bench`: what the box believes; absent: the nominal bench. `box`: its settings. `seed`: of
+    noise and random force. `precision`, `epoch`: of the box's numbers, and of its power-on.
     """
 
     def __init__(
-        self,
-        config: TruthConfig,
-        bench: Bench | None = None,
-        box: BoxConfig | None = None,
-        seed: int = 0,
-        *,
-        precision: Precision = "double",
-        epoch: int = 1,
-    ) -> None:
+        self, config: TruthConfig, bench: Bench | None = None, box: BoxConfig | None = None, seed: int = 0, *,
+        precision: Precision = "double", epoch: int = 1,
+    ) -> None:  # fmt: skip
         self._seed = seed
         self.plant = truth.TruthPlant(config, seed)
         self.box = Box(
@@ -81,7 +65,7 @@ class Machine:
 
     def tick(self) -> np.void:
         """Run one sample; return its record of `STATE_DTYPE`."""
-        states, _, physical = self._run(self._commands, _NO_COMMAND, self.plant.noise.row()[None])
+        states, _, physical = self.run(self._commands, _NO_COMMAND)
         self.physical = physical[0]
         record: np.void = states[0]
         return record
@@ -91,23 +75,14 @@ class Machine:
     ) -> tuple[StateArray, FloatArray, FloatArray]:
         """Run many samples in one compiled loop, with a command before each.
 
-        Parameters
-        ----------
-        commands
-            Records of hydro_command in the box's precision, shape (m,).
-        which
-            Index into `commands` for each sample, shape (n,); negative: none.
+        `commands`: records of hydro_command in the box's precision, shape (m,). `which`: index into them for each
+        sample, shape (n,); negative: none.
 
-        Returns
-        -------
-        Samples of `STATE_DTYPE`, shape (n,); readings without noise, shape (n, 8); `plant.TRUTH_FIELDS`, shape (n, 12).
+        Returns samples of `STATE_DTYPE`, shape (n,); readings without noise, shape (n, 8); `plant.TRUTH_FIELDS`, shape
+        (n, 12).
         """
-        return self._run(commands, which, self.plant.noise.rows(len(which)))
-
-    def _run(
-        self, commands: npt.NDArray[np.void], which: npt.NDArray[np.int64], noise: FloatArray
-    ) -> tuple[StateArray, FloatArray, FloatArray]:
         count = len(which)
+        noise = self.plant.noise.rows(count)
         output = np.empty(count, STATE_DTYPE), np.empty((count, len(PLANT_FIELDS)))
         physical = np.empty((count, len(truth.TRUTH_FIELDS)))
         box = firmware.function_addresses(self.box.precision), self.box.settings, self.box.state

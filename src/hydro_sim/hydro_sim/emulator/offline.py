@@ -10,7 +10,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter
@@ -46,30 +45,29 @@ class Recording:
 
 
 def record_offline(
-    config: TruthConfig,
-    segments: Sequence[Segment],
-    *,
-    bench: Bench | None = None,
-    box: BoxConfig | None = None,
+    config: TruthConfig, segments: Sequence[Segment], *, bench: Bench | None = None, box: BoxConfig | None = None,
     seed: int = 0,
-) -> Recording:
+) -> Recording:  # fmt: skip
     """Record the emulated bench while it tracks one segment after the other.
 
-    Parameters
-    ----------
-    config
-        The truth.
-    segments
-        References and gains, in order. The first sample is still disarmed; arming then fades the first reference in.
-    bench
-        What the box's force law believes; absent: the nominal bench.
-    box
-        Settings of the box; absent: the defaults with gain limits wide enough for the segments.
-    seed
-        Of noise and random force.
+    `config`: the truth. `segments`: references and gains, in order; the first sample is still disarmed, and arming then
+    fades the first reference in. `bench`: what the box's force law believes; absent: the nominal bench. `box`: its
+    settings; absent: the defaults with gain limits wide enough for the segments. `seed`: of noise and random force.
     """
     settings = box or with_gain_limits_for(segments)
-    states, clean, physical = Machine(config, bench, settings, seed).run(*_schedule(segments, settings))
+    commands = np.zeros(len(segments) + 1, firmware.DOUBLE.command)
+    fill_command(commands[:1], Command())
+    for index, segment in enumerate(segments, 1):
+        command = Command(
+            arm=True, delta_kp=segment.kp - settings.base_kp, delta_ki=segment.ki - settings.base_ki,
+            delta_u=segment.delta_u, reference=segment.signal, filter_fresh=True,
+        )  # fmt: skip
+        fill_command(commands[index : index + 1], command)
+    seconds = [segment.seconds for segment in segments]
+    ends = [round(math.fsum(seconds[: k + 1]) / SAMPLE_PERIOD) for k in range(len(seconds))]
+    which = np.searchsorted(np.array(ends), np.arange(ends[-1]), side="right") + 1
+    which[0] = 0
+    states, clean, physical = Machine(config, bench, settings, seed).run(commands, which.astype(np.int64))
     noise_free = states.copy()
     for column, name in enumerate(PLANT_FIELDS):
         noise_free[name] = clean[:, column]
@@ -85,23 +83,6 @@ def with_gain_limits_for(segments: Sequence[Segment], base: BoxConfig | None = N
         base, delta_kp_min=min(base.delta_kp_min, *kp), delta_kp_max=max(base.delta_kp_max, *kp),
         delta_ki_min=min(base.delta_ki_min, *ki), delta_ki_max=max(base.delta_ki_max, *ki),
     )  # fmt: skip
-
-
-def _schedule(segments: Sequence[Segment], settings: BoxConfig) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64]]:
-    """Commands, shape (m + 1,), the first disarms; and which of them comes before each sample, shape (n,)."""
-    commands = np.zeros(len(segments) + 1, firmware.DOUBLE.command)
-    fill_command(commands[:1], Command())
-    for index, segment in enumerate(segments, 1):
-        command = Command(
-            arm=True, delta_kp=segment.kp - settings.base_kp, delta_ki=segment.ki - settings.base_ki,
-            delta_u=segment.delta_u, reference=segment.signal, filter_fresh=True,
-        )  # fmt: skip
-        fill_command(commands[index : index + 1], command)
-    seconds = [segment.seconds for segment in segments]
-    ends = [round(math.fsum(seconds[: k + 1]) / SAMPLE_PERIOD) for k in range(len(seconds))]
-    which = np.searchsorted(np.array(ends), np.arange(ends[-1]), side="right") + 1
-    which[0] = 0
-    return commands, which.astype(np.int64)
 
 
 DEFAULT_SCHEDULE = (

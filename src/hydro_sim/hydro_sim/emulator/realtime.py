@@ -109,13 +109,9 @@ class RealtimeEmulator:
     """
 
     def __init__(
-        self,
-        machine: Machine,
-        link: BoxLink,
-        pace: float | None,
-        control: ControlPipe | None = None,
+        self, machine: Machine, link: BoxLink, pace: float | None, control: ControlPipe | None = None,
         load_force: load_force.Ring | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.machine, self.link, self.control, self.load_force = machine, link, control, load_force
         self.link.waits = None if pace == 1.0 else pace is None
         self.pacer, self.samples, self.cpu = Pacer(SAMPLE_PERIOD / (pace or 1.0)), 0, 0.0  # statistics; s of CPU
@@ -128,7 +124,13 @@ class RealtimeEmulator:
         gc.collect()
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
         try:
-            self._await_greeting(stopped)
+            opened = math.inf
+            while self._waits and not self.link.host.greetings and not stopped():
+                opened = min(opened, time.monotonic()) if self.link.open else math.inf
+                if time.monotonic() - opened > _GREETED_WITHIN:  # a host that does not greet
+                    break
+                self._obey(0.0)
+                self.link.receive(0.0, _PATIENCE)
             self.pacer.restart()
             while (count is None or self.samples < count) and not stopped():
                 now = self.samples * SAMPLE_PERIOD
@@ -150,17 +152,6 @@ class RealtimeEmulator:
         finally:
             gc.enable()
         self.cpu = time.process_time() - cpu
-
-    def _await_greeting(self, stopped: Callable[[], bool]) -> None:
-        """Stand still until a host greets, or has the port open and does not greet."""
-        opened = math.inf
-        while self._waits and not self.link.host.greetings and not stopped():
-            now = time.monotonic()
-            opened = min(opened, now) if self.link.open else math.inf
-            if now - opened > _GREETED_WITHIN:
-                return
-            self._obey(0.0)
-            self.link.receive(0.0, _PATIENCE)
 
     def _answered(self, stopped: Callable[[], bool]) -> bool:
         """Wait for the host's answer to the last sample; False: there is no host that answers samples."""

@@ -45,12 +45,7 @@ _TEMPLATES.filters["quoted"] = json.dumps  # a string of C and of Python
 class ExportedModel:
     """Bench model for export to other programs.
 
-    Parameters
-    ----------
-    bench
-        Numbers, effects and closures.
-    intervals
-        Name, value and 95 % interval of estimated numbers, SI units.
+    `intervals`: name, value and 95 % interval of estimated numbers, SI units.
     """
 
     def __init__(self, bench: Bench, intervals: Iterable[tuple[str, float, float, float]] = ()) -> None:

@@ -100,18 +100,9 @@ def parse_provenance(header: Mapping[str, Any]) -> MadeFor | None:
 def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *, model: str | None = None) -> str:
     """Return an error message with remedy if `thing` was made for another box; empty if it matches.
 
-    Parameters
-    ----------
-    thing
-        Object to be paired, by kind and file: "the metric own.safetensors".
-    made
-        What it was made for.
-    box
-        Identity of the box. Unknown parts are not compared.
-    remedy
-        What to do instead.
-    model
-        Digest of the learned bench that is used with it; None: it is used with none.
+    `thing`: object to be paired, by kind and file: "the metric own.safetensors". `made`: what it was made for. `box`:
+    identity of the box, whose unknown parts are not compared. `remedy`: what to do instead. `model`: digest of the
+    learned bench that is used with it; None: it is used with none.
     """
     if made is None:
         return f"{thing} does not say which bench it was made for: {remedy}"

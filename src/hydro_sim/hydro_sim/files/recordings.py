@@ -24,10 +24,8 @@ BOX_TOPIC = "/hydro/box"
 
 MIN_SAMPLES = 2000
 """Shortest run [samples] that is used."""
-
 MIN_VALIDATION_SAMPLES = 1000
 """Smallest number of validation samples of a run: room for a few predictions after an observer has settled."""
-
 READING_COLUMNS = tuple(map(PLANT_FIELDS.index, READINGS))
 """Columns of x that sensors give; the box computes the others from them."""
 
@@ -60,13 +58,6 @@ class Run:
     def slice(self, begin: int, end: int) -> Run:
         """Return the samples `begin` to `end` (exclusive)."""
         return Run(name=self.name, x=self.x[begin:end], u=self.u[begin:end], first=self.first + begin)
-
-
-def digest(states: StateArray) -> str:
-    """Return the SHA-256 digest of a recording's samples: sequence, x and u."""
-    sha = hashlib.sha256(np.ascontiguousarray(states["sequence"]).tobytes())
-    sha.update(to_matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes())
-    return sha.hexdigest()
 
 
 def split_runs(name: str, states: StateArray) -> list[Run]:
@@ -121,7 +112,10 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
 
     Raises DataError if no run is long enough to be trained on, or none to hold a part back.
     """
-    digests = {name: digest(states) for name, states in recordings.items()}
+    digests = dict[str, str]()
+    for name, states in recordings.items():  # of sequence, x and u
+        numbers = states["sequence"].tobytes() + to_matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes()
+        digests[name] = hashlib.sha256(numbers).hexdigest()
     found = {name: split_runs(name, states) for name, states in recordings.items()}
     names = [name for name in found if found[name]]
     if not names:

@@ -17,17 +17,11 @@ import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Data, Run
-from hydro_sim.identification.bench_states import (
-    SETTLING_SAMPLES,
-    Indices,
-    Sensitivities,
-    StateEstimator,
-    estimate_noise,
-)
+from hydro_sim.identification import bench_states
+from hydro_sim.identification.bench_states import Indices, Sensitivities, StateEstimator
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import DEAD_TIME, BenchModel
 from hydro_sim.model.effects import catalogue, valve
-from hydro_sim.model.effects.base import Parameter
 from hydro_sim.model.equations import READINGS
 from hydro_sim.model.quality import HORIZON, Quality
 
@@ -51,18 +45,17 @@ QUANTILE = 1.96
 """Standard deviations from the middle of a 95 % interval to its end."""
 
 
-def _usual(name: str, **parameters: float) -> dict[str, Any]:
-    return {"id": name, "parameters": parameters}
-
-
+_USUAL = {
+    "spring_stiffness": {"ratio": 1.0}, "supply_pressure": {"ratio": 1.0}, "valve_gain": {"ratio": 1.0},
+    "bulk_modulus": {"ratio": 1.0}, "friction_viscous": {"coefficient": 0.0},
+    "valve_lag": {"bandwidth": 100.0, "damping": 0.8}, "friction_coulomb": {"force": 10.0},
+    "friction_stribeck": {"breakaway_force": 1.0, "velocity": 0.02}, "friction_presliding": {"stiffness": 2e5},
+    "leakage_internal": {"coefficient": 0.0},
+}  # fmt: skip
 COMMON_EFFECTS: tuple[dict[str, Any], ...] = (
-    _usual("spring_stiffness", ratio=1.0), _usual("supply_pressure", ratio=1.0), _usual("valve_gain", ratio=1.0),
-    _usual("bulk_modulus", ratio=1.0), _usual("friction_viscous", coefficient=0.0),
-    _usual("valve_lag", bandwidth=100.0, damping=0.8), _usual("friction_coulomb", force=10.0),
-    _usual("friction_stribeck", breakaway_force=1.0, velocity=0.02), _usual("friction_presliding", stiffness=2e5),
-    _usual("leakage_internal", coefficient=0.0),
-    {**_usual("sensor_lag", bandwidth=30.0, damping=0.7), "sensor": "load_force"},
-)  # fmt: skip
+    *({"id": name, "parameters": parameters} for name, parameters in _USUAL.items()),
+    {"id": "sensor_lag", "parameters": {"bandwidth": 30.0, "damping": 0.7}, "sensor": "load_force"},
+)
 """Effects that a bench is likely to have, at typical values: what is learned where a bench file names none."""
 
 
@@ -115,8 +108,13 @@ def learn(
     if not bench.terms:
         bench = replace(bench, load_cell_bandwidth=None, effects=COMMON_EFFECTS)
     exact = Sensitivities(BenchModel(with_longer_dead_times(bench), substeps=SUBSTEPS))
-    coordinates, noise = Coordinates(bench, exact.model), estimate_noise(data.training)
-    chosen = draw_windows(data.training, count, np.random.default_rng(seed))
+    coordinates, noise = Coordinates(bench, exact.model), bench_states.estimate_noise(data.training)
+    places = [(i, begin) for i, run in enumerate(data.training) for begin in _window_begins(run, HORIZON)]
+    if len(places) < 2:
+        raise ValueError("the recordings have no room for predictions: record more")
+    picked = np.random.default_rng(seed).choice(len(places), min(count, len(places)), replace=False)
+    begins = ([places[j][1] for j in picked if places[j][0] == i] for i in range(len(data.training)))
+    chosen = [np.sort(one).astype(np.int64) for one in begins]  # of each run, in rising order, without overlap
     q, weights, best = coordinates.coordinates(coordinates.values), noise, np.inf
     found, matrix = q, np.eye(len(q))  # of the round that predicts best
     for number, trust in enumerate(TRUST_SCHEDULE, 1):
@@ -155,7 +153,10 @@ class Coordinates:
         first, parameters = len(model.parameters) - len(values), model.parameters
         self.values: FloatArray = np.concatenate([model.values[:first], values])
         """All parameters of the model in the bench file, shape (parameters,)."""
-        self.free = [i for i in range(first, len(parameters)) if not _is_end_of_table(parameters[i])]
+        self.free = [
+            i for i, one in enumerate(parameters)
+            if i >= first and not (one.name.startswith("closure") and one.name.endswith((".low", ".high")))
+        ]  # fmt: skip
         chosen = [parameters[i] for i in self.free]
         delays = max(sum(one.name == DEAD_TIME for one in parameters), 1)
         longest = max(model.structure.past - 2, 0) * SAMPLE_PERIOD / delays
@@ -179,10 +180,6 @@ class Coordinates:
         """Return the coordinates q, shape (free,), of parameters theta, shape (parameters,)."""
         one = theta[self.free]
         return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
-
-
-def _is_end_of_table(parameter: Parameter) -> bool:
-    return parameter.name.startswith("closure") and parameter.name.endswith((".low", ".high"))
 
 
 class WindowFit:
@@ -265,17 +262,8 @@ class WindowFit:
         return y
 
 
-def draw_windows(runs: list[Run], count: int, generator: np.random.Generator) -> list[Indices]:
-    """Return start samples of windows in each run, in rising order, without overlap."""
-    places = [(i, begin) for i, run in enumerate(runs) for begin in _window_begins(run, HORIZON)]
-    if len(places) < 2:
-        raise ValueError("the recordings have no room for predictions: record more")
-    picked = generator.choice(len(places), min(count, len(places)), replace=False)
-    return [np.sort([places[j][1] for j in picked if places[j][0] == i]).astype(np.int64) for i in range(len(runs))]
-
-
 def _window_begins(run: Run, stride: int) -> Sequence[int]:
-    return range(min(SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, stride)
+    return range(min(bench_states.SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, stride)
 
 
 def best_prediction_rmse(

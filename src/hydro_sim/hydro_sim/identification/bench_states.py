@@ -39,7 +39,6 @@ Indices = npt.NDArray[np.int64]
 
 SERIES_ORDER = 6
 """Order of the differences by which noise is measured: they reduce motion below 100 Hz to a thirtieth."""
-
 MODEL_ERROR_PRESSURE, MODEL_ERROR_VELOCITY, MODEL_ERROR_HIDDEN = 6e-6, 2.5e-4, 1e-4
 """Model error per sample at a trust of 1, standard deviations: of the supply pressure, of the stroke per
 second, and of a hidden state's typical size."""
@@ -117,18 +116,9 @@ def estimate_noise(runs: list[Run]) -> FloatArray:
 
 
 class StateEstimator:
-    """The extended Kalman filter with a model's parameters.
+    """The extended Kalman filter with parameters `theta` of a model.
 
-    Parameters
-    ----------
-    exact
-        The model.
-    theta
-        Its parameters.
-    noise
-        Standard deviation of the readings, shape (5,).
-    trust
-        Scale of the model error, in units of `MODEL_ERROR_*`.
+    `noise`: standard deviation of the readings, shape (5,). `trust`: scale of the model error, in `MODEL_ERROR_*`.
     """
 
     def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, trust: float) -> None:

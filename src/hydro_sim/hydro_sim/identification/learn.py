@@ -18,14 +18,10 @@ from hydro_sim.identification import bench_learning
 from hydro_sim.model.bench import Bench
 
 COLUMNS = {
-    "parameter": "",
-    "before": "in the bench file",
-    "learnt": "",
-    "low": "of its 95 % interval, as far as the model is whole",
-    "high": "",
-    "unit": "",
+    "parameter": "", "before": "in the bench file", "learnt": "",
+    "low": "of its 95 % interval, as far as the model is whole", "high": "", "unit": "",
     "seen": "whether the recordings say more of it than the bench file",
-}
+}  # fmt: skip
 
 
 @command(DataError, ValueError)
@@ -73,9 +69,8 @@ def parser() -> argparse.ArgumentParser:
         help="bench file to start from, such as corrected.yaml of `diagnose`; the shipped one by default. Where it "
         "names no effects the usual ones are learned: valve, supply, oil, spring, friction, leak, load cell",
     )  # fmt: skip
-    result.add_argument(
-        "--windows", type=bounded_number(1), default=120, help="predictions that it is learnt from (120)"
-    )
+    result.add_argument("--windows", type=bounded_number(1), default=120,
+                        help="predictions that it is learnt from (120)")  # fmt: skip
     result.add_argument("--seed", type=bounded_number(0), default=0, help="of the choice of predictions (0)")
     add_json_argument(result)
     return result

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from hydro_core.cli.console import Table as ConsoleTable
 from hydro_core.cli.console import UserError, add_json_argument, command
-from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, to_matrix
+from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, to_matrix
 from hydro_sim.files import learned_bench, recordings
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.files.recordings import READING_COLUMNS, Run
@@ -89,21 +90,23 @@ def prediction_errors(
 
 RATES, DIFFERENTIATED = (1, 3, 7), (0, 2, 6)
 """Columns of x that the box computes, and those of the readings that it differentiates for them."""
-MEMORY_FIELDS = ("force_memory", "force_memory", "velocity_memory")
-"""The coefficient of each."""
 
 
 class ModelPrediction:
-    """Predictions of a bench model with coefficients `k`, and of the box's rates behind it."""
+    """Predictions of a bench model with coefficients `k`, and of the box's rates behind it.
 
-    def __init__(self, model: BenchModel, k: FloatArray) -> None:
-        self.model, self.k = model, k
-        record = Sensors().constants()[0]
-        self.memories = np.array([record[name] for name in MEMORY_FIELDS])
+    `states`: estimate of the model's states at the samples of a run.
+    """
 
-    def starts(self, states: FloatArray, run: Run) -> FloatArray:
+    def __init__(self, model: BenchModel, k: FloatArray, states: Callable[[Run], FloatArray]) -> None:
+        self.model, self.k, self.states = model, k, states
+        box = Sensors().constants()[0]
+        self.memories = np.array([box["force_memory"], box["force_memory"], box["velocity_memory"]])
+        """Coefficients of the rates' filters."""
+
+    def estimate(self, run: Run) -> FloatArray:
         """Return initial values of predictions: model states, box rates, their readings; shape (n, states + 6)."""
-        return np.concatenate([states, run.x[:, RATES], run.x[:, DIFFERENTIATED]], axis=1)
+        return np.concatenate([self.states(run), run.x[:, RATES], run.x[:, DIFFERENTIATED]], axis=1)
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """x, shape (n, H, 8), under currents [A], shape (n, H)."""
@@ -123,33 +126,21 @@ class AnalyticModel(ModelPrediction):
 
     def __init__(self, bench: Bench) -> None:
         model = BenchModel(bench.without_effects(), substeps=SUBSTEPS)
-        super().__init__(model, model.begin(model.values)[0])
-
-    def estimate(self, run: Run) -> FloatArray:
-        """Return the measurements."""
-        return self.starts(run.x[:, [PLANT_FIELDS.index(state.name) for state in self.model.states]], run)
+        measured = [PLANT_FIELDS.index(state.name) for state in model.states]
+        super().__init__(model, model.begin(model.values)[0], lambda run: run.x[:, measured])
 
 
 class BenchPrediction(ModelPrediction):
-    """Predictions of a bench file on recorded runs.
+    """Predictions of a bench file from the filter's states.
 
-    Parameters
-    ----------
-    bench
-        The bench file.
-    runs
-        Runs for its evaluation: their noise is measured, and the filter's trust with the lowest error is taken.
+    `runs`: of its evaluation; their noise is measured, and the filter's trust with the lowest error is taken.
     """
 
     def __init__(self, bench: Bench, runs: list[Run]) -> None:
         model, noise = BenchModel(bench, substeps=SUBSTEPS), estimate_noise(runs)
-        left, self.follower = best_prediction_rmse(Sensitivities(model), model.values, noise, runs)
-        super().__init__(model, self.follower.k)
+        left, follower = best_prediction_rmse(Sensitivities(model), model.values, noise, runs)
+        super().__init__(model, follower.k, follower.states)
         self.quality = Quality.of((left / noise).tolist())
-
-    def estimate(self, run: Run) -> FloatArray:
-        """Return the states estimated by the filter."""
-        return self.starts(self.follower.states(run), run)
 
 
 COLUMNS = {
@@ -232,7 +223,14 @@ def _scored(bags: list[str], logs: list[str] | None) -> list[ScoredRun]:
         raise UserError(f"{len(logs)} noise-free logs for {len(bags)} recordings: give one for each, in their order")
     scored = []
     for index, (name, states) in enumerate(recordings.load_states(bags).items()):
-        truth = _noise_free(logs[index], states) if logs else None
+        path, truth = logs[index] if logs else None, None
+        try:
+            if path is not None:  # x at the recording's sequence numbers
+                log = np.load(path)["noise_free"]
+                order = {int(sequence): row for row, sequence in enumerate(log["sequence"])}
+                truth = to_matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
+        except (OSError, KeyError, ValueError) as error:
+            raise UserError(f"{path} is not the noise-free log of this recording: {error}") from error
         for run in recordings.split_runs(name, states):
             if len(run) > SETTLING_SAMPLES + 2 * recordings.MIN_SAMPLES:
                 part = None if truth is None else truth[run.first : run.first + len(run)]
@@ -242,25 +240,13 @@ def _scored(bags: list[str], logs: list[str] | None) -> list[ScoredRun]:
     return scored
 
 
-def _noise_free(path: str, states: StateArray) -> FloatArray:
-    """The noise-free log's x at the recording's sequence numbers, shape (n, 8)."""
-    try:
-        log = np.load(path)["noise_free"]
-        order = {int(sequence): index for index, sequence in enumerate(log["sequence"])}
-        return to_matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
-    except (OSError, KeyError, ValueError) as error:
-        raise UserError(f"{path} is not the noise-free log of this recording: {error}") from error
-
-
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="validate", description="Judge a learned bench on held-out recordings.")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings that it was not trained on")
-    parser.add_argument(
-        "--model", metavar="FILE", help="bench file of `learn` or `diagnose`; the shipped learned bench by default"
-    )
-    parser.add_argument(
-        "--noise-free", nargs="+", metavar="NPZ", help="the emulator's noise-free logs, for scoring only"
-    )
+    parser.add_argument("--model", metavar="FILE",
+                        help="bench file of `learn` or `diagnose`; the shipped learned bench by default")  # fmt: skip
+    parser.add_argument("--noise-free", nargs="+", metavar="NPZ",
+                        help="the emulator's noise-free logs, for scoring only")  # fmt: skip
     parser.add_argument("--bench", metavar="FILE", help="bench.yaml of the analytic model; the shipped one by default")
     add_json_argument(parser)
     return parser.parse_args()

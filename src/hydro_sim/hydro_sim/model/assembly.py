@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import pi
 from types import SimpleNamespace
 from typing import Any
@@ -77,18 +78,9 @@ class Functions:
 class Assembly:
     """Assembly of a model from its bench's numbers and effects.
 
-    Parameters
-    ----------
-    numbers
-        Names of the bench's numbers, with the range of each.
-    effects
-        In the order of the bench file.
-    ideal_cell
-        Whether the load cell is ideal.
-    past
-        Past currents that are kept for dead times; 0: none.
-    substeps
-        Integration steps per sample.
+    `numbers`: names of the bench's numbers, with the range of each. `effects`: in the order of the bench file.
+    `ideal_cell`: whether the load cell is ideal. `past`: past currents that are kept for dead times; 0: none.
+    `substeps`: integration steps per sample.
     """
 
     def __init__(
@@ -100,9 +92,7 @@ class Assembly:
         self._expressions: list[SX] = []
         self.theta: dict[str, SX] = {name: SX.sym(name) for name in numbers}
         self.numbers = SimpleNamespace(**self.theta)
-        self.at = EffectContext(
-            self.numbers, self.step, self.hoist, lambda velocity: rates.dry_level(effects, velocity)
-        )
+        self.at = EffectContext(self.numbers, self.step, self.hoist, partial(rates.dry_level, effects))
         for index, effect in enumerate(effects):
             effect.at = self.at
             for one in effect.parameters:
@@ -115,25 +105,58 @@ class Assembly:
         bristles = any(effect.id == "friction_presliding" for effect in effects)
         self.holds = not bristles and any(effect.acts_in("dry_level") for effect in effects)
         """Whether dry friction can hold the mass: with bristles it bends instead."""
-        self._correct(numbers, ideal_cell)
+        self.level: Callable[[Symbol], Symbol] = self.at.dry_level if self.holds else _nothing
+        self.sliding: Callable[[Symbol], Symbol] = (
+            (lambda velocity: np.sign(velocity) * self.level(velocity)) if self.holds else _nothing
+        )
+        n = self.numbers
+        for effect in effects:  # wrong numbers of the bench file
+            before = dict(vars(n))
+            effect.correct(n)
+            for name, (low, high) in numbers.items():
+                if getattr(n, name) is not before[name] and getattr(n, name) is not None:
+                    setattr(n, name, self.hoist(eq.clip(getattr(n, name), low, high)))
+        ideal = ideal_cell or n.load_cell_bandwidth is None
+        n.load_cell_omega = None if ideal else self.hoist(2.0 * pi * n.load_cell_bandwidth)
+        drop, n.mobility = n.valve_nominal_pressure_drop, self.hoist(1.0 / n.moving_mass)
+        n.valve_gain = self.hoist(n.valve_nominal_flow / (n.valve_nominal_current * np.sqrt(0.5 * drop)))
         self.y = SX.sym("y", len(TEXTBOOK) + len(self.hidden) + past)
         self.current, self.share = SX.sym("u"), SX.sym("share")
 
     def functions(self) -> Functions:
         """Return all functions of the model."""
-        begin, enter = self._begin(), self.y
-        if self.past:
-            first = self.y.numel() - self.past
-            enter = vertcat(self.y[:first], self.current, self.y[first:-1])
-        read, (slide, motion) = self._read(self.y), self._motion()
+        y, at, first = self.y, self.at, self.y.numel() - self.past
+        # begin, enter
+        self._bind([0.0] * len(self.hidden))
+        signals, spool = self._truth(y), 0.0
+        for effect in self.commanding:  # a lag begins where the shifts before it have put the spool
+            effect.next = effect.begin(signals | {"spool": spool})
+            spool = spool + effect.current if effect.id == "valve_offset" else spool
+        values: list[Symbol] = []
+        for effect in self.effects:
+            started = effect.next if effect.acts_in("command") else effect.begin(signals)
+            values += [started.get(one.name, 0.0) for one in effect.states]
+        begin = vertcat(y[: len(TEXTBOOK)], *values, SX.zeros(self.past))
+        enter = vertcat(y[:first], self.current, y[first:-1]) if self.past else y
+        # read
+        self._bind(casadi.vertsplit(y[len(TEXTBOOK) : first]) if self.hidden else [])
+        signals, at.acceleration = self._truth(y), self._acceleration(y)
+        at.pressures, at.position, at.velocity, at.load_force = (y[0], y[1]), y[2], y[3], y[4]
+        for effect in self.effects:
+            if effect.acts_in("filter_signal"):
+                signals[effect.sensor] = effect.signal
+        for effect in self.effects:
+            signals = {channel: effect.read_sensor(channel, signal) for channel, signal in signals.items()}
+        # motion, rates, step
+        slide, motion = self._motion()
         start, edges = self._start()
-        slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self.holds else _nothing))
+        slopes: Any = vertcat(*self._rates(start, edges, self.sliding))
         step, rest = self._step(start, edges), SX(vertcat(*eq.rest_state(self.numbers)))
         symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
         theta = vertcat(*self.theta.values())
         return Functions(
-            theta=theta, k=vertcat(theta, symbols), y=self.y, current=self.current, share=self.share,
-            once=vertcat(theta, expressions), begin=begin, enter=enter, step=step, read=read,
+            theta=theta, k=vertcat(theta, symbols), y=y, current=self.current, share=self.share,
+            once=vertcat(theta, expressions), begin=begin, enter=enter, step=step, read=SX(vertcat(*signals.values())),
             rates=slopes, past=self.past, rest=rest, slide=slide, dry_friction=self.holds,
             ideal_cell=self.numbers.load_cell_omega is None, motion=motion,
         )  # fmt: skip
@@ -151,37 +174,11 @@ class Assembly:
         self._expressions.append(expression)
         return self._symbols[-1]
 
-    def _correct(self, limits: Mapping[str, tuple[float, float]], ideal_cell: bool) -> None:
-        """Correct wrong numbers of the bench file, and derive what follows from the numbers."""
-        n = self.numbers
-        for effect in self.effects:
-            before = dict(vars(n))
-            effect.correct(n)
-            for name, (low, high) in limits.items():
-                if getattr(n, name) is not before[name] and getattr(n, name) is not None:
-                    setattr(n, name, self.hoist(eq.clip(getattr(n, name), low, high)))
-        ideal = ideal_cell or n.load_cell_bandwidth is None
-        n.load_cell_omega = None if ideal else self.hoist(2.0 * pi * n.load_cell_bandwidth)
-        drop, n.mobility = n.valve_nominal_pressure_drop, self.hoist(1.0 / n.moving_mass)
-        n.valve_gain = self.hoist(n.valve_nominal_flow / (n.valve_nominal_current * np.sqrt(0.5 * drop)))
-
     # --- the parts of a sample ---------------------------------------------------------------------------------------
 
     def _bind(self, hidden: Sequence[Symbol]) -> None:
         for (effect, one), value in zip(self.hidden, hidden, strict=True):
             setattr(effect, one.name, value)
-
-    def _begin(self) -> SX:
-        self._bind([0.0] * len(self.hidden))
-        signals, spool = self._truth(self.y), 0.0
-        for effect in self.commanding:  # a lag begins where the shifts before it have put the spool
-            effect.next = effect.begin(signals | {"spool": spool})
-            spool = spool + effect.current if effect.id == "valve_offset" else spool
-        values: list[Symbol] = []
-        for effect in self.effects:
-            started = effect.next if effect.acts_in("command") else effect.begin(signals)
-            values += [started.get(one.name, 0.0) for one in effect.states]
-        return vertcat(self.y[: len(TEXTBOOK)], *values, SX.zeros(self.past))
 
     def _delayed(self) -> Symbol:
         """Mean current [A] over the step, the dead times earlier: each past sample by its share of the step."""
@@ -204,29 +201,14 @@ class Assembly:
         return out, back
 
     def _truth(self, y: Any) -> dict[str, Symbol]:
-        """Readings of five ideal sensors."""
         values = eq.hydraulic_force(self.numbers, y[0], y[1]), y[4], y[0], y[1], y[2]
         return dict(zip(READINGS, values, strict=True))
-
-    def _read(self, y: SX) -> SX:
-        self._bind(casadi.vertsplit(y[len(TEXTBOOK) : y.numel() - self.past]) if self.hidden else [])
-        signals, acceleration = self._truth(y), self._acceleration(y)
-        at = self.at
-        at.pressures, at.position, at.velocity, at.load_force = (y[0], y[1]), y[2], y[3], y[4]
-        at.acceleration = acceleration
-        for effect in self.effects:
-            if effect.acts_in("filter_signal"):
-                signals[effect.sensor] = effect.signal
-        for effect in self.effects:
-            signals = {channel: effect.read_sensor(channel, signal) for channel, signal in signals.items()}
-        return SX(vertcat(*signals.values()))
 
     def _acceleration(self, y: SX) -> Symbol:
         """x'' [m/s2] in a state, if an effect shows it: that of the forces, which the valve does not change at once."""
         if not any(effect.shaken for effect in self.effects):
             return 0.0
-        dry = self._sliding if self.holds else _nothing
-        return rates.textbook_rates(self.at, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
+        return rates.textbook_rates(self.at, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), self.sliding)[0][3]
 
     def _cell_force(self, y: Sequence[Symbol]) -> Symbol:
         """f_l [N] on an ideal load cell: the load's force in this state, and no state of its own."""
@@ -254,11 +236,7 @@ class Assembly:
         free = self._rates(start, edges, _nothing)
         mass = self.numbers.moving_mass + rates.dragged_mass(self.effects, start[2])
         holding, load = mass * free[3], rates.load_force(self.numbers, self.effects, start[2])
-
-        def level(velocity: Symbol) -> Symbol:
-            return rates.dry_level(self.effects, velocity) if self.holds else 0.0
-
-        speed = np.fmax(np.abs(start[3]), rates.STANDSTILL)
+        level, speed = self.level, np.fmax(np.abs(start[3]), rates.STANDSTILL)
         against = eq.choose(slide == 0.0, holding, slide * level(slide * speed))
         slopes = self._rates(start, edges, lambda velocity: against) if self.holds else free
         signals = self._truth(start)
@@ -300,9 +278,6 @@ class Assembly:
         self.at.spool, self.at.current = spool, self.current
         return states, self._edges(spool)
 
-    def _sliding(self, velocity: Symbol) -> Symbol:
-        return np.sign(velocity) * rates.dry_level(self.effects, velocity)
-
     def _step(self, start: list[Symbol], edges: rates.Edges) -> SX:
         """y after a step of Runge-Kutta 4."""
         first = self._rates(start, edges, _nothing)
@@ -310,9 +285,7 @@ class Assembly:
         if self.holds:
             dragged = rates.dragged_mass(self.effects, start[2])
             mass = self.numbers.moving_mass + dragged
-            dry, at_end = rates.stick_slip_friction(
-                lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step
-            )
+            dry, at_end = rates.stick_slip_friction(self.level, mass, start[3], first[3], self.step)
             mobility = self.numbers.mobility if isinstance(dragged, float) else 1.0 / mass
             first[3] = first[3] - dry(start[3]) * mobility
         slopes, weights = [first], (1.0, 2.0, 2.0, 1.0)
@@ -336,14 +309,13 @@ class Assembly:
         signals = {channel: (before[channel], after[channel]) for channel in READINGS}
         for effect in self.effects:
             signals = {channel: effect.filter_signal(channel, *pair) for channel, pair in signals.items()}
-        integrated = dict(zip(self.integrated, end[6:], strict=True))
         remembered = [
-            integrated[i] if i in integrated else effect.next.get(one.name, self.hidden_now[i])
-            for i, (effect, one) in enumerate(self.hidden)
+            effect.next.get(one.name, old) for (effect, one), old in zip(self.hidden, self.hidden_now, strict=True)
         ]
+        for i, value in zip(self.integrated, end[6:], strict=True):
+            remembered[i] = value
         return vertcat(*late[:6], *remembered, self.y[self.y.numel() - self.past :] if self.past else SX(0, 1))
 
 
 def _nothing(velocity: Symbol) -> Symbol:
-    """No dry friction."""
     return 0.0

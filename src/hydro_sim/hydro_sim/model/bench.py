@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 from importlib import resources
 from math import isfinite, pi, sqrt
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import numpy as np
@@ -176,10 +177,17 @@ class Bench:
         return record
 
     def without_effects(self) -> Bench:
-        """Return the bench without effects; those that correct its numbers are applied to them."""
-        believed = {name: getattr(self, name) for name in self.ranges()}
-        numbers: dict[str, Any] = catalogue.correct_numbers(believed, self.ranges(), self.effects)
-        return replace(self, effects=(), closures=(), learned=None, **numbers)
+        """Return the bench without effects; those that correct its numbers are applied in order, within the ranges."""
+        ranges = self.ranges()
+        n = SimpleNamespace(**{name: getattr(self, name) for name in ranges})
+        for effect in self.effects:
+            (kind, values), before = catalogue.parse_entry(effect), dict(vars(n))
+            kind.bound(dict(zip((one.name for one in kind.parameters), values, strict=True))).correct(n)
+            for name, (low, high) in ranges.items():
+                value = getattr(n, name)
+                if value is not None and value != before[name]:
+                    setattr(n, name, min(max(value, low), high))
+        return replace(self, effects=(), closures=(), learned=None, **vars(n))
 
 
 BENCH_DTYPE = np.dtype(

@@ -37,13 +37,10 @@ if TYPE_CHECKING:
 
 SUBSTEPS = 20
 """Integration steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""
-
 PASTS = (0, 4, 8, 16, 32, 64)
 """Numbers of past currents that a model may keep: the least that its dead time needs."""
-
 DEAD_TIME = f"{valve.TransportDelay.id}.time"
 """The parameter that `PASTS` has room for."""
-
 TEXTBOOK = 6
 """States of the textbook's equations: p_a, p_b, x_p, x_p', and f_l behind its amplifier with its rate."""
 
@@ -75,14 +72,13 @@ class BenchModel:
         past = next(past for past in PASTS if past >= needed)
         self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
         """Equal for all benches with the same effects in order."""
-        currents = (
-            Hidden(name=f"current {i} samples ago", unit="A", scale=1e-2, integrated=False) for i in range(past)
-        )
+        current = Hidden(name="", unit="A", scale=1e-2, integrated=False)
+        currents = (replace(current, name=f"current {i} samples ago") for i in range(past))
         self.states = (*_TEXTBOOK, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
 
     def address_of(self, name: str) -> int:
         """Return the address of a compiled function such as "bench_sample", for `machine_code`."""
-        code = self._derivatives if name == "bench_jacobian" else self._code
+        code = library(self.structure, "derivatives") if name == "bench_jacobian" else self._code
         return ctypes.cast(getattr(code, name), ctypes.c_void_p).value or 0
 
     def begin(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -111,7 +107,8 @@ class BenchModel:
         """Run `sample`; return also d y/d(y, u), shape (states, states + 1), and d z/d(y, u), shape (5, states + 1)."""
         width = len(self.states) + 1
         z, dy, dz = np.empty(len(READINGS)), np.empty((width - 1, width)), np.empty((len(READINGS), width))
-        self._derivatives.bench_jacobian(*self._at(k, y), ctypes.c_double(current), to_c(z), to_c(dy), to_c(dz))
+        code = library(self.structure, "derivatives")  # five times as long to compile: a simulation does without
+        code.bench_jacobian(*self._at(k, y), ctypes.c_double(current), to_c(z), to_c(dy), to_c(dz))
         return z, dy, dz
 
     def _at(self, k: FloatArray, y: FloatArray) -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
@@ -132,11 +129,6 @@ class BenchModel:
     def coefficients(self) -> int:
         """Number of coefficients k."""
         return ctypes.c_long.in_dll(self._code, "bench_coefficients").value
-
-    @cached_property
-    def _derivatives(self) -> ctypes.CDLL:
-        """The code with derivatives: five times as long to compile, and not needed by a simulation."""
-        return library(self.structure, "derivatives")
 
 
 @dataclass(frozen=True)
@@ -170,7 +162,7 @@ def library(structure: Structure, part: Literal["", "derivatives", "sensitivitie
 
         what = ", ".join(structure.labels) or "no effects"
         print(f"compiling the model of a bench with {what}: some seconds, once", file=sys.stderr, flush=True)
-        asked = {"derivatives": part == "derivatives", "sensitivities": part == "sensitivities"}
+        asked = {name: part == name for name in ("derivatives", "sensitivities")}
         return c_source(_assembled(structure), structure.substeps, **asked)
 
     return machine_code.cached_library(f"{structure} {part} {_sources_digest()}", source)
@@ -189,13 +181,11 @@ def _assembled(structure: Structure) -> Functions:
 
 @lru_cache(maxsize=1)
 def _sources_digest() -> str:
-    """Digest of all sources from which a model's code is generated."""
+    """Digest of all sources from which a model's code is generated: those of this package, and grown effects."""
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "rates.py", "laws.py", "tables.py", "assembly.py", "source.py"]
-    folders = [one for folder in ("effects", "grammar") for one in sorted((here / folder).glob("*.py"))]
-    files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders, *grown.effect_files()]
+    files = [*sorted(here.rglob("*.py")), *sorted(here.glob("*.c")), *grown.effect_files()]
     others = f"{SAMPLE_PERIOD} {Bench.ranges()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 

@@ -22,23 +22,18 @@ import numpy as np
 
 Symbol = Any
 """A number, an array or a CasADi expression; in a model that is being assembled, an expression."""
-
 Pair = tuple[Symbol, Symbol]
 """Chamber A's and chamber B's."""
-
 READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """What the sensors read, in the order of every array of readings."""
-
 LOAD_CELL_DAMPING = math.sqrt(0.5)
 """Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
-
 LAMINAR = 100.0
 """Pressure drop [Pa] below which flow through an edge is proportional to the pressure drop, so that its slope is
 finite. With this little, p_a = p_s of a blocked cylinder is reached as by the square root, except the last 100 Pa."""
 
 STOP_STIFFNESS = 1e7
 """Stiffness [N/m] of the end stops: the largest hydraulic force presses 0.3 mm into them."""
-
 STOP_DAMPING = 4e3
 """Damping [N s/m] of the end stops while pressed, about critical: the piston does not bounce."""
 

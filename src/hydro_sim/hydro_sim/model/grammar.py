@@ -127,15 +127,14 @@ class Curve:
 
 def _number(name: str, variable: str) -> Number:
     """A threshold or a place, which lies where its signal was recorded, or a level or width of its usual size."""
-    argument = _ARGUMENTS[variable]
-    sizes = tuple(share * argument.scale for share in (0.2, 0.5, 1.0, 2.0, 5.0))
+    unit, scale = _ARGUMENTS[variable].unit, _ARGUMENTS[variable].scale
+    sizes = tuple(share * scale for share in (0.2, 0.5, 1.0, 2.0, 5.0))
     if name == "size":
-        return Number(
-            "threshold", argument.unit, sizes, {"velocity": "speed", "current": "opening"}.get(variable, variable)
-        )
+        size = {"velocity": "speed", "current": "opening"}.get(variable, variable)
+        return Number("threshold", unit, sizes, size)
     if name in ("threshold", "centre"):
-        return Number(name, argument.unit, sizes, variable)
-    return Number(name, argument.unit, sizes[:4] if name == "width" else sizes)
+        return Number(name, unit, sizes, variable)
+    return Number(name, unit, sizes[:4] if name == "width" else sizes)
 
 
 def _law(equation: str, noun: str, what: str, variable: str, adjective: str, factor: Factor | None, where: str) -> Law:
@@ -183,11 +182,9 @@ def divide_units(unit: str, *others: str) -> str:
     for sign, one in ((1, unit), *((-1, other) for other in others)):
         for over, name, power in re.findall(rf"(^|[ /])({_SYMBOL})(\d*)", one):
             powers[name] = powers.get(name, 0) + sign * (-1 if over == "/" else 1) * int(power or 1)
-
-    def written(sign: int) -> list[str]:
-        return [f"{name}{abs(power) if abs(power) > 1 else ''}" for name, power in powers.items() if sign * power > 0]
-
-    above, below = " ".join(written(1)), "".join(f"/{one}" for one in written(-1))
+    written = [(power, f"{name}{abs(power) if abs(power) > 1 else ''}") for name, power in powers.items()]
+    above = " ".join(one for power, one in written if power > 0)
+    below = "".join(f"/{one}" for power, one in written if power < 0)
     return (above or "1") + below if above or below else "-"
 
 

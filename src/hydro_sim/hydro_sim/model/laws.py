@@ -116,11 +116,6 @@ class Number:
     over: str = ""
     """Signal whose recorded range a threshold lies in, its start values at quantiles; empty: they are as they stand."""
 
-    @property
-    def bounds(self) -> tuple[float, float]:
-        """Lower and upper bound, SI unit; a threshold's are set by the recordings."""
-        return (-BOUND_MAX, BOUND_MAX) if self.over else (0.1 * self.probes[0], 10.0 * self.probes[-1])
-
 
 @dataclass(frozen=True)
 class Element:
@@ -129,15 +124,6 @@ class Element:
     kind: Literal["lag", "path", "slow"]
     signal: str
     """An attribute of `Signals`; of slow states also `time`, for what time alone drives."""
-
-    @property
-    def signal_unit(self) -> str:
-        """Unit of the signal that it follows."""
-        return _UNITS.get(self.signal, "Pa")
-
-
-_UNITS = {"position": "m", "current": "A", "force": "N", "speed": "m/s", "velocity": "m/s",
-          "opening": "A", "time": "-"}  # fmt: skip
 
 
 _SIGNALS = {
@@ -242,21 +228,12 @@ def edge_losses(
 ) -> tuple[Symbol, Symbol]:
     """Return the flows [m3/s] lost to chambers A and B if a share [-] of each edge's flow is blocked.
 
-    Parameters
-    ----------
-    n
-        The bench's numbers.
-    openings
-        Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
-    pressures
-        p_a, p_b [Pa].
-    share
-        Share of an edge's flow, by its pressure drop, its conductance and whether it feeds.
+    `n`: the bench's numbers. `openings`: conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
+    `pressures`: p_a, p_b [Pa]. `share`: of an edge's flow, by its pressure drop, its conductance and whether it feeds.
     """
     out, back = openings
     drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, *pressures)
     side = Signals(pressure_a=pressures[0], pressure_b=pressures[1], current=out - back)
-
     over_out, over_back = drops_out[0] + drops_out[1], drops_back[0] + drops_back[1]
 
     def lost(opened: Symbol, drop: Symbol, both: Symbol, feeds: float) -> Symbol:

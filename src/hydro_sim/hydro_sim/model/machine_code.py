@@ -39,7 +39,11 @@ def cached_library(name: str, source: Callable[[], str]) -> ctypes.CDLL:
     `name`: specification of the source as text: all that it depends on. Raises ValueError: there is no C compiler, it
     fails, or there is no place to keep the library.
     """
-    file = cache_folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    folder = Path(named) if named else Path(__file__).resolve().parent / "__pycache__"
+    if not os.access(folder if folder.exists() else folder.parent, os.W_OK):
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro"
+    file = folder / "models" / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
     if found := _loaded(file):
         return found
     try:
@@ -69,15 +73,6 @@ def _loaded(file: Path) -> ctypes.CDLL | None:
         return None
 
 
-def cache_folder() -> Path:
-    """Return the cache folder of the libraries."""
-    named = os.environ.get("NUMBA_CACHE_DIR")
-    place = Path(named) if named else Path(__file__).resolve().parent / "__pycache__"
-    if os.access(place if place.exists() else place.parent, os.W_OK):
-        return place / "models"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro" / "models"
-
-
 def compile_c(source: str, made: Path, flags: Sequence[str] = FLAGS) -> None:
     """Write C source beside a library of this name, and compile it. Raises ValueError: no C compiler, or it fails."""
     compiler = shlex.split(os.environ.get("CC", "")) or [*filter(shutil.which, ("cc", "gcc", "clang"))][:1]
@@ -94,7 +89,6 @@ def compile_c(source: str, made: Path, flags: Sequence[str] = FLAGS) -> None:
 
 @cache
 def _machine() -> str:
-    """Dependencies of compiled code besides its source."""
     try:
         first = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
     except OSError:
@@ -107,15 +101,11 @@ def declare_call(signature: Any, letters: str) -> Any:
     """Declare a call by address for numba; `letters`: kind of each argument, array (p), float (d) or int (l)."""
     kinds = {"p": ir.IntType(8).as_pointer(), "d": ir.DoubleType(), "l": ir.IntType(64)}
 
-    def memory(context: Any, builder: Any, kind: Any, value: Any) -> Any:
-        return builder.bitcast(context.make_array(kind)(context, builder, value).data, kinds["p"])
-
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        at, *values = arguments
-        given = [
-            memory(context, builder, kind, value) if letter == "p" else value
-            for kind, value, letter in zip(signature.args[1:], values, letters, strict=True)
-        ]
+        at, *given = arguments
+        for i, (kind, letter) in enumerate(zip(signature.args[1:], letters, strict=True)):
+            if letter == "p":
+                given[i] = builder.bitcast(context.make_array(kind)(context, builder, given[i]).data, kinds["p"])
         function = ir.FunctionType(ir.VoidType(), [kinds[letter] for letter in letters])
         builder.call(builder.inttoptr(at, function.as_pointer()), given)
         return context.get_dummy_value()

@@ -32,10 +32,8 @@ class Plant(Protocol):
 
 STATES_MAX, COEFFICIENTS_MAX = 128, 320
 """Capacity of a record: more than `effects.catalogue.EFFECTS_MAX` effects need."""
-
 MODEL_DTYPE = np.dtype([("address", np.int64), ("k", np.float64, (COEFFICIENTS_MAX,))])
 """A model for compiled code: address of its `bench_sample` in this process, and its coefficients."""
-
 PLANT_STATE_DTYPE = np.dtype([("y", np.float64, (STATES_MAX,)), ("x", np.float64, (8,)), ("last", CONDITIONING_DTYPE)])
 """State of an analytic plant: the model's state y, measurement x, the differentiators' last samples."""
 
@@ -43,14 +41,8 @@ PLANT_STATE_DTYPE = np.dtype([("y", np.float64, (STATES_MAX,)), ("x", np.float64
 class AnalyticPlant:
     """The bench's model (`hydro_sim.model.bench_model`) behind the sensors of `hydro_sim.model.sensors`.
 
-    Parameters
-    ----------
-    bench
-        What is simulated, its `effects` with it.
-    noise
-        Scale of the sensors' noise and quantisation, 0 or more; 0: ideal sensors.
-    settings
-        The sensors at scale 1.
+    `bench`: what is simulated, its `effects` with it. `noise`: scale of the sensors' noise and quantisation, 0 or more;
+    0: ideal sensors. `settings`: the sensors at scale 1.
     """
 
     def __init__(self, bench: Bench, *, noise: float = 1.0, settings: Sensors | None = None) -> None:

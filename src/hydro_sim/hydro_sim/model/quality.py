@@ -16,10 +16,8 @@ from hydro_sim.model.equations import READINGS
 
 HORIZON = 70
 """Length of a prediction [samples]."""
-
 RATIO_MAX = 3.0
 """Largest error of a model that is relied on, over the noise: geometric mean of the readings."""
-
 WORST_RATIO_MAX = 10.0
 """Largest error of the worst reading, over its noise. More than for the mean, as noise does not tell what an
 error does: ten times are 6 N of a load cell, and 3 um of an encoder."""

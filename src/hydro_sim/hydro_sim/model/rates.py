@@ -90,8 +90,6 @@ def textbook_rates(
 
 STANDSTILL = 1e-9
 """Smallest speed [m/s] at which a level that depends on the direction is evaluated."""
-
-
 Friction = Callable[[Symbol], Symbol]
 """A force [N] against the motion at a velocity [m/s], or what becomes of the velocity where a step ends."""
 

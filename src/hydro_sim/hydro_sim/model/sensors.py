@@ -33,7 +33,6 @@ SENSORS_DTYPE = np.dtype(
 )
 CONDITIONING_DTYPE = np.dtype([("force_h", np.float64), ("force_l", np.float64), ("position", np.float64)])
 """The last samples that were differentiated; their rates stand in the measurement."""
-
 READING_MAX = 1e9
 """Magnitude from which a reading is none: no sensor gives it, and the difference to it would not be finite."""
 

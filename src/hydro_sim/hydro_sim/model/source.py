@@ -17,8 +17,9 @@ from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model.assembly import Functions
 from hydro_sim.model.equations import READINGS
 
-Inputs = Sequence[tuple[str, SX]]
-Outputs = Sequence[tuple[str, SX]]
+Named = Sequence[tuple[str, SX]]
+"""Arguments of a C function, or its results."""
+_FOLDER = resources.files("hydro_sim.model")
 
 
 def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensitivities: bool = False) -> str:
@@ -29,10 +30,9 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
     if substeps % 2:
         raise ValueError(f"{substeps} integration steps in a sample are not an even number")
     functions = [*_functions(model, "once begin enter step read rates"), *(_tangents(model) if derivatives else [])]
-    head = f"#define N {model.y.numel()}\n#define M {model.k.numel()}\n#define P {model.theta.numel()}\n"
-    head += (
-        f"#define RATES {model.rates.numel()}\n#define SUBSTEPS {substeps}\n" + "#define DERIVATIVES\n" * derivatives
-    )
+    sizes = {"N": model.y, "M": model.k, "P": model.theta, "RATES": model.rates}
+    head = "".join(f"#define {name} {symbols.numel()}\n" for name, symbols in sizes.items())
+    head += f"#define SUBSTEPS {substeps}\n" + "#define DERIVATIVES\n" * derivatives
     files = ["bench_model.c"]
     if sensitivities:
         once = casadi.sparsify(casadi.jacobian(model.once, model.theta))
@@ -50,7 +50,8 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
             for word, places in (("ROW", rows), ("COLUMN", columns)):
                 head += f"static const short {name}_{word}[] = {{{', '.join(map(str, places))}}};\n"
     body = "\n".join(_function(*entry) for entry in functions)
-    return f"#include <math.h>\n{head}\n{body}\n" + "\n".join(map(_loops, files))
+    loops = "\n".join((_FOLDER / file).read_text(encoding="utf-8") for file in files)
+    return f"#include <math.h>\n{head}\n{body}\n{loops}"
 
 
 def exported_source(model: Functions, substeps: int) -> str:
@@ -69,7 +70,7 @@ def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: b
     """
     functions = _functions(model, "rates enter") + (_tangents(model) if jacobian else _functions(model, "step read"))
     wanted = ["rates", "jacobian" if jacobian else "sample"]
-    loops = _loops("bench_model.c")
+    loops = (_FOLDER / "bench_model.c").read_text(encoding="utf-8")
     cut = [re.search(rf"^void bench_{one}.*?^}}\n", loops, re.MULTILINE | re.DOTALL) for one in wanted]
     text = "\n".join(_function(*entry) for entry in functions)
     text += "\n".join(found[0].replace("void bench_", "static void all_") for found in cut if found is not None)
@@ -91,10 +92,6 @@ def embedded_source(model: Functions, substeps: int, prefix: str, *, jacobian: b
     return _with_used(text)
 
 
-def _loops(file: str) -> str:
-    return (resources.files("hydro_sim.model") / file).read_text(encoding="utf-8")
-
-
 def _with_used(text: str) -> str:
     """The text with functions in which no argument is unused."""
 
@@ -109,17 +106,17 @@ def _inputs(model: Functions) -> list[tuple[str, SX]]:
     return [("k", model.k), ("y", model.y), ("u", model.current), ("share", model.share)]
 
 
-def _functions(model: Functions, names: str) -> list[tuple[str, Inputs, Outputs]]:
+def _functions(model: Functions, names: str) -> list[tuple[str, Named, Named]]:
     """Functions of a model by name, with their arguments in C."""
     at = _inputs(model)
-    inputs: dict[str, Inputs] = {
+    inputs: dict[str, Named] = {
         "once": [("theta", model.theta)], "rest": at[:1], "begin": at[:2], "enter": at[1:3], "step": at, "read": at[:2],
         "rates": at, "motion": [*at, ("slide", model.slide)],
     }  # fmt: skip
     return [(name, inputs[name], [("z" if name == "read" else "out", getattr(model, name))]) for name in names.split()]
 
 
-def _tangents(model: Functions) -> list[tuple[str, Inputs, Outputs]]:
+def _tangents(model: Functions) -> list[tuple[str, Named, Named]]:
     """Propagation of d y/d(y, u), D of shape (N, N + 1)."""
     at, states = _inputs(model), model.y.numel()
     d = SX.sym("D", states, states + 1)
@@ -143,7 +140,7 @@ def _partial(outcome: SX, model: Functions) -> SX:
     return casadi.sparsify(jacobian[:held, :] if outcome.numel() == model.y.numel() else jacobian)
 
 
-def _function(name: str, inputs: Inputs, outputs: Outputs) -> str:
+def _function(name: str, inputs: Named, outputs: Named) -> str:
     """A C function, from CasADi's list of elementary operations."""
     dense = [casadi.densify(casadi.cse(expression)) for _, expression in outputs]
     function = casadi.Function(name, [symbol for _, symbol in inputs], dense)

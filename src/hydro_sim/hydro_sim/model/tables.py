@@ -64,6 +64,11 @@ class Table:
     where: str = ""
     """Channel of a sensor."""
 
+    element: ClassVar[Element | None] = None
+    depends_on_current: ClassVar[bool] = False
+    has_hidden_states: ClassVar[bool] = False
+    """It has no memory, and no sensor's table is over the valve current."""
+
     @property
     def form(self) -> str:
         """Name of the table's form, as of a law's."""
@@ -77,44 +82,23 @@ class Table:
         """Names of its parameters."""
         return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
 
-    element: ClassVar[Element | None] = None
-    """It has no memory."""
-
     @property
     def uses(self) -> frozenset[str]:
         """Signals that the table depends on."""
         own = SIGNALS.get(self.variable, self.variable if self.variable != "force" else self.where)
         return frozenset(f"{own} {self.factor.uses if self.factor else ''}".split())
 
-    @property
-    def depends_on_current(self) -> bool:
-        """Whether it is a sensor's error that depends on the valve current."""
-        return self.equation == "sensor" and self.variable == "current"
-
-    @property
-    def has_hidden_states(self) -> bool:
-        """Whether it has hidden states."""
-        return self.depends_on_current
-
     def variable_value(self, at: Signals) -> Symbol:
         """Return the value of the table's variable."""
         return getattr(at, self.variable)
 
-    def spline_position(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
-        """Return the variable's position in knot intervals, from 1 to `KNOTS` - 2."""
-        return 1.0 + clip((self.variable_value(at) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
-
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """Return the value of the term, in the unit of its equation."""
         low, high, *values = numbers
-        along = self.spline_position(at, low, high)
+        along = 1.0 + clip((self.variable_value(at) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
         total: Symbol = 0.0
-        for k, value in enumerate(values):
-            total = total + value * _cubic(np.abs(along - k))
+        for k, value in enumerate(values):  # times a cubic B-spline, by the distance in knots from its peak
+            distance = np.abs(along - k)
+            outer, inner = np.fmax(2.0 - distance, 0.0), np.fmax(1.0 - distance, 0.0)
+            total = total + value * ((outer * outer * outer - 4.0 * inner * inner * inner) / 6.0)
         return total * self.factor.shape(at) if self.factor else total
-
-
-def _cubic(distance: Symbol) -> Symbol:
-    """The cubic B-spline at so many knots from its peak."""
-    outer, inner = np.fmax(2.0 - distance, 0.0), np.fmax(1.0 - distance, 0.0)
-    return (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0

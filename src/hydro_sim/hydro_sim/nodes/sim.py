@@ -8,6 +8,7 @@ ros2 run hydro_sim sim [--model FILE | shipped | analytic] [--bench FILE] [--box
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,17 +23,19 @@ from hydro_bridge.safety.pace import Pace, PaceSettings, reject_speed_option
 from hydro_core.cli.console import command
 from hydro_core.files import site
 from hydro_core.settings import describe
+from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import label
-from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
 SIMULATED_BOX = "hydro sim"
 """Name of the simulated box."""
+_REMEDY = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
 
 
 class SimulatedPlant(Simulation):
@@ -43,9 +46,10 @@ class SimulatedPlant(Simulation):
 
     def status(self) -> Status:
         """See `hydro_bridge.safety.plant_side.PlantSide`."""
+        speed = self.samples * SAMPLE_PERIOD / max(time.monotonic() - self.began, SAMPLE_PERIOD)
         values = {
             "samples": self.samples,
-            "simulated seconds per second": self.mean_speed(),
+            "simulated seconds per second": speed,
             "late samples": self.pacer.late,
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
@@ -53,7 +57,7 @@ class SimulatedPlant(Simulation):
             "effects": self.effects or "none",
             "refused by the box": self._box.refused[0],
         }
-        return Status(message=f"{mode(self.flags)}, {self.mean_speed():.2f} times real time", values=values)
+        return Status(message=f"{mode(self.flags)}, {speed:.2f} times real time", values=values)
 
 
 class SimNode(PlantNode):
@@ -66,11 +70,16 @@ class SimNode(PlantNode):
         believed = Bench.load(settings.box_bench) if settings.box_bench else bench
         guard = CommandGuard(settings=declare_parameters(self, GuardSettings.of_size(believed.size), "guard."))
         config = declare_parameters(self, BoxConfig().of_bench(believed), "box.")
-        box, plant = Box(believed, config), _plant(settings, bench)
-        effects = ", ".join(map(label, plant.model.bench.terms)) if isinstance(plant, AnalyticPlant) else ""
+        box, name = Box(believed, config), settings.model or ("analytic" if settings.bench else "shipped")
+        if name != "analytic":
+            path, identity = None if name == "shipped" else name, settings.box_bench or settings.bench or None
+            learned_bench.require_match(path, BoxIdentity.of_file(identity), _REMEDY)
+            bench = learned_bench.read(path)
+        plant = AnalyticPlant(bench, noise=settings.noise, settings=Sensors.of_size(bench.size))
+        effects = ", ".join(map(label, bench.terms))
         what = f"its effects: {effects}" if effects else "without an effect beyond its numbers"
-        self.get_logger().info(f"simulates {settings.model or settings.bench or 'the shipped learned bench'}, {what}")
         log = self.get_logger().info
+        log(f"simulates {settings.model or settings.bench or 'the shipped learned bench'}, {what}")
         pace = Pace(declare_parameters(self, PaceSettings(), "pace."), log)
         self.simulation = SimulatedPlant(box, plant, guard, settings, self._publish, log, pace)
         self.simulation.effects = effects
@@ -79,9 +88,7 @@ class SimNode(PlantNode):
         guard.valve_current_max = info.valve_current_max
         self._known, self._law = known_box(info, believed.to_mapping(), self.get_name()), config.compensated
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
-        self.get_logger().info(
-            f"this node runs under {request_realtime(realtime=realtime and self.simulation.real_time)}"
-        )
+        log(f"this node runs under {request_realtime(realtime=realtime and self.simulation.real_time)}")
 
     def begin(self) -> None:
         """Start the plant's thread, once all settings are valid."""
@@ -93,17 +100,6 @@ class SimNode(PlantNode):
         sample = stamp_ns, sequence, values, flags, self.simulation.law_state
         self.correct(*sample)
         self.publish_sample(*sample)
-
-
-def _plant(settings: SimSettings, bench: Bench) -> Plant:
-    """Create the plant that the settings name."""
-    name = settings.model or ("analytic" if settings.bench else "shipped")
-    if name == "analytic":
-        return AnalyticPlant(bench, noise=settings.noise, settings=Sensors.of_size(bench.size))
-    path = None if name == "shipped" else name
-    remedy = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
-    learned_bench.require_match(path, BoxIdentity.of_file(settings.box_bench or settings.bench or None), remedy)
-    return learned_bench.make_plant(path, noise=settings.noise)
 
 
 def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
@@ -122,10 +118,9 @@ def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
     reject_speed_option(own)
     asked = parser.parse_args(own)
     site.apply_site_option(asked, bench=site.BENCH, model=site.MODEL)
-    given: dict[str, Any] = {
-        name: str(value) if isinstance(value, Path) else value for name, value in vars(asked).items()
-    }
-    return replace(defaults, **{name: given[name] for name in declared}), asked.realtime
+    given: dict[str, Any] = {name: getattr(asked, name) for name in declared}
+    paths = {name: str(value) for name, value in given.items() if isinstance(value, Path)}
+    return replace(defaults, **given | paths), asked.realtime
 
 
 def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:

@@ -16,17 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.serial.protocol import PAPER_LAW
-from hydro_core.signals import (
-    SAMPLE_PERIOD,
-    SAMPLES_PER_STEP,
-    STATE_DTYPE,
-    Command,
-    FloatArray,
-    Law,
-    ReferenceSignal,
-    StateArray,
-    Waveform,
-)
+from hydro_core import signals as core
+from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, Law, ReferenceSignal, StateArray
 from hydro_sim.box import firmware
 from hydro_sim.box.box import Box, BoxConfig, fill_command
 from hydro_sim.jit import njit
@@ -142,7 +133,7 @@ def _played(reference: FloatArray, samples: int) -> npt.NDArray[np.void]:
         raise ValueError(f"a recorded reference of shape {reference.shape} for {samples} samples")
     value, rate = reference.T
     signals = np.zeros(samples, firmware.DOUBLE.signal)
-    signals["waveform"], signals["frequency"] = Waveform.SINE, PLAYBACK_FREQUENCY
+    signals["waveform"], signals["frequency"] = core.Waveform.SINE, PLAYBACK_FREQUENCY
     signals["amplitude"], signals["offset"] = np.abs(rate) / (2.0 * np.pi * PLAYBACK_FREQUENCY), value
     signals["phase"] = np.where(rate < 0.0, np.pi, 0.0)
     signals["start"] = SAMPLE_PERIOD * np.arange(samples)
@@ -158,5 +149,5 @@ def _changes(schedule: Schedule, config: BoxConfig) -> FloatArray:
     if correction.shape != (samples,):
         raise ValueError(f"correction of shape {correction.shape} for {samples} samples")
     own = config.compensated if schedule.law is Law.COMPENSATED else config
-    rows = np.minimum(np.arange(samples) // SAMPLES_PER_STEP, len(gains) - 1)
+    rows = np.minimum(np.arange(samples) // core.SAMPLES_PER_STEP, len(gains) - 1)
     return np.column_stack(((gains - (own.base_kp, own.base_ki))[rows], correction))

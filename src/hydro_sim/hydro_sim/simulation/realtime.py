@@ -61,29 +61,15 @@ class SimSettings:
 class Simulation(PlantSide):
     """A running simulation.
 
-    Parameters
-    ----------
-    box, plant
-        The parts; `run` alone touches them.
-    settings
-        Pace and seed.
-    on_state
-        Called in the thread of `run` with each sample's stamp [ns], ROS time in real time, else the simulation's own,
-        and with its record as a tuple in the order of STATE_DTYPE.
-    guard, log, pace
-        See `PlantSide`.
+    `box`, `plant`: the parts; `run` alone touches them. `settings`: pace and seed. `on_state`: called in the thread of
+    `run` with each sample's stamp [ns], ROS time in real time, else the simulation's own, and with its record as a
+    tuple in the order of STATE_DTYPE. `guard`, `log`, `pace`: see `PlantSide`.
     """
 
     def __init__(
-        self,
-        box: Box,
-        plant: Plant,
-        guard: CommandGuard,
-        settings: SimSettings,
-        on_state: Callable[[int, tuple[Any, ...]], None],
-        log: Callable[[str], None],
-        pace: Pace | None = None,
-    ) -> None:
+        self, box: Box, plant: Plant, guard: CommandGuard, settings: SimSettings,
+        on_state: Callable[[int, tuple[Any, ...]], None], log: Callable[[str], None], pace: Pace | None = None,
+    ) -> None:  # fmt: skip
         super().__init__(guard, log, pace=pace)
         self.settings, self._answered = settings, threading.Event()
         self.pace.go_on = self._answered.set
@@ -91,7 +77,7 @@ class Simulation(PlantSide):
         self.pacer = Pacer(SAMPLE_PERIOD / (self._factor or 1.0))
         self._box, self._plant, self._on_state = box, plant, on_state
         self._stopping = threading.Event()
-        self._began = time.monotonic()
+        self.began = time.monotonic()
 
     @property
     def law_state(self) -> LawState | None:
@@ -113,17 +99,13 @@ class Simulation(PlantSide):
         """Time [s] by which commands and leases age: the host's monotonic clock, or the simulation's own."""
         return time.monotonic() if self.real_time else self.samples * SAMPLE_PERIOD
 
-    def mean_speed(self) -> float:
-        """Return the simulated seconds per second of wall clock since the start."""
-        return self.samples * SAMPLE_PERIOD / max(time.monotonic() - self._began, SAMPLE_PERIOD)
-
     def run(self) -> None:
         """Simulate until `stop`; the body of the plant's thread."""
         disable_timer_slack()
         measurement = self.warm_up()
         if self.paced:
             self.pace.wait_for_peers()
-        self._began = time.monotonic()
+        self.began = time.monotonic()
         self.pacer.restart()
         while not self._stopping.is_set():
             now = self.samples * SAMPLE_PERIOD

@@ -20,13 +20,14 @@ from typing import Any, NoReturn
 import rclpy
 import yaml
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.task import Future
 
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.nodes.verbs.launch import launch
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import running_ros, spin
+from hydro_bridge.ros.topics import qos_profile
 from hydro_core.cli.console import UserError, command
 
 _ELEMENT = re.compile(r"(?:sequence<)?(\w+/\w+)(?:\[\d+\]|(?:, \d+)?>)?")
@@ -106,17 +107,6 @@ def temporary_node() -> Iterator[Node]:
             node.destroy_node()
 
 
-def wait_for_discovery(node: Node) -> None:
-    """Wait until the graph no longer changes: at least `_SPIN_TIME`, at most `DISCOVERY_TIMEOUT`."""
-    begin = time.monotonic()
-    seen, changed = -1, begin
-    while (now := time.monotonic()) < begin + _SPIN_TIME or (now < changed + _CALM and now < begin + DISCOVERY_TIMEOUT):
-        count = sum(1 for _ in node.get_node_names_and_namespaces()) + len(node.get_topic_names_and_types())
-        if count != seen:
-            seen, changed = count, now
-        time.sleep(_LOOK)
-
-
 def wait_for(condition: Callable[[], object], sentence: str, patience: float = DISCOVERY_TIMEOUT) -> None:
     """Wait until `condition` holds; raises UserError with `sentence` after `patience` s."""
     end = time.monotonic() + patience
@@ -147,8 +137,9 @@ class Parser(argparse.ArgumentParser):
         raise UserError(f"{self.prog}: {message}; what is not in `{self.prog} --help` needs a full ROS 2 Jazzy")
 
 
-def parser() -> argparse.ArgumentParser:
-    """Build the parser of the command line."""
+@command(CompanionError)
+def main() -> int | None:
+    """Entry point."""
     result = Parser(prog="ros2", description=__doc__)
     groups = result.add_subparsers(dest="group", required=True, metavar="GROUP", parser_class=Parser)
     verbs = {}
@@ -180,20 +171,22 @@ def parser() -> argparse.ArgumentParser:
     launching.add_argument("package", help="or the path of a launch file")
     launching.add_argument("rest", nargs="*", metavar="FILE NAME:=VALUE", help="launch file and its arguments")
     launching.set_defaults(carry_out=lambda options: launch(options.package, options.rest))
-    return result
-
-
-@command(CompanionError)
-def main() -> int | None:
-    """Entry point."""
-    options = parser().parse_args()
+    options = result.parse_args()
     status: int | None = options.carry_out(options)
     return status
 
 
 def _list(options: argparse.Namespace) -> None:
+    """Wait until the graph no longer changes, at least `_SPIN_TIME`, at most `DISCOVERY_TIMEOUT`; list it."""
     with temporary_node() as node:
-        wait_for_discovery(node)
+        begin = changed = now = time.monotonic()
+        seen = -1
+        while now < begin + _SPIN_TIME or (now < changed + _CALM and now < begin + DISCOVERY_TIMEOUT):
+            count = sum(1 for _ in node.get_node_names_and_namespaces()) + len(node.get_topic_names_and_types())
+            if count != seen:
+                seen, changed = count, now
+            time.sleep(_LOOK)
+            now = time.monotonic()
         found: list[tuple[str, list[str]]] = node.get_topic_names_and_types()
         if options.group == "service":
             found = node.get_service_names_and_types()
@@ -262,31 +255,18 @@ def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Calla
         topic = f"/{topic.removeprefix('/')}"
         wait_for(lambda: topic in dict(node.get_topic_names_and_types()), f"nobody publishes or hears {topic}")
         kind = interface(dict(node.get_topic_names_and_types())[topic][0], "msg")
-        qos, raw = _offered_qos(node, topic), report is not None
-        node.create_subscription(kind, topic, guarded(hear), qos, raw=raw)
+        with suppress(UserError):  # a subscriber may be discovered first: a latched message would be missed for good
+            wait_for(lambda: node.count_publishers(topic), "", patience=_PUBLISHER)
+        offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]  # what all can serve
+        reliable = bool(offered) and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+        latched = bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+        qos = qos_profile(_DEPTH, reliable=reliable, latched=latched)
+        node.create_subscription(kind, topic, guarded(hear), qos, raw=report is not None)
         if report is not None:
             node.create_timer(_REPORT, guarded(report))
         spin(node, done)
     if done.done():
         done.result()
-
-
-def _offered_qos(node: Node, topic: str) -> QoSProfile:
-    """Return the QoS that all present publishers can serve: reliable, or latched, only if each of them is.
-
-    A subscriber may be discovered before the publisher: a latched message would then be missed for good.
-    """
-    with suppress(UserError):
-        wait_for(lambda: node.count_publishers(topic), "", patience=_PUBLISHER)
-    offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
-    reliable = bool(offered) and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
-    latched = bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=_DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
 
 
 def _service_call(options: argparse.Namespace) -> None:
@@ -337,18 +317,18 @@ def _bag_info(options: argparse.Namespace) -> None:
     while size >= 1024.0 and len(units) > 1:
         size, units = size / 1024.0, units[1:]
 
-    def date(time_ns: int) -> str:
+    dates = []
+    for time_ns in (begin, end):
         seconds, rest = divmod(time_ns, 1_000_000_000)
         words = datetime.fromtimestamp(seconds, timezone.utc).strftime("%b %d %Y %H:%M:%S")
-        return f"{words}.{rest:09d} UTC ({seconds}.{rest:09d})"
-
+        dates.append(f"{words}.{rest:09d} UTC ({seconds}.{rest:09d})")
     lines = {
         "Files:": "  ".join(scan.path.name for scan in source.scans),
         "Bag size:": f"{size:.1f} {units[0]}",
         "Storage id:": "mcap",
         "Duration:": f"{1e-9 * (end - begin):.9f}s",
-        "Start:": date(begin),
-        "End:": date(end),
+        "Start:": dates[0],
+        "End:": dates[1],
         "Messages:": str(counts.total()),
         "Topic information:": f"\n{'':19}".join(topics),
     }

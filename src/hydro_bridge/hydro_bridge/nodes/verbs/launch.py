@@ -211,19 +211,6 @@ _MODULES = {
 }  # fmt: skip
 
 
-def install_modules() -> None:
-    """Register this module's classes as `launch` and `launch_ros` for imports in this process."""
-    for name, names in _MODULES.items():
-        module = ModuleType(name)
-        module.__path__ = []
-        for one in names:
-            setattr(module, one, globals()[one])
-        sys.modules[name] = module
-        package, _, last = name.rpartition(".")
-        if package:
-            setattr(sys.modules[package], last, module)
-
-
 def load(path: Path) -> LaunchDescriptionEntity:
     """Load a launch file's description; raises UserError if it is none in Python, or uses unsupported features."""
     scope: dict[str, object] = {"__name__": "launch_file", "__file__": str(path)}
@@ -299,8 +286,19 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
 
 
 def launch(package: str, rest: list[str]) -> int:
-    """Run `ros2 launch PACKAGE REST...`; returns the exit status and raises as `run`."""
-    install_modules()
+    """Run `ros2 launch PACKAGE REST...`; returns the exit status and raises as `run`.
+
+    This module's classes are `launch` and `launch_ros` for imports in this process.
+    """
+    for name, names in _MODULES.items():
+        module = ModuleType(name)
+        module.__path__ = []
+        for one in names:
+            setattr(module, one, globals()[one])
+        sys.modules[name] = module
+        above, _, last = name.rpartition(".")
+        if above:
+            setattr(sys.modules[above], last, module)
     path, words = Path(package), rest
     if not path.is_file():
         files = {file.name: file for file in sorted(Path(package_share(package), "launch").glob("*.launch.py"))}

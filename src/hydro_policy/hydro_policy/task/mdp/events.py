@@ -8,9 +8,8 @@ valve, friction, mass), sensor noise and transport delays. The box keeps assumin
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -46,11 +45,7 @@ def reference(task: TaskSettings, episode: int, seed: int) -> ReferenceSignal:
 
 def stream_seed(seed: int, episode: int, stream: int) -> int:
     """Return the seed of a stream of an episode's random numbers, for a run's seed."""
-    return int(_stream(seed, episode, stream).integers(2**62))
-
-
-def _stream(seed: int, episode: int, stream: int) -> np.random.Generator:
-    return np.random.default_rng((seed, episode, stream))
+    return int(np.random.default_rng((seed, episode, stream)).integers(2**62))
 
 
 REACH = 0.8
@@ -129,7 +124,13 @@ def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedB
     factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _SPREAD.items()}
     noise = rng.uniform(settings.noise_min, settings.noise_max)
     delays = int(rng.integers(1, settings.gain_delay_max + 1)), int(rng.integers(0, settings.dead_time_max + 1))
-    bandwidth = source.load_cell_bandwidth
+    bandwidth, effects = source.load_cell_bandwidth, []
+    for effect in source.effects:
+        parameters = {
+            name: float(value) * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
+            for name, value in effect["parameters"].items()
+        }
+        effects.append({**effect, "parameters": parameters})
     drawn = replace(
         source,
         spring_stiffness=spring,
@@ -139,22 +140,7 @@ def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedB
         viscous_friction=source.viscous_friction * factors["viscous_friction"],
         valve_nominal_flow=source.valve_nominal_flow * factors["valve_gain"],
         load_cell_bandwidth=bandwidth and bandwidth * factors["load_cell_frequency"],
-        effects=tuple(_changed(effect, factors) for effect in source.effects),
+        effects=tuple(effects),
     )
     plant = AnalyticPlant(drawn, noise=noise, settings=Sensors.of_size(source.size))
     return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=source.stroke)
-
-
-def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping[str, Any]:
-    parameters = {
-        name: float(value) * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
-        for name, value in effect["parameters"].items()
-    }
-    return {**effect, "parameters": parameters}
-
-
-def episode_bench(settings: Randomisation, source: Bench, episode: int, seed: int) -> RandomisedBench | None:
-    """Return the bench of an episode, drawn around `source`; None: the one that is known."""
-    if _stream(seed, episode, KNOWN).random() < settings.known_share:
-        return None
-    return draw_bench(settings, source, stream_seed(seed, episode, BENCH))

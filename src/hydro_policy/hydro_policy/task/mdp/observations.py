@@ -42,16 +42,10 @@ def normalization(size: Size) -> tuple[FloatArray, FloatArray]:
 
 
 def observe(sample: FloatArray, previous_action: FloatArray, size: Size) -> FloatArray:
-    """Return eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (..., 13).
+    """Return eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (..., 13), on a bench of this size.
 
-    Parameters
-    ----------
-    sample
-        Samples in the order of `STATE_FIELDS`, shape (..., 14), SI units.
-    previous_action
-        Shape (..., 2), within [-1, 1].
-    size
-        Of the bench.
+    `sample`: in the order of `STATE_FIELDS`, shape (..., 14), SI units. `previous_action`: shape (..., 2), within
+    [-1, 1].
     """
     center, scale = normalization(size)
     observation = np.empty((*sample.shape[:-1], OBSERVATIONS))

@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -50,21 +50,20 @@ class Step:
     held: int  # bits of HELD seen since the last step
 
 
+@dataclass
 class StepClock:
     """Collects samples; every tenth sequence number completes a step.
 
     If that very sample is lost, the next one to arrive is the step: acting continues, but the step is not `whole`.
     """
 
-    def __init__(self) -> None:
-        self._samples: list[FloatArray] = []  # since the last step
-        self._unbroken = 0  # place among them from which on none is missing
-        self._last = -1
-        self._held = 0
-        self._common = ~0
-        self._gap = True
-        self.lost = 0
-        """Sequence numbers that never arrived."""
+    lost: int = 0  # sequence numbers that never arrived
+    _samples: list[FloatArray] = field(default_factory=list)  # since the last step
+    _unbroken: int = 0  # place among them from which on none is missing
+    _last: int = -1
+    _held: int = 0
+    _common: int = ~0
+    _gap: bool = True
 
     def add(
         self, sequence: int, sample: FloatArray, flags: int, base: tuple[float, float] | None = None

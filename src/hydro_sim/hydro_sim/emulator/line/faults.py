@@ -58,43 +58,34 @@ class FaultyLine:
         self.faults = faults
         self.counts = dict.fromkeys((*FAULT_NAMES, "overflow"), 0)
         self._random = generator
+        self.stalled_until = 0.0
+        """s, to which the line is blocked; 0: it is not."""
         self._held = b""
         self._waiting: deque[bytes] = deque()
-        self._stalled_until = 0.0
 
     @property
     def faulty(self) -> bool:
         """Whether frames may be lost here."""
         return bool(self._held) or any(getattr(self.faults, name) for name in FAULT_NAMES)
 
-    @property
-    def stalled(self) -> bool:
-        """Whether the line is blocked."""
-        return self._stalled_until > 0.0
-
-    def stall(self, until: float) -> None:
-        """Block the line until this time [s]."""
-        self._stalled_until = max(self._stalled_until, until)
-
     def clear(self) -> None:
         """Discard the frames in transit, as the line was unplugged."""
         self._waiting.clear()
         self._held = b""
-        self._stalled_until = 0.0
+        self.stalled_until = 0.0
 
     def transmit(self, chunk: bytes, now: float) -> bytes:
         """Put `chunk`, possibly empty, on the line, and return the bytes that arrive by `now` [s]."""
         out = self._disturb(chunk) if chunk and self.faulty else chunk
-        if now < self._stalled_until:
+        if now < self.stalled_until:
             if sum(map(len, self._waiting)) + len(out) <= self.LIMIT:
                 self._waiting.append(out)
             else:
                 self.counts["overflow"] += 1
             return b""
-        self._stalled_until = 0.0
-        if self._waiting:
-            out = b"".join(self._waiting) + out
-            self._waiting.clear()
+        self.stalled_until = 0.0
+        out = b"".join([*self._waiting, out])
+        self._waiting.clear()
         return out
 
     def _happens(self, name: str) -> bool:

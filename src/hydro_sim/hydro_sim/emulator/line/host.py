@@ -41,19 +41,16 @@ class HostState:
         *pieces, self._pending = (self._pending + data).split(b"\0")
         self._pending = self._pending[-MAX_ENCODED:]
         for piece in filter(None, pieces):
-            self._take(piece)
-
-    def _take(self, piece: bytes) -> None:
-        try:
-            raw = cobs.decode(piece)
-        except cobs.DecodeError:
-            return
-        if len(raw) < _HEADER.size + 4 or raw[-4:] != _CRC.pack(crc32(raw[:-4])):
-            return
-        version, kind, _, time_us = _HEADER.unpack_from(raw)
-        self.heard = time.monotonic()
-        if kind == FrameType.HELLO and version == HANDSHAKE:
-            self.greetings, self.fresh, self.time_us = self.greetings + 1, True, None
-            self.follows = raw[_FOLLOWS : _FOLLOWS + 1] == b"\1"
-        elif kind == FrameType.COMMAND:
-            self.fresh, self.time_us = False, time_us
+            try:
+                raw = cobs.decode(piece)
+            except cobs.DecodeError:
+                continue
+            if len(raw) < _HEADER.size + 4 or raw[-4:] != _CRC.pack(crc32(raw[:-4])):
+                continue
+            version, kind, _, time_us = _HEADER.unpack_from(raw)
+            self.heard = time.monotonic()
+            if kind == FrameType.HELLO and version == HANDSHAKE:
+                self.greetings, self.fresh, self.time_us = self.greetings + 1, True, None
+                self.follows = raw[_FOLLOWS : _FOLLOWS + 1] == b"\1"
+            elif kind == FrameType.COMMAND:
+                self.fresh, self.time_us = False, time_us

@@ -15,14 +15,7 @@ from hydro_sim.emulator.line.terminal import Terminal
 class BoxLink:
     """Serial line of the emulated box: its bytes, which the firmware reads and writes, through faults and terminal.
 
-    Parameters
-    ----------
-    terminal
-        The port.
-    box
-        The box behind the line.
-    faults, seed
-        Injected faults, and the seed of their probabilities.
+    `terminal`: the port. `box`: the box behind the line. `faults`, `seed`: injected, and of their probabilities.
     """
 
     def __init__(self, terminal: Terminal, box: Box, faults: LinkFaults, seed: int = 0) -> None:
@@ -45,7 +38,7 @@ class BoxLink:
     @property
     def open(self) -> bool:
         """Whether a host has the port open, on a line that is not blocked."""
-        return self.terminal.opened and not self.up.stalled
+        return self.terminal.opened and self.up.stalled_until == 0.0
 
     def receive(self, now: float, patience: float = 0.0) -> None:
         """Read the bytes that arrive within `patience` s of wall clock, for the next `poll`; plug in when due."""
@@ -65,8 +58,8 @@ class BoxLink:
 
     def stall(self, seconds: float, now: float) -> None:
         """Block the line for `seconds` from `now` [s]."""
-        self.up.stall(now + seconds)
-        self.down.stall(now + seconds)
+        for line in (self.up, self.down):
+            line.stalled_until = max(line.stalled_until, now + seconds)
 
     def unplug(self, seconds: float, now: float) -> None:
         """Remove the port for `seconds` from `now` [s]."""

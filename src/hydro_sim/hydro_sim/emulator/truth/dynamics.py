@@ -71,19 +71,6 @@ LAMINAR_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that
 
 
 @njit
-def spool_derivative(p, command, spool, spool_rate):
-    """Return the spool's rate [A/s] and acceleration [A/s2]; both zero for an ideal spool."""
-    target = command + p.valve_offset
-    if p.spool_order == 2.0:
-        pull = p.spool_frequency * (target - spool) - 2.0 * p.spool_damping * spool_rate
-        return min(max(spool_rate, -p.spool_rate_limit), p.spool_rate_limit), p.spool_frequency * pull
-    if p.spool_order == 1.0:
-        rate = p.spool_frequency * (target - spool)
-        return min(max(rate, -p.spool_rate_limit), p.spool_rate_limit), 0.0
-    return 0.0, 0.0
-
-
-@njit
 def opening(p, travel, overlap):
     """Opening [A] of one edge, `travel` [A] being the spool's position in the edge's own direction."""
     if p.softness == 0.0:
@@ -195,16 +182,6 @@ def load_force(p, position, spring_end, hysteresis):
 
 
 @njit
-def hysteresis_derivative(p, hysteresis, velocity):
-    """Rate [1/s] of the Bouc-Wen element's state w in [-1, 1]."""
-    if p.hysteresis_force == 0.0:
-        return 0.0
-    size = abs(hysteresis) ** p.hysteresis_exponent
-    toward = 1.0 if hysteresis >= 0.0 else -1.0
-    return (velocity - 0.5 * (abs(velocity) * toward + velocity) * size) / p.hysteresis_deflection
-
-
-@njit
 def end_force(p, position, velocity):
     """Force [N] of cushions and end stops on the mass."""
     force = _cushion(p, p.cushion_low - position, p.cushion_low_stiffness)
@@ -221,15 +198,6 @@ def _cushion(p, depth, stiffness):
     if depth <= 0.0:
         return 0.0
     return stiffness * depth * depth if p.cushion_quadratic == 1.0 else stiffness * depth
-
-
-@njit
-def disturbance(p, time, walk):
-    """Force [N] on the mass from outside at `time` [s]; `walk` is the random force in units of its deviation."""
-    force = p.force_offset + p.walk_force * walk
-    if p.hum_amplitude > 0.0:
-        force += p.hum_amplitude * math.sin(2.0 * math.pi * p.hum_frequency * time)
-    return force
 
 
 STANDSTILL = 1e-5  # m/s, below which a direction of motion says nothing
@@ -279,7 +247,6 @@ def rest_state(p, state):
 
 @njit
 def _settle(p, state):
-    """Pressures and forces that belong to y."""
     y = state.y
     state.pressure_a = pressure_of(p, y[CONTENT_A], p.dead_volume_a + p.area_a * y[POSITION], state.pressure_a)
     volume_b = p.dead_volume_b + p.area_b * (p.stroke - y[POSITION])
@@ -305,9 +272,21 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
     state.draw = into_a + into_b
     slope[CONTENT_A] = (into_a - out_of_a - across - lost_a) / specific_volume(p, pressure_a)[0]
     slope[CONTENT_B] = (into_b - out_of_b + across - lost_b) / specific_volume(p, pressure_b)[0]
-    slope[SPOOL], slope[SPOOL_RATE] = spool_derivative(p, command, y[SPOOL], y[SPOOL_RATE])
+    slope[SPOOL] = slope[SPOOL_RATE] = 0.0  # of an ideal spool
+    ahead = command + p.valve_offset - y[SPOOL]
+    if p.spool_order == 2.0:
+        pull = p.spool_frequency * ahead - 2.0 * p.spool_damping * y[SPOOL_RATE]
+        slope[SPOOL] = min(max(y[SPOOL_RATE], -p.spool_rate_limit), p.spool_rate_limit)
+        slope[SPOOL_RATE] = p.spool_frequency * pull
+    elif p.spool_order == 1.0:
+        slope[SPOOL] = min(max(p.spool_frequency * ahead, -p.spool_rate_limit), p.spool_rate_limit)
     slope[SUPPLY] = (p.source_pressure - p.droop_resistance * state.draw - y[SUPPLY]) / p.droop_time
-    slope[HYSTERESIS] = hysteresis_derivative(p, y[HYSTERESIS], y[VELOCITY])
+    slope[HYSTERESIS] = 0.0
+    if p.hysteresis_force != 0.0:  # Bouc-Wen
+        size, velocity = abs(y[HYSTERESIS]) ** p.hysteresis_exponent, y[VELOCITY]
+        toward = 1.0 if y[HYSTERESIS] >= 0.0 else -1.0
+        bent = velocity - 0.5 * (abs(velocity) * toward + velocity) * size
+        slope[HYSTERESIS] = bent / p.hysteresis_deflection
     slope[POSITION] = y[VELOCITY]
     slope[VELOCITY] = _acceleration(p, state, y, pressure_a, pressure_b, time)
 
@@ -316,7 +295,10 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
 def _acceleration(p, state, y, pressure_a, pressure_b, time):
     position, velocity = y[POSITION], y[VELOCITY]
     force = p.area_a * pressure_a - p.area_b * pressure_b - p.viscous * velocity
-    force += end_force(p, position, velocity) + disturbance(p, time, state.walk)
+    outside = p.force_offset + p.walk_force * state.walk
+    if p.hum_amplitude > 0.0:
+        outside += p.hum_amplitude * math.sin(2.0 * math.pi * p.hum_frequency * time)
+    force += end_force(p, position, velocity) + outside
     force -= load_force(p, position, drag_spring_end(p, position, state.spring_end), y[HYSTERESIS])
     # at standstill friction opposes where the other forces would move the mass, with the level of that direction
     sticks = p.friction_form != LUGRE and abs(velocity) < STANDSTILL
@@ -328,7 +310,23 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
 
 
 @njit
-def _heun_step(p, state, time, command, work):
+def hold_command(p, state, current, walk_noise):
+    """Begin a sample: store its valve current [A] and draw the random force's next value."""
+    state.commands[state.sample % DELAY_SAMPLES] = current
+    if p.walk_force > 0.0:
+        kept = math.exp(-SAMPLE_PERIOD / p.walk_time)
+        state.walk = kept * state.walk + math.sqrt(1.0 - kept * kept) * walk_noise
+
+
+@njit
+def advance_substep(p, state, index, work):
+    """Advance by substep `index` of the present sample by Heun's method, in place; `work`: scratch, shape (3, 8)."""
+    elapsed = index * SUBSTEP
+    time = state.sample * SAMPLE_PERIOD + elapsed
+    # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
+    late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
+    command = state.commands[(state.sample + int(late)) % DELAY_SAMPLES]
+    force_h, force_l = state.hydraulic_force, state.load_force
     y, guess, slope, slope_ahead = state.y, work[0], work[1], work[2]
     if p.friction_form == LUGRE:
         level = friction_level(p, y[VELOCITY], y[POSITION], state.pressure_a - state.pressure_b)
@@ -347,27 +345,6 @@ def _heun_step(p, state, time, command, work):
     if p.spool_order == 0.0:
         y[SPOOL] = command + p.valve_offset
     state.spring_end = drag_spring_end(p, y[POSITION], state.spring_end)
-
-
-@njit
-def hold_command(p, state, current, walk_noise):
-    """Begin a sample: store its valve current [A] and draw the random force's next value."""
-    state.commands[state.sample % DELAY_SAMPLES] = current
-    if p.walk_force > 0.0:
-        kept = math.exp(-SAMPLE_PERIOD / p.walk_time)
-        state.walk = kept * state.walk + math.sqrt(1.0 - kept * kept) * walk_noise
-
-
-@njit
-def advance_substep(p, state, index, work):
-    """Advance by substep `index` of the present sample, in place; `work` is scratch space, shape (3, 8)."""
-    elapsed = index * SUBSTEP
-    time = state.sample * SAMPLE_PERIOD + elapsed
-    # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
-    late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
-    command = state.commands[(state.sample + int(late)) % DELAY_SAMPLES]
-    force_h, force_l = state.hydraulic_force, state.load_force
-    _heun_step(p, state, time, command, work)
     _settle(p, state)
     state.hydraulic_force_rate = (state.hydraulic_force - force_h) / SUBSTEP
     state.load_force_rate = (state.load_force - force_l) / SUBSTEP

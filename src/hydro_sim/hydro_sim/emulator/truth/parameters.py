@@ -40,26 +40,20 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
     internal = effects.leakage_internal or kinds.LeakageInternal(coefficient=0.0)
     external = {one.chamber: one.coefficient for one in effects.leakage_external}
     return {
-        "area_a": area,
-        "area_b": area * bench.area_ratio * (effects.area_ratio or SAME).ratio,
-        "stroke": bench.stroke,
+        "area_a": area, "area_b": area * bench.area_ratio * (effects.area_ratio or SAME).ratio, "stroke": bench.stroke,
         "dead_volume_a": bench.dead_volume_a * dead.get("a", 1.0),
         "dead_volume_b": bench.dead_volume_b * dead.get("b", 1.0),
         "wall_compliance": outside.wall_flexibility.compliance if outside.wall_flexibility else 0.0,
         "bulk_modulus": bench.bulk_modulus * (effects.bulk_modulus or SAME).ratio,
-        "air_fraction": air.volume_fraction,
-        "air_exponent": 1.0 if air.form == "isothermal" else 1.4,
+        "air_fraction": air.volume_fraction, "air_exponent": 1.0 if air.form == "isothermal" else 1.4,
         "source_pressure": bench.supply_pressure * (effects.supply_pressure or SAME).ratio,
         "tank_pressure": effects.tank_pressure.pressure if effects.tank_pressure else bench.tank_pressure,
-        "droop_resistance": droop.resistance,
-        "droop_time": droop.time_constant,
-        "ripple_amplitude": ripple.amplitude,
-        "ripple_frequency": ripple.frequency,
+        "droop_resistance": droop.resistance, "droop_time": droop.time_constant,
+        "ripple_amplitude": ripple.amplitude, "ripple_frequency": ripple.frequency,
         "leak_internal": internal.coefficient if internal.form == "laminar" else 0.0,
         "leak_internal_orifice": internal.coefficient * math.sqrt(5e6) if internal.form == "orifice" else 0.0,
-        "leak_external_a": external.get("a", 0.0),
-        "leak_external_b": external.get("b", 0.0),
-    }
+        "leak_external_a": external.get("a", 0.0), "leak_external_b": external.get("b", 0.0),
+    }  # fmt: skip
 
 
 def _valve(config: TruthConfig) -> dict[str, Any]:
@@ -72,27 +66,20 @@ def _valve(config: TruthConfig) -> dict[str, Any]:
         overlaps = -outside.valve_underlap.half_width, -outside.valve_underlap.half_width
     leak = effects.valve_null_leakage or kinds.ValveNullLeakage(coefficient=0.0)
     lag = effects.valve_lag or kinds.ValveLag(order=0)  # an ideal spool
+    drop = bench.valve_nominal_pressure_drop / 2.0
     return {
-        "orifice": bench.valve_nominal_flow
-        / (bench.valve_nominal_current * math.sqrt(bench.valve_nominal_pressure_drop / 2.0)),
-        "gain_positive": gain,
-        "gain_negative": gain * (effects.valve_gain_asymmetry or SAME).ratio,
+        "orifice": bench.valve_nominal_flow / (bench.valve_nominal_current * math.sqrt(drop)),
+        "gain_positive": gain, "gain_negative": gain * (effects.valve_gain_asymmetry or SAME).ratio,
         "gain_drift": effects.valve_gain_drift.rate if effects.valve_gain_drift else 0.0,
-        "warm_change": warm.change,
-        "warm_time": warm.time_constant,
-        "overlap_positive": overlaps[0],
-        "overlap_negative": overlaps[1],
+        "warm_change": warm.change, "warm_time": warm.time_constant,
+        "overlap_positive": overlaps[0], "overlap_negative": overlaps[1],
         "softness": band.softness if band.form == "soft" else 0.0,
-        "null_leak": leak.coefficient,
-        "null_width": leak.width,
-        "null_hyperbolic": float(leak.form == "hyperbolic"),
+        "null_leak": leak.coefficient, "null_width": leak.width, "null_hyperbolic": float(leak.form == "hyperbolic"),
         "valve_offset": effects.valve_offset.current if effects.valve_offset else 0.0,
         "delay": effects.transport_delay.time if effects.transport_delay else 0.0,
-        "spool_order": float(lag.order),
-        "spool_frequency": 2.0 * math.pi * lag.bandwidth,
-        "spool_damping": lag.damping,
+        "spool_order": float(lag.order), "spool_frequency": 2.0 * math.pi * lag.bandwidth, "spool_damping": lag.damping,
         "spool_rate_limit": OFF if lag.rate_limit is None else lag.rate_limit,
-    }
+    }  # fmt: skip
 
 
 def _friction(config: TruthConfig) -> dict[str, Any]:
@@ -108,15 +95,12 @@ def _friction(config: TruthConfig) -> dict[str, Any]:
         "friction_form": {"static": STATIC, "smooth": SMOOTH, "lugre": LUGRE}[form],
         "coulomb_positive": coulomb.force if coulomb.force_positive is None else coulomb.force_positive,
         "coulomb_negative": coulomb.force if coulomb.force_negative is None else coulomb.force_negative,
-        "breakaway": stribeck.breakaway_force,
-        "stribeck_velocity": stribeck.velocity,
+        "breakaway": stribeck.breakaway_force, "stribeck_velocity": stribeck.velocity,
         "stribeck_exponent": stribeck.exponent,
-        "bristle_stiffness": bristles.stiffness,
-        "bristle_damping": bristles.damping,
-        "rib_force": rib.force,
-        "rib_pitch": rib.pitch,
+        "bristle_stiffness": bristles.stiffness, "bristle_damping": bristles.damping,
+        "rib_force": rib.force, "rib_pitch": rib.pitch,
         "seal_friction": outside.friction_pressure.coefficient if outside.friction_pressure else 0.0,
-    }
+    }  # fmt: skip
 
 
 def _load(config: TruthConfig) -> dict[str, Any]:
@@ -135,22 +119,16 @@ def _load(config: TruthConfig) -> dict[str, Any]:
         "stiffness": bench.spring_stiffness * (effects.spring_stiffness or SAME).ratio,
         "hardening": effects.spring_hardening.coefficient if effects.spring_hardening else 0.0,
         "rest": effects.spring_rest.position if effects.spring_rest else bench.spring_rest_position,
-        "backlash": backlash.width,
-        "backlash_play": float(backlash.form == "play"),
-        "hysteresis_force": hysteresis.force,
-        "hysteresis_deflection": hysteresis.deflection,
+        "backlash": backlash.width, "backlash_play": float(backlash.form == "play"),
+        "hysteresis_force": hysteresis.force, "hysteresis_deflection": hysteresis.deflection,
         "hysteresis_exponent": hysteresis.exponent,
-        "cushion_low": cushions["low"][0],
-        "cushion_low_stiffness": cushions["low"][1],
-        "cushion_high": cushions["high"][0],
-        "cushion_high_stiffness": cushions["high"][1],
+        "cushion_low": cushions["low"][0], "cushion_low_stiffness": cushions["low"][1],
+        "cushion_high": cushions["high"][0], "cushion_high_stiffness": cushions["high"][1],
         "cushion_quadratic": float(quadratic),
         "force_offset": effects.force_offset.force if effects.force_offset else 0.0,
-        "hum_amplitude": hum.amplitude,
-        "hum_frequency": hum.frequency,
-        "walk_force": walk.force,
-        "walk_time": walk.correlation_time,
-    }
+        "hum_amplitude": hum.amplitude, "hum_frequency": hum.frequency,
+        "walk_force": walk.force, "walk_time": walk.correlation_time,
+    }  # fmt: skip
 
 
 def _sensors(config: TruthConfig) -> dict[str, Any]:

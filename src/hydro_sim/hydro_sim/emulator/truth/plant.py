@@ -109,18 +109,10 @@ def start_at_rest(p, box, state, chain, noise):
 
 @njit
 def advance_sample(p, box, state, chain, work, noise, current):
-    """Advance by one sample of 1 ms in place: physics, amplifiers, readings.
+    """Advance by one sample of 1 ms in place at a held valve current [A]: physics, amplifiers, readings.
 
-    Parameters
-    ----------
-    p, box, state, chain
-        Arrays of shape (1,): plant parameters, the box's differentiation, physical state, sensors.
-    work
-        Scratch space, shape (3, 8).
-    noise
-        Standard normal numbers, shape (`NOISE_COLUMNS`,).
-    current
-        Valve current [A], held over the sample.
+    `p`, `box`, `state`, `chain`: arrays of shape (1,): plant parameters, the box's differentiation, physical state,
+    sensors. `work`: scratch space, shape (3, 8). `noise`: standard normal numbers, shape (`NOISE_COLUMNS`,).
     """
     dynamics.hold_command(p[0], state[0], current, noise[4])
     for index in range(SUBSTEPS):

@@ -22,8 +22,7 @@ a rate (`rates`); the others are moved on where an integration step ends, by `se
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from math import isfinite
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from hydro_sim.model.equations import Symbol
@@ -69,19 +68,6 @@ class Parameter:
     fit: FitParameter | None = None
     """As the diagnosis fits it; None: the effect is not one of its causes."""
 
-    def read(self, effect: str, parameters: Mapping[str, Any]) -> float:
-        """Return its value in an entry's parameters. Raises ValueError if it is missing or not a number in range."""
-        if self.name not in parameters:
-            raise ValueError(f"effect {effect} lacks its parameter {self.name} [{self.unit}]")
-        try:
-            value = float(parameters[self.name])  # PyYAML reads 1e9 as a text
-        except (TypeError, ValueError):
-            value = float("nan")
-        if not (isfinite(value) and self.low <= value <= self.high):
-            wanted = f"a number in [{self.low:g}, {self.high:g}] {self.unit}"
-            raise ValueError(f"effect {effect}: {self.name} = {parameters[self.name]!r} is not {wanted}")
-        return value
-
 
 @dataclass(frozen=True, kw_only=True)
 class Hidden:
@@ -93,13 +79,16 @@ class Hidden:
     """A typical size."""
     integrated: bool
     """Whether it has a rate; else it is moved on at the end of a step."""
+    starts: str = ""
+    """Signal whose value it has on a still bench (a true reading, or `spool` [A]); empty: 0."""
 
 
 def parameter(
     unit: str, low: float, high: float, *, scale: float, neutral: float = 0.0, fit: Mapping[str, Any] | None = None
 ) -> Any:
     """Declare a parameter; its name is the attribute's. `fit`: by `fit`, of a cause that the diagnosis looks for."""
-    return {"unit": unit, "low": low, "high": high, "scale": scale, "neutral": neutral, "fit": fit}
+    about: dict[str, Any] = {"name": "", "unit": unit, "low": low, "high": high, "neutral": neutral}
+    return Parameter(**about, scale=scale, fit=FitParameter(**{**about, **fit}) if fit else None)
 
 
 def fit(*probes: float, smallest: float = 0.0, **more: Any) -> dict[str, Any]:
@@ -107,10 +96,9 @@ def fit(*probes: float, smallest: float = 0.0, **more: Any) -> dict[str, Any]:
     return {"probes": probes, "smallest": smallest, **more}
 
 
-def _parameter(name: str, declared: Mapping[str, Any]) -> Parameter:
-    about = {key: declared[key] for key in ("unit", "low", "high", "neutral")}
-    fitted = FitParameter(**{"name": name, **about, **declared["fit"]}) if declared["fit"] else None
-    return Parameter(name=name, scale=declared["scale"], fit=fitted, **about)
+def hidden(unit: str, *, scale: float, integrated: bool = False, starts: str = "") -> Any:
+    """Declare a hidden state; its name is the attribute's."""
+    return Hidden(name="", unit=unit, scale=scale, integrated=integrated, starts=starts)
 
 
 _DISPLAY_UNITS = {
@@ -124,11 +112,6 @@ _IN_SENTENCES = {"1/s": 100.0, "Pa s/m3": 1e-12}
 def display_unit(unit: str) -> tuple[str, float]:
     """Return the unit in which sentences state values, and the factor from SI."""
     return _DISPLAY_UNITS.get(unit, (unit, 1.0))
-
-
-def hidden(unit: str, *, scale: float, integrated: bool = False) -> Any:
-    """Declare a hidden state; its name is the attribute's."""
-    return {"unit": unit, "scale": scale, "integrated": integrated}
 
 
 @dataclass
@@ -165,7 +148,7 @@ class Effect:
     """A physical effect beyond the textbook equations. Subclasses override the terms in which they act."""
 
     id: ClassVar[str]
-    equations: ClassVar[tuple[str, ...]] = ()
+    equations: tuple[str, ...] = ()
     """Equations in which it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
     balances: ClassVar[frozenset[str]] = frozenset()
     """Balances in which it shows (pressure, motion, load, hydraulic), if not those of its equations."""
@@ -175,9 +158,11 @@ class Effect:
     """Ids of effects without which this one does nothing."""
     scales: ClassVar[str] = ""
     """Number of the bench file that times its `ratio` is the same, if it acts in another place; empty if none."""
-    says: ClassVar[str] = ""
+    says: str = ""
     """`sentence`, with the parameters by name in the units of `display_unit`, and the `effect`; `size` of the first
     parameter, and whether that is `more` or less than nothing."""
+    shown: ClassVar[Mapping[str, float]] = {}
+    """Factors of parameters in the sentence, if not those of `display_unit`."""
     options: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Keys of an entry beside its parameters (chamber, cell, sensor, form), and their possible values."""
     single: ClassVar[bool] = False
@@ -192,15 +177,17 @@ class Effect:
     states: ClassVar[tuple[Hidden, ...]] = ()
 
     def __init_subclass__(cls) -> None:
-        own = {name: value for name, value in vars(cls).items() if isinstance(value, dict) and "scale" in value}
-        for name in own:
+        parameters, states = {one.name: one for one in cls.parameters}, list(cls.states)
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter | Hidden)}
+        for name, one in own.items():
             if hasattr(Effect, name):
                 raise TypeError(f"{cls.__name__}: {name} is the name of a term, not of a parameter or a state")
             delattr(cls, name)
-        numbers = [_parameter(name, value) for name, value in own.items() if "neutral" in value]
-        hiddens = [Hidden(name=name, **value) for name, value in own.items() if "integrated" in value]
-        parameters = {one.name: one for one in (*cls.parameters, *numbers)}  # declared again: in the place of the first
-        cls.parameters, cls.states = tuple(parameters.values()), cls.states + tuple(hiddens)
+            if isinstance(one, Hidden):
+                states.append(replace(one, name=name))
+            else:  # declared again: in the place of the first
+                parameters[name] = replace(one, name=name, fit=one.fit and replace(one.fit, name=name))
+        cls.parameters, cls.states = tuple(parameters.values()), tuple(states)
 
     def __init__(self, **chosen: str) -> None:
         self.at: Any = None
@@ -229,7 +216,7 @@ class Effect:
     def sentence(self, values: Mapping[str, float]) -> str:
         """Return a description of the effect for a person at the bench."""
         factors = {one.name: _IN_SENTENCES.get(one.unit, display_unit(one.unit)[1]) for one in self.parameters}
-        shown = {name: factor * values[name] for name, factor in factors.items()}
+        shown = {name: factor * values[name] for name, factor in (factors | dict(self.shown)).items()}
         first = next(iter(shown.values()))
         said = self.says.format(effect=self, size=abs(first), more="more" if first > 0.0 else "less", **shown)
         return said[0].upper() + said[1:]
@@ -241,7 +228,7 @@ class Effect:
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         """Return the hidden states at rest by name, 0 if absent; `signals`: true readings, and `spool` [A]."""
-        return {}
+        return {one.name: signals[one.starts] for one in self.states if one.starts}
 
     def command(self, spool: Symbol) -> Symbol:
         """Return the mean position of the spool [A] over a step."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from itertools import product
+from math import isfinite
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,10 +23,8 @@ from hydro_sim.model.effects.closure import Closure
 
 EFFECTS_MAX = 24
 """Largest number of effects of a bench."""
-
 CLOSURES_MAX = 6
 """Largest number of closures of a bench."""
-
 DELAY_MAX = 62e-3
 """Largest sum [s] of dead times."""
 
@@ -78,11 +77,8 @@ _TABLE: tuple[type[Effect], ...] = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECT
 _NAMED: tuple[type[Effect], ...] = (*_TABLE, *(closure.effect_class(one) for one in grown.EFFECTS))
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
 """Effects by id and options, as `label` writes them."""
-
 KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
 """Effects and closures."""
-
-
 LISTED_NAMES_MAX = 5
 """Largest number of names listed in a message."""
 
@@ -101,11 +97,22 @@ def parse_entry(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
         raise ValueError(f"effect {name!r} is not known" + (f"; there is {', '.join(known)}" if known else ""))
     if not isinstance(parameters, Mapping):
         raise ValueError(f"effect {name}: 'parameters' is a mapping of names to numbers")
-    kind = KINDS[name]
-    unknown = [key for key in parameters if key not in {parameter.name for parameter in kind.parameters}]
+    kind, values = KINDS[name], list[float]()
+    unknown = [key for key in parameters if key not in {one.name for one in kind.parameters}]
     if unknown:
         raise ValueError(f"effect {name} has no parameter {unknown[0]!r}")
-    return kind, tuple(parameter.read(name, parameters) for parameter in kind.parameters)
+    for one in kind.parameters:
+        if one.name not in parameters:
+            raise ValueError(f"effect {name} lacks its parameter {one.name} [{one.unit}]")
+        try:
+            value = float(parameters[one.name])  # PyYAML reads 1e9 as a text
+        except (TypeError, ValueError):
+            value = float("nan")
+        if not (isfinite(value) and one.low <= value <= one.high):
+            wanted = f"a number in [{one.low:g}, {one.high:g}] {one.unit}"
+            raise ValueError(f"effect {name}: {one.name} = {parameters[one.name]!r} is not {wanted}")
+        values.append(value)
+    return kind, tuple(values)
 
 
 def total_delay(effects: Sequence[Mapping[str, Any]]) -> float:
@@ -113,50 +120,21 @@ def total_delay(effects: Sequence[Mapping[str, Any]]) -> float:
     return sum(parse_entry(effect)[1][0] for effect in effects if effect["id"] == valve.TransportDelay.id)
 
 
-Numbers = dict[str, float | None]
-
-
-def correct_numbers(
-    numbers: Numbers, limits: Mapping[str, tuple[float, float]], effects: Sequence[Mapping[str, Any]]
-) -> Numbers:
-    """Return a bench's numbers with all correcting effects applied in order, clipped to `limits`."""
-    n = SimpleNamespace(**numbers)
-    for effect in effects:
-        kind, values = parse_entry(effect)
-        before = dict(vars(n))
-        kind.bound(dict(zip((one.name for one in kind.parameters), values, strict=True))).correct(n)
-        for name, (low, high) in limits.items():
-            value = getattr(n, name)
-            if value is not None and value != before[name]:
-                setattr(n, name, min(max(value, low), high))
-    return dict(vars(n))
-
-
 def check_effects(effects: Sequence[Mapping[str, Any]]) -> None:
-    """Raise ValueError for effects that cannot be simulated.
-
-    Raises ValueError: in one sentence: an effect that is unknown, lacks a parameter, or is given more often than it can
-    be.
-    """
-    kinds = [(label(effect), parse_entry(effect)[0]) for effect in effects]
-    closures = sum(kind.effect.id == Closure.id for _, kind in kinds)
+    """Raise ValueError in one sentence for an effect that is unknown, lacks a parameter, or is given too often."""
+    entries = [(label(effect), *parse_entry(effect)) for effect in effects]
+    closures = sum(kind.effect.id == Closure.id for _, kind, _ in entries)
     if closures > CLOSURES_MAX:
         raise ValueError(f"{closures} closures are more than the {CLOSURES_MAX} that are simulated at once")
-    for effect in effects:
-        _check_range(effect)
-    names = [name for name, _ in kinds]
-    for name, kind in kinds:
+    for name, kind, values in entries:
+        given = dict(zip((one.name for one in kind.parameters), values, strict=True))
+        if kind.effect.id == Closure.id and "low" in given and not given["low"] < given["high"]:
+            raise ValueError(f"effect {name}: low must be below high")
+    names = [name for name, _, _ in entries]
+    for name, kind, _ in entries:
         if kind.effect.single and names.count(name) > 1:
             raise ValueError(f"effect {name} is given twice")
-    if len(kinds) > EFFECTS_MAX:
-        raise ValueError(f"{len(kinds)} effects are more than the {EFFECTS_MAX} that are simulated at once")
+    if len(entries) > EFFECTS_MAX:
+        raise ValueError(f"{len(entries)} effects are more than the {EFFECTS_MAX} that are simulated at once")
     if total_delay(effects) > DELAY_MAX:
         raise ValueError(f"dead times add up to more than {DELAY_MAX / SAMPLE_PERIOD:g} ms")
-
-
-def _check_range(effect: Mapping[str, Any]) -> None:
-    """Refuse a table that does not end above where it begins."""
-    kind, values = parse_entry(effect)
-    given = dict(zip((parameter.name for parameter in kind.parameters), values, strict=True))
-    if kind.effect.id == Closure.id and "low" in given and not given["low"] < given["high"]:
-        raise ValueError(f"effect {label(effect)}: low must be below high")

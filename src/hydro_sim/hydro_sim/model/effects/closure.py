@@ -13,20 +13,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hydro_sim.model import equations as eq
-from hydro_sim.model import grammar, tables
-from hydro_sim.model.effects.base import Effect, FitParameter, Parameter, fit, hidden, parameter
+from hydro_sim.model import grammar, laws, tables
+from hydro_sim.model.effects.base import Effect, FitParameter, fit, hidden, parameter
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import (
-    BOUND_MAX,
-    REVERSAL_VELOCITY,
-    Element,
-    Law,
-    Number,
-    Signals,
-    edge_losses,
-    sensor_signals,
-    spool_shift_losses,
-)
+from hydro_sim.model.laws import BOUND_MAX, REVERSAL_VELOCITY, Element, Law, Signals
 from hydro_sim.model.tables import Table
 
 # --- where they act --------------------------------------------------------------------------------------------------
@@ -64,6 +54,14 @@ class Closure(Effect):
         """State of the law at the end of a step in which its signal has come to this."""
         return self._past()
 
+    def _followed(self) -> Symbol:
+        """Signal of the law's element at this instant; time alone is 1."""
+        p_a, p_b = self.at.pressures
+        loaded = self.law.where == "load_force"
+        force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
+        now = Signals(self.at.position, self.at.velocity, p_a, p_b, self.at.spool, force)
+        return 1.0 if self.element.signal == "time" else getattr(now, self.element.signal)
+
 
 class MotionClosure(Closure):
     """A force against the motion."""
@@ -89,7 +87,7 @@ class EdgeClosure(Closure):
         n, spool = self.at.numbers, self.at.spool
         openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
         past = self._past()
-        return edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.replace(memory=past)))
+        return laws.edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.replace(memory=past)))
 
 
 class SpoolShiftClosure(Closure):
@@ -98,7 +96,7 @@ class SpoolShiftClosure(Closure):
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
         at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, spool)
-        return spool_shift_losses(n, spool, self._value(at), (pressure_a, pressure_b))
+        return laws.spool_shift_losses(n, spool, self._value(at), (pressure_a, pressure_b))
 
 
 class LoadMassClosure(Closure):
@@ -128,7 +126,7 @@ class SensorClosure(Closure):
         beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
                   "pressure_b": pressure_b, "current": getattr(self, "held", 0.0),
                   "acceleration": self.at.acceleration}  # fmt: skip
-        return signal + self._value(replace(sensor_signals(channel, signal, beside), memory=self._past()))
+        return signal + self._value(replace(laws.sensor_signals(channel, signal, beside), memory=self._past()))
 
 
 class ValveClosure(Closure):
@@ -143,41 +141,15 @@ class ValveClosure(Closure):
 # --- what they remember ----------------------------------------------------------------------------------------------
 
 
-class MemoryClosure(Closure):
-    """Law with a state that depends on one signal of the bench."""
-
-    def _began(self, signals: Mapping[str, Symbol]) -> Symbol:
-        """Its signal on a still bench."""
-        if self.element.signal == "force":
-            return signals[self.law.where]
-        return signals[
-            {"position": "piston_position", "current": "spool"}.get(self.element.signal, self.element.signal)
-        ]
-
-    def _now(self) -> Symbol:
-        """Its signal at this instant; time alone is 1."""
-        p_a, p_b = self.at.pressures
-        loaded = self.law.where == "load_force"
-        force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
-        now = Signals(self.at.position, self.at.velocity, p_a, p_b, self.at.spool, force)
-        return 1.0 if self.element.signal == "time" else getattr(now, self.element.signal)
-
-
-class LagClosure(MemoryClosure):
+class LagClosure(Closure):
     """Law with a first-order lag of a signal, its magnitude or time."""
 
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"past": self._began(signals)} if self.element.kind == "lag" else {}
-
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        return {"past": (self._now() - self.past) / self.time}
+        return {"past": (self._followed() - self.past) / self.time}
 
 
 class SpoolLagClosure(Closure):
     """First-order lag of the spool's position, constant over a step."""
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"past": signals["spool"]} if self.element.kind == "lag" else {}
 
     def command(self, spool: Symbol) -> Symbol:
         commanded = super().command(spool)
@@ -194,11 +166,8 @@ class SpoolLagClosure(Closure):
         return 1.0 if self.element.signal == "time" else getattr(Signals(current=spool), self.element.signal)
 
 
-class HysteresisClosure(MemoryClosure):
+class HysteresisClosure(Closure):
     """Law with hysteresis in the piston's position, the current or a sensor's signal."""
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": self._began(signals)}
 
     def command(self, spool: Symbol) -> Symbol:
         if self.element.signal == "current":
@@ -207,7 +176,7 @@ class HysteresisClosure(MemoryClosure):
 
     def advance_states(self, position: Symbol, velocity: Symbol) -> None:
         if self.element.signal != "current":
-            now = position if self.element.signal == "position" else self._now()
+            now = position if self.element.signal == "position" else self._followed()
             self.next["bent"], self.next["where"] = self._remembered(now), now
 
     def _past(self) -> Symbol:
@@ -223,56 +192,49 @@ class HysteresisClosure(MemoryClosure):
 
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
-_SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "-": 1.0}
+_ACTING = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure,
+           "edges": EdgeClosure, "across": SpoolShiftClosure}  # fmt: skip
+"""By the equation, or by where at the valve; other equations are those of flows."""
+_FOLLOWED = {"position": ("m", 1e-2), "current": ("A", 1e-3), "opening": ("A", 1e-3), "force": ("N", 100.0),
+             "speed": ("m/s", 0.05), "velocity": ("m/s", 0.05), "time": ("-", 1.0)}  # fmt: skip
+"""Unit and typical size of the signals that elements follow; others are pressures."""
 
 
 def closure_class(law: Law | Table) -> type[Closure]:
     """Return the effect class of a law or table."""
-    size = law.typical
+    size, element = law.typical, law.element
     amplitude = parameter(law.unit, -_REACH * size, _REACH * size, scale=size, fit=fit(size, smallest=1e-3 * size))
     members: dict[str, Any] = dict.fromkeys(law.names, amplitude)
-    element = law.element
     if isinstance(law, Table):
         over = tables.VARIABLES[law.variable]
         members |= {name: parameter(over, -BOUND_MAX, BOUND_MAX, scale=1.0) for name in ("low", "high")}
     else:
-        members |= {one.name: _number(one) for one in law.numbers}
-    if element is not None:
-        members |= {**_states(element, law), "element": element}
-    elif law.depends_on_current:
-        members |= {"held": hidden("A", scale=1e-3)}
+        for one in law.numbers:  # the recorded velocity is smoothed, so that over which a law reverses is known less
+            middle = one.probes[len(one.probes) // 2]
+            low, high = (-BOUND_MAX, BOUND_MAX) if one.over else (0.1 * one.probes[0], 10.0 * one.probes[-1])
+            fitted = fit(*one.probes, systematic=0.6 if one.name == REVERSAL_VELOCITY.name else 0.01)
+            members[one.name] = parameter(one.unit, low, high, scale=abs(middle), neutral=middle, fit=fitted)
+    acts = _ACTING.get(law.where) or _ACTING.get(law.equation, FlowClosure)
+    bases: tuple[type[Closure], ...] = (acts,)
+    if element is None:
+        if law.depends_on_current:
+            members["held"] = hidden("A", scale=1e-3)
+        if "acceleration" in law.uses and law.equation == "load":
+            bases = (LoadMassClosure,)
+    else:
+        unit, scale = _FOLLOWED.get(element.signal, ("Pa", 1e6))
+        starts = {"force": law.where, "position": "piston_position", "current": "spool"}
+        start = "" if element.kind == "slow" else starts.get(element.signal, element.signal)
+        if element.kind == "path":
+            bases, members["bent"] = (HysteresisClosure, acts), hidden("-", scale=1.0)
+            members["where"] = hidden(unit, scale=scale, starts=start)
+        else:
+            bases = SpoolLagClosure if acts is ValveClosure else LagClosure, acts
+            members["past"] = hidden(unit, scale=scale, integrated=acts is not ValveClosure, starts=start)
+        members["element"] = element
     members |= {"law": law, "shaken": "acceleration" in law.uses, "__doc__": Closure.__doc__}
     members |= {"options": {"equation": (law.equation,), "form": (law.form,)}}
-    return type("Closure", _bases(law, element), members)
-
-
-def _number(number: Number) -> dict[str, Any]:
-    """A law's further number; the recorded velocity is smoothed, so that over which it reverses is known less."""
-    middle, systematic = number.probes[len(number.probes) // 2], 0.6 if number.name == REVERSAL_VELOCITY.name else 0.01
-    fitted = fit(*number.probes, systematic=systematic)
-    return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle, fit=fitted)
-
-
-def _states(element: Element, law: Law | Table) -> dict[str, Any]:
-    """An element's hidden states."""
-    unit, scale = element.signal_unit, _SCALES[element.signal_unit]
-    if element.kind == "path":
-        return {"bent": hidden("-", scale=1.0), "where": hidden(unit, scale=scale)}
-    spool = law.equation == "actuation" and not law.where
-    return {"past": hidden(unit, scale=scale, integrated=not spool)}
-
-
-_PLACES = {"edges": EdgeClosure, "across": SpoolShiftClosure}
-
-
-def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
-    acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
-    acts = _PLACES.get(law.where) or acting.get(law.equation, FlowClosure)
-    if element is None:
-        return (LoadMassClosure if "acceleration" in law.uses and law.equation == "load" else acts,)
-    if element.kind == "path":
-        return HysteresisClosure, acts
-    return SpoolLagClosure if acts is ValveClosure else LagClosure, acts
+    return type("Closure", bases, members)
 
 
 EFFECTS = tuple(closure_class(law) for law in grammar.FORMS.values())
@@ -311,13 +273,11 @@ def effect_class(named: NamedLaw) -> type[Effect]:
     acting = closure_class(named.law)
     about = {"id": named.id, "options": {}, "__doc__": named.law.sentence}
     effect: Any = type(named.id, (acting,), about)
-    effect.parameters = tuple(_seen(one, named) for one in acting.parameters)
+    effect.parameters = ()
+    for one in acting.parameters:  # within the bounds, and fitted from what was seen
+        (low, high), size = named.bounds[one.name], named.typical_parameters[one.name]
+        smallest = _SMALLEST * abs(size) if one.fit and one.fit.smallest > 0.0 else 0.0
+        changes: dict[str, Any] = {"low": low, "high": high, "probes": (size,), "smallest": smallest}
+        fitted = one.fit and replace(one.fit, **changes, systematic=0.01)
+        effect.parameters += (replace(one, low=low, high=high, fit=fitted),)
     return effect
-
-
-def _seen(one: Parameter, named: NamedLaw) -> Parameter:
-    """A parameter within the bounds of a grown effect, and fitted from what was seen."""
-    (low, high), size = named.bounds[one.name], named.typical_parameters[one.name]
-    smallest = _SMALLEST * abs(size) if one.fit and one.fit.smallest > 0.0 else 0.0
-    changes: dict[str, Any] = {"low": low, "high": high, "probes": (size,), "smallest": smallest, "systematic": 0.01}
-    return replace(one, low=low, high=high, fit=replace(one.fit, **changes) if one.fit else None)

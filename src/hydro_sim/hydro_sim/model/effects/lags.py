@@ -65,7 +65,6 @@ def lag_rates(bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol) -
 
 
 def _exponential(system: list[list[Symbol]], reach: Symbol) -> Symbol:
-    """exp(system * reach)."""
     from casadi import SX, horzcat, vertcat
 
     small = vertcat(*(horzcat(*row) for row in system)) * (reach / 2.0**SQUARINGS)

@@ -20,20 +20,12 @@ from hydro_sim.model.equations import Symbol, choose, clip
 
 QUADRATIC_DEPTH = 5e-3
 """Depth [m] at which a quadratic cushion has the force of the linear one."""
-
 LEVEL_MIN = 1e-6
 """Lower bound [N] of a bristle's level."""
-
 STRONGEST = 5e3
 """Largest force [N] of a cause, unless the recorded machine is larger."""
-
 HEAVIEST = 1e6
 """Largest damping [N s/m], the same."""
-
-
-def above_zero(low: float, of_bench: float) -> float:
-    """Return the lowest change that leaves a value of the bench file above zero; `low` where that is not known."""
-    return -of_bench if isfinite(of_bench) else low
 
 
 class _Friction(Effect):
@@ -100,7 +92,7 @@ class FrictionViscousDirectional(_Friction):
 
     def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         extending, retracting = super().fit_parameters(bench)
-        low = above_zero(-HEAVIEST, bench.viscous_friction)
+        low = -bench.viscous_friction if isfinite(bench.viscous_friction) else -HEAVIEST
         return replace(extending, low=low), replace(retracting, low=low, probes=(-15.0 if low < -30.0 else 15.0,))
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
@@ -205,10 +197,7 @@ class BacklashPlay(Backlash):
     options = {"form": ("play",)}
     says = "The load has {width:.3g} mm of lost motion whenever the direction changes."
     single = True
-    dragged = hidden("m", scale=1e-2)
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"dragged": signals["piston_position"]}
+    dragged = hidden("m", scale=1e-2, starts="piston_position")
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
         return force - self.at.numbers.spring_stiffness * (position - self._end(position))

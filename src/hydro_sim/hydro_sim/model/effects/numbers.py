@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
+from math import isfinite
 from typing import Any, ClassVar
 
 from hydro_sim.model.effects.base import Effect, FitParameter, fit, parameter
-from hydro_sim.model.effects.motion import HEAVIEST, above_zero
+from hydro_sim.model.effects.motion import HEAVIEST
 
 
 class Correction(Effect):
     """A number of the bench file is wrong."""
 
-    number: ClassVar[str]
+    number: str
     """Its name in bench.yaml."""
 
 
@@ -26,7 +26,8 @@ class Change(Correction):
 
     def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         (change,) = super().fit_parameters(bench)
-        return (replace(change, low=self.least * above_zero(change.low, getattr(bench, self.number))),)
+        filed = getattr(bench, self.number)
+        return (replace(change, low=self.least * (-filed if isfinite(filed) else change.low)),)
 
     def correct(self, n: Any) -> None:
         setattr(n, self.number, getattr(n, self.number) + getattr(self, self.parameters[0].name))
@@ -47,7 +48,7 @@ class TrueValue(Correction):
 class Ratio(Correction):
     """The true value over the file's."""
 
-    words: ClassVar[str]
+    words: str
     """The number in words."""
     says = "The {effect.words} is {ratio:.4g} times what the bench file says."
 
@@ -115,10 +116,9 @@ class TankPressure(TrueValue):
 
     id, number = "tank_pressure", "tank_pressure"
     equations = ("actuation",)
+    says = "The tank stands at {pressure:.3g} MPa, not at what the bench file says."
+    shown = {"pressure": 1e-6}
     pressure = parameter("Pa", 0.0, 1e7, scale=1e5, fit=fit(2e5, smallest=1e4, high=5e6))
-
-    def sentence(self, values: Mapping[str, float]) -> str:
-        return f"The tank stands at {values['pressure'] * 1e-6:.3g} MPa, not at what the bench file says."
 
 
 class PistonArea(Ratio):
@@ -146,17 +146,10 @@ class DeadVolume(Ratio):
     options = {"chamber": ("a", "b")}
     ratio = ratio_parameter(0.1, smallest=0.004, low=0.1, high=10.0)
 
-    @property
-    def number(self) -> str:  # type: ignore[override]
-        return f"dead_volume_{self.chamber}"
-
-    @property
-    def words(self) -> str:  # type: ignore[override]
-        return f"dead volume of chamber {self.chamber.upper()}"
-
-    @property
-    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
-        return (f"pressure_{self.chamber}",)
+    def __init__(self, **chosen: str) -> None:
+        super().__init__(**chosen)
+        self.number, self.equations = f"dead_volume_{self.chamber}", (f"pressure_{self.chamber}",)
+        self.words = f"dead volume of chamber {self.chamber.upper()}"
 
 
 EFFECTS = (

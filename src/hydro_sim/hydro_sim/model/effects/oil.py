@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from hydro_sim.model.effects.base import Effect, fit, hidden, parameter
@@ -12,10 +10,8 @@ from hydro_sim.model.equations import Symbol, orifice
 
 ORIFICE_REFERENCE_DROP = 5e6
 """Pressure drop [Pa] at which a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
-
 ATMOSPHERE = 101325.0
 """Pressure [Pa] at which the free air's volume fraction is stated."""
-
 
 _CHAMBERS = "pressure_a", "pressure_b"
 _LAMINAR = fit(1e-13, smallest=1e-15, high=1e-10)
@@ -60,10 +56,8 @@ class LeakageInternalOrifice(LeakageInternal):
     """Flow between the chambers through a sharp edge."""
 
     options = {"form": ("orifice",)}
-
-    def sentence(self, values: Mapping[str, float]) -> str:
-        flow = 1e6 * ORIFICE_REFERENCE_DROP * values["coefficient"]
-        return f"Oil leaks between the chambers as through a sharp edge, {flow:.3g} ml/s at 5 MPa between them."
+    says = "Oil leaks between the chambers as through a sharp edge, {coefficient:.3g} ml/s at 5 MPa between them."
+    shown = {"coefficient": 1e6 * ORIFICE_REFERENCE_DROP}
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         across = orifice(self.coefficient * np.sqrt(ORIFICE_REFERENCE_DROP), pressure_a - pressure_b)
@@ -78,13 +72,10 @@ class LeakageExternal(Effect):
     family = "leak"
     coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13, fit=_LAMINAR)
 
-    @property
-    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
-        return (f"pressure_{self.chamber}",)
-
-    @property
-    def says(self) -> str:  # type: ignore[override]
-        return f"Chamber {self.chamber.upper()} leaks to the tank, {{coefficient:.3g}} ml/s per MPa."
+    def __init__(self, **chosen: str) -> None:
+        super().__init__(**chosen)
+        self.equations = (f"pressure_{self.chamber}",)
+        self.says = f"Chamber {self.chamber.upper()} leaks to the tank, {{coefficient:.3g}} ml/s per MPa."
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         tank = self.at.numbers.tank_pressure
@@ -114,11 +105,9 @@ class EntrainedAir(Effect):
     equations = _CHAMBERS
     family = "oil"
     exponent = 1.4
+    says = "{volume_fraction:.3g} % of free air (at atmospheric pressure) softens the oil where its pressure is low."
+    shown = {"volume_fraction": 100.0}
     volume_fraction = parameter("-", 0.0, 0.5, scale=0.005, fit=fit(0.003, 0.02, smallest=1e-4, high=0.3))
-
-    def sentence(self, values: Mapping[str, float]) -> str:
-        share = 100.0 * values["volume_fraction"]
-        return f"{share:.3g} % of free air (at atmospheric pressure) softens the oil where its pressure is low."
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
         gauge = np.fmax(pressure, 0.0)

@@ -29,16 +29,10 @@ class Sensor(Effect):
 
     equations = ("sensor",)
 
-    @property
-    def channel(self) -> str:
-        """The channel that the sensor fills."""
-        chosen = self.chosen.get("sensor") or self.chosen.get("cell")
-        return chosen or f"pressure_{self.chosen['chamber']}"
-
-    @property
-    def words(self) -> str:
-        """The sensor in words."""
-        return SENSORS[self.channel]
+    def __init__(self, **chosen: str) -> None:
+        super().__init__(**chosen)
+        self.channel = chosen.get("sensor") or chosen.get("cell") or f"pressure_{chosen['chamber']}"
+        self.words = SENSORS[self.channel]
 
 
 class SensorLag(Sensor):
@@ -94,7 +88,12 @@ class LoadCellGain(Sensor):
         return signal * self.ratio if channel == self.channel else signal
 
 
-class LoadCellBias(Sensor):
+class _Bias(Sensor):
+    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
+        return signal + getattr(self, self.parameters[0].name) if channel == self.channel else signal
+
+
+class LoadCellBias(_Bias):
     """A load cell's zero is wrong."""
 
     id = "load_cell_bias"
@@ -102,20 +101,14 @@ class LoadCellBias(Sensor):
     says = "A reading of {effect.words} is off by {force:.3g} N."
     force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(5.0, smallest=0.3, low=-5e3, high=5e3))
 
-    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
-        return signal + self.force if channel == self.channel else signal
 
-
-class PressureSensorBias(Sensor):
+class PressureSensorBias(_Bias):
     """A pressure sensor's zero is wrong."""
 
     id = "pressure_sensor_bias"
     options = {"chamber": ("a", "b")}
     says = "A reading of {effect.words} is off by {pressure:.4g} kPa."
     pressure = parameter("Pa", -1e7, 1e7, scale=5e4, fit=fit(5e4, smallest=2.5e3, low=-3e6, high=3e6))
-
-    def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
-        return signal + self.pressure if channel == self.channel else signal
 
 
 EFFECTS = (SensorLag, LoadCellGain, LoadCellBias, PressureSensorBias)

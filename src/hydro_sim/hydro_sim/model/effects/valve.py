@@ -7,8 +7,6 @@ average. Source: Merritt 1967, sections 5-3 to 5-6.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from hydro_sim.model.effects import lags
@@ -17,7 +15,6 @@ from hydro_sim.model.equations import Symbol, clip
 
 DRIFT_LOW, DRIFT_HIGH = 0.2, 5.0
 """Bounds of a gain that drifts with time: a simulation may run for hours."""
-
 
 _OVERLAP = fit(1e-4, 5e-4, smallest=5e-6, high=0.02)
 _RATIO = fit(0.9, smallest=0.004, low=0.2, high=5.0)
@@ -55,11 +52,8 @@ class ValveLag(_Valve):
     says = "The spool follows the current with a lag: bandwidth {bandwidth:.4g} Hz, damping {damping:.3g}."
     bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0, fit=_BANDWIDTH)
     damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=1.0, fit=fit(0.8, low=0.2, high=3.0, neutral=0.8))
-    spool = hidden("A", scale=1e-3)
+    spool = hidden("A", scale=1e-3, starts="spool")
     rate = hidden("A/s", scale=0.1)
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"spool": signals["spool"]}
 
     def command(self, spool: Symbol) -> Symbol:
         moved, mean = lags.step_constant_input(self.at, self.bandwidth, self.damping, (self.spool, self.rate), spool)
@@ -78,10 +72,7 @@ class ValveLagFirstOrder(_Valve):
     options = {"form": ("first_order",)}
     says = "The spool follows the current with a first-order lag of {bandwidth:.4g} Hz."
     bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0, fit=_BANDWIDTH)
-    spool = hidden("A", scale=1e-3)
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"spool": signals["spool"]}
+    spool = hidden("A", scale=1e-3, starts="spool")
 
     def command(self, spool: Symbol) -> Symbol:
         reach = self.at.once(2.0 * np.pi * self.bandwidth * self.at.step)
@@ -182,20 +173,18 @@ class ValveNullLeakage(_Valve):
                       fit=fit(2e-4, 1e-3, 4e-3, low=2e-5, high=2e-2, neutral=5e-4, reported=False))  # fmt: skip
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
-        wear = self.coefficient * _profile(self.form, np.abs(spool) / self.width)
+        ratio = np.abs(spool) / self.width
+        match self.form:
+            case "exponential":
+                share = np.exp(-ratio)
+            case "gaussian":
+                share = np.exp(-ratio * ratio)
+            case "hyperbolic":
+                share = 1.0 / (1.0 + ratio)
+            case _:
+                share = 1.0 / (1.0 + ratio * ratio)
+        wear = self.coefficient * share
         return out + wear, back + wear
-
-
-def _profile(form: str, ratio: Symbol) -> Symbol:
-    """Share of the wear that is left where the spool is `ratio` widths from null."""
-    match form:
-        case "exponential":
-            return np.exp(-ratio)
-        case "gaussian":
-            return np.exp(-ratio * ratio)
-        case "hyperbolic":
-            return 1.0 / (1.0 + ratio)
-    return 1.0 / (1.0 + ratio * ratio)
 
 
 def _softplus(ratio: Symbol) -> Symbol:
