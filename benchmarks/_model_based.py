@@ -145,7 +145,7 @@ def run(
     fleet: VectorBench, cases: Sequence[Case], settings: EvaluationSettings, seed: int, on: Compensator
 ) -> FloatArray:
     """Run the compensated law on these cases; measured force [N], shape (n, samples)."""
-    steps = vector_runs.run(fleet, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), settings, seed, on)
+    steps = vector_runs.run(fleet, cases, vector_runs.fixed_gains(np.zeros(2), (0.0, 0.0)), settings, seed, on)
     forces = [np.zeros((len(cases), 1)), *(step.samples["load_force"].copy() for step in steps)]
     return np.concatenate(forces, axis=1)
 

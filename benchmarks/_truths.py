@@ -155,7 +155,7 @@ def tracked(
 def _played(case: Case, settings: EvaluationSettings) -> FloatArray:
     """The reference [N] as a box plays it behind settling."""
     if not case.pieces:
-        return reference_force(case.signal, np.arange(settings.settle, settings.length(case), SAMPLE_PERIOD))[0]
+        return reference_force(case.signal, np.arange(settings.settle, settings.duration(case), SAMPLE_PERIOD))[0]
     fade = SAMPLE_PERIOD * np.arange(recorded.SAMPLES)
     rising = 3.0 * (fade / FADE_TIME) ** 2 - 2.0 * (fade / FADE_TIME) ** 3
     parts, leaving = [], np.zeros(len(fade))

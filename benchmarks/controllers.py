@@ -66,7 +66,7 @@ SHOWN = {
 """Bars of the picture."""
 CONTROLLERS = {
     "policy": "the shipped policy, its mean action",
-    "compensated": "the compensated law, adaptive, from neutral coefficients",
+    "compensated": "the compensated law, adaptive, from the estimator's start values",
     "learned_residual": "the same with the learned residual",
     "equivalent_nominal": "the compensated law, its coefficients held, by a simulation of the shipped bench.yaml",
     "equivalent_diagnosed": "the same of the file that `diagnose` makes of two recordings of the truth, 20 s each",
@@ -112,7 +112,7 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
     count = len(cases)
     if name.endswith("_fixed"):
         gains = {"paper_fixed": PAPER_GAINS, "robust_fixed": ROBUST_GAINS}.get(name) or best_gains(config)
-        return measure(config, cases, vector_runs.fixed(np.array(gains)))
+        return measure(config, cases, vector_runs.fixed_gains(np.array(gains)))
     if name == "policy":
         shipped = load_initial_agent(SHIPPED)
         policy = policy_of(actor_parameters(shipped.agent), shipped)
@@ -124,7 +124,7 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
         residual = Residual(count, Network.load())
     elif name != "compensated":
         law = knowing(config, name, cases)
-    return measure(config, cases, vector_runs.fixed(np.zeros(2), (0.0, 0.0)), law, residual)
+    return measure(config, cases, vector_runs.fixed_gains(np.zeros(2), (0.0, 0.0)), law, residual)
 
 
 def knowing(config: TruthConfig, name: str, cases: Sequence[Case]) -> Fixed:
@@ -154,7 +154,7 @@ def best_gains(config: TruthConfig) -> tuple[float, float]:
     """The best pair of `evaluate --grid` on this truth, its runs shortened."""
     search = GridSearch(GRID)
     while (pair := search.next()) is not None:
-        fleet, gains = truth_fleet([config] * len(SHORT.cases)), vector_runs.fixed(np.array(pair))
+        fleet, gains = truth_fleet([config] * len(SHORT.cases)), vector_runs.fixed_gains(np.array(pair))
         search.tell(pair, vector_runs.rmse(fleet, SHORT.cases, gains, SHORT).tolist())
     return search.best
 

@@ -86,7 +86,7 @@ DOUBTS: dict[str, tuple[str, str, Change]] = {
     "harmless laws": ("laws: an error of what was held out that becomes larger",
                       "closure.admission:harmless", _answer(True)),
     "small laws": ("laws: less than a twentieth of the gap of what was held out",
-                   "closure.admission:MATTERS", _constant(-np.inf)),
+                   "closure.admission:PRACTICAL_SHARE", _constant(-np.inf)),
     "rough": ("curves first: rough recordings are named by their curve", "curves:ForceCurve.rough", _constant(False)),
 }  # fmt: skip
 """By name: what it does; where it is in hydro_diagnosis, `module:attribute`; what leaves it out."""

@@ -81,7 +81,7 @@ def main() -> None:
         best = search(frequency, asked.iterations, asked.seed)
         both = np.stack((np.broadcast_to(START, best.shape), best))
         fixed, scheduled = rmse(both, frequency, asked.seed)
-        law = track(vector_runs.fixed(np.array(BASE)), 1, frequency, asked.seed, Compensator(1))[0]
+        law = track(vector_runs.fixed_gains(np.array(BASE)), 1, frequency, asked.seed, Compensator(1))[0]
         other = rmse(best[np.newaxis], frequency, asked.seed + 1)[0]
         table.add(sine=frequency, fixed=fixed, scheduled=scheduled, other=other, law=law)
     table.show(asked.json)

@@ -86,7 +86,7 @@ class Driver:
                 self.executor.spin_once(timeout_sec=due)
                 continue
             steps, self._step = steps + 1, self._step + 1
-            self._commander.seek(time.monotonic())
+            self._commander.renew_lease(time.monotonic())
             if self._live is not None:
                 self._commander.law(self._live.command, self._step)
             delta_kp, delta_ki = self._rng.uniform((0.0, 0.0), self._largest)

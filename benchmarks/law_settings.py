@@ -88,7 +88,7 @@ def run(makers: dict[str, Maker], count: int, seed: int, *, yields: bool = False
     rows: dict[str, list[Row]] = {name: [] for name in makers}
     for config in progress(truths, label="benches", unit="bench"):
         for name, make in makers.items():
-            gains = vector_runs.fixed(np.zeros(2), (0.0, 0.0))
+            gains = vector_runs.fixed_gains(np.zeros(2), (0.0, 0.0))
             rows[name] += measure(config, SETTINGS.cases, gains, make(len(SETTINGS.cases)))
     return rows
 

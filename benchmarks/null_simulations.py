@@ -24,14 +24,14 @@ from benchmarks._report import parser, results
 from benchmarks.prove.blind import ENGINE
 from hydro_core.cli.console import Table, bounded_number, command
 from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_diagnosis.bench_numbers import completed
+from hydro_diagnosis.bench_numbers import parse_bench
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import simulated_recording
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_sim.model.bench import Bench
@@ -106,10 +106,10 @@ def covered(kind: str, strokes: bool, seed: int) -> list[tuple[bool, float]]:
     force = np.gradient(velocity, STEP) + 10.0 * np.sign(velocity) + 40.0 * velocity - 5.0
     read = {"piston_position": position + 1e-6 * rng.standard_normal(len(time))}
     read["hydraulic_force"] = disturbed(kind, force, rng)
-    bench = completed({"moving_mass": 1.0}, frozenset())
-    problem = Problem(checked(RawTable("run", time, None, read), bench).segments, bench)
+    bench = parse_bench({"moving_mass": 1.0}, frozenset())
+    problem = Problem(check_recording(RawTable("run", time, None, read), bench).segments, bench)
     claims = [Claim(effect.adapted(bench), FRICTION[effect.label]) for effect in LIBRARY if effect.label in FRICTION]
-    problem = problem.weighed(claims)
+    problem = problem.reweighted(claims)
     found = fit(problem, claims)
     truth = [value for claim in claims for value in claim.values.values()]
     pairs = zip(intervals(problem, found), truth, strict=True)

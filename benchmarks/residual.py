@@ -82,7 +82,7 @@ SCORED = 6000
 SKIPPED = 100
 """Policy steps at the begin of a run on which nothing is trained."""
 SETTINGS = EvaluationSettings(settle=2.0, measure=6.0)
-LAW = vector_runs.fixed(np.array(BASE))
+LAW = vector_runs.fixed_gains(np.array(BASE))
 CONTROLLERS = {"compensated": "compensated", "learned": "with the residual"}
 """With their columns of the tables."""
 

@@ -97,7 +97,7 @@ def best_fixed(simulated: Bench, believed: Bench) -> float:
     plants: Sequence[Plant] = [AnalyticPlant(simulated) for _ in range(len(GRID) * len(cases))]
     gains = np.repeat([(kp, INTEGRAL) for kp in GRID], len(cases), axis=0)
     fleet = VectorBench([believed] * len(plants), plants)
-    rmse = vector_runs.rmse(fleet, cases * len(GRID), vector_runs.fixed(gains), SETTINGS)
+    rmse = vector_runs.rmse(fleet, cases * len(GRID), vector_runs.fixed_gains(gains), SETTINGS)
     mean = rmse.reshape(len(GRID), len(cases)).mean(axis=1)
     return GRID[int(np.nanargmin(mean))]
 

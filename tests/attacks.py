@@ -110,7 +110,7 @@ class Defended:
             if now >= due:
                 due = now + 0.01
                 self.probe.commander.gains(75.0, 10.0)
-                self.probe.commander.seek(now)
+                self.probe.commander.renew_lease(now)
             if now >= next_one:
                 next_one = now + 0.005
                 besides()

@@ -60,7 +60,7 @@ class Probe:
                 return
             self._executor.spin_once(timeout_sec=0.02)
             if self.commands:
-                self.commander.seek(time.monotonic())
+                self.commander.renew_lease(time.monotonic())
 
     def drive(
         self, delta_kp: float, delta_ki: float, seconds: float, until: Callable[[], object] = lambda: False

@@ -86,7 +86,7 @@ class InlineLearner:
     def wake(self) -> None:
         """Work when `work` is called."""
 
-    def settle(self) -> None:
+    def wait_for_updates(self) -> None:
         """Nothing is due: `work` is called for that."""
 
     def save_policy(self, good: bytes) -> None:
@@ -130,7 +130,7 @@ class OfflineGraph(Outputs):
         self.corrector, self.answer = corrector, PASSED
         self.box, self.plant, self.time = Box(bench, config), plant, 0.0
         self.guard = CommandGuard(settings=guard or GuardSettings())
-        self.guard.offer(self.box.config.compensated)
+        self.guard.set_box_law(self.box.config.compensated)
         self.sentences: list[str] = []
         self.gains_published: list[tuple[float, float, int]] = []
         self.steps: list[tuple[int, tuple[float, float], float, int]] = []
@@ -146,7 +146,7 @@ class OfflineGraph(Outputs):
         """See `Outputs`."""
         self.guard.set_law(command, self.time)
 
-    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+    def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """See `Outputs`."""
         self.steps.append((step, mean, reward, weights))
 
@@ -159,7 +159,7 @@ class OfflineGraph(Outputs):
         """See `Outputs`."""
         self.guard.set_arm(arm)
 
-    def say(self, sentence: str, warning: bool = False) -> None:
+    def report(self, sentence: str, warning: bool = False) -> None:
         """See `Outputs`."""
         self.sentences.append(sentence)
 

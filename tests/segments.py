@@ -16,7 +16,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK
@@ -71,7 +71,7 @@ def claim(label: str, *sizes: float) -> Claim:
 def segment(states: StateArray, name: str = "run") -> Segment:
     """All fields of the nominal bench's run."""
     columns = {field: states[field].copy() for field in STATE_FIELDS}
-    return checked(RawTable(name, states["time"].copy(), None, columns), Bench.nominal()).segments[0]
+    return check_recording(RawTable(name, states["time"].copy(), None, columns), Bench.nominal()).segments[0]
 
 
 def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]:

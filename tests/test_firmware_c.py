@@ -15,7 +15,7 @@ import pytest
 
 from hydro_bridge.conformance.command import FAIL, PASS, run_cases, shipped_cases
 from hydro_bridge.conformance.host import Host
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.header import render_header
 from hydro_sim.emulator.line.terminal import Terminal
@@ -101,7 +101,7 @@ def linux_box(configured: Path) -> Iterator[End]:
 @pytest.mark.graph
 def test_the_box_for_linux_keeps_the_protocol_over_a_port(linux_box: End) -> None:
     cases = [case for case in shipped_cases() if case.id.startswith(IN_TIME)]
-    numbers = bench_file.read_numbers(Path(str(bench_file.shipped_bench_file())))
+    numbers = bench_digest.read_numbers(Path(str(bench_digest.shipped_bench_file())))
     results = run_cases(cases, lambda: Host(linux_box), numbers, moving=False)
     assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
     assert sum(result.outcome == PASS for result in results) >= 18

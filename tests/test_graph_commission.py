@@ -131,10 +131,10 @@ def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:
     made.write(tmp_path)
     again = Record.load(tmp_path, NAMES)
     assert again == made
-    assert again.hold(tmp_path, len(NAMES)) == 3
-    assert again.hold(tmp_path, 2) == 2 and not again.adopted and not again.comparison
+    assert again.reset_invalid_gates(tmp_path, len(NAMES)) == 3
+    assert again.reset_invalid_gates(tmp_path, 2) == 2 and not again.adopted and not again.comparison
     (tmp_path / "bench.yaml").write_text("one: 2\n")
-    assert Record.load(tmp_path, NAMES).hold(tmp_path, len(NAMES)) == 0
+    assert Record.load(tmp_path, NAMES).reset_invalid_gates(tmp_path, len(NAMES)) == 0
 
 
 def test_a_controller_that_was_stopped_or_under_which_the_piston_stood_is_left_out(tmp_path: Path) -> None:

@@ -242,8 +242,8 @@ def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path)
         require_matching_policy(files / name, box)
         require_matching_agent(load_initial_agent(files / name), box)
     bench = str(files / "own.yaml")
-    assert SimulationSetup(model="shipped").trouble() == ""
-    assert SimulationSetup(model="shipped", filter="learned").trouble() == ""
-    assert SimulationSetup(model=bench).trouble() == "", "the plant may be another than believed"
-    assert SimulationSetup(model=str(files / "own_model.yaml"), box=bench).trouble() == ""
+    assert SimulationSetup(model="shipped").pairing_error() == ""
+    assert SimulationSetup(model="shipped", filter="learned").pairing_error() == ""
+    assert SimulationSetup(model=bench).pairing_error() == "", "the plant may be another than believed"
+    assert SimulationSetup(model=str(files / "own_model.yaml"), box=bench).pairing_error() == ""
     requested_filter(OWN.replace("@", f"{files}/").split(), files / "own.yaml")

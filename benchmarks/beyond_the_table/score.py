@@ -142,7 +142,7 @@ def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
     if law is None:
         return False
     variables = {law.where if one == "force" else one for one in law.uses}
-    memory = law.element is not None and law.element.signal != "time"
+    memory = law.memory_element is not None and law.memory_element.signal != "time"
     right = variables == set(kind.variables.split()) and memory == kind.memory
     return right and (kind.degree is None or law.degree == kind.degree)
 

@@ -135,7 +135,7 @@ def _first(store: Store, authority: str, seed: int) -> Result:
     came = actor_parameters(start.agent)
     plan, progress = session.plan, session.plan.progress
     best, last = (came if found is None else found for found in (plan.best, plan.good))
-    told = {"episodes": progress.episode, "trips": graph.trips, "ended": str(plan.gave_up or "")}
+    told = {"episodes": progress.episode, "trips": graph.trips, "ended": str(plan.abort_reason or "")}
     told |= {key: [float(exam[key]) for exam in progress.exams] for key in ("score", "error")}
     told |= {"last": _rmse(store, _controller(start, last), seed)["rmse"]}
     return {**_rmse(store, _controller(start, best), seed), **told}
@@ -148,7 +148,7 @@ def train(
 
     A run that trips again and again ends after a minute for each episode, and ten more where there are examinations.
     """
-    settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed))
+    settings = start.adapt_settings(TrainingSettings(episodes=episodes, seed=seed))
     settings = replace(settings, exam=replace(settings.exam, every=every, repeats=2))
     reach = settings.task.gains
     guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)

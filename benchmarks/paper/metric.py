@@ -27,8 +27,8 @@ from benchmarks.paper import models
 from benchmarks.paper.models import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_core.signals import CorrectionStatus, FloatArray
-from hydro_filter.certificate import solve_qp
 from hydro_filter.controller.loop_filter import Result as Correction
+from hydro_filter.correction_qp import solve_qp
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import make_loop, make_samples
 from hydro_filter.model.records import law_gradient

@@ -22,7 +22,7 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_core.cli import jobs
 from hydro_core.signals import Flag
 from hydro_diagnosis.io.table import read_table
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import UnusableRecordingError
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.offline import record_offline, with_gain_limits_for, write_bag
@@ -66,7 +66,7 @@ def usable(bag: Path) -> bool:
     if (flags & Flag.TRIPPED).any() or np.mean((flags & Flag.SATURATED) > 0) > SATURATED:
         return False
     try:
-        recording = checked(read_table(bag), Bench.nominal())
+        recording = check_recording(read_table(bag), Bench.nominal())
     except UnusableRecordingError:
         return False
     return recording.seconds >= USED * 1e-3 * len(flags)

@@ -267,7 +267,7 @@ SHAPED = LawCommand(
 
 def compensated(**settings: object) -> CommandGuard:
     guard = CommandGuard(settings=GuardSettings(**settings))  # type: ignore[arg-type]
-    guard.offer(OFFERED)
+    guard.set_box_law(OFFERED)
     guard.set_law(SHAPED, 0.0)
     guard.set_gains(-100.0, 5.0, 0.0)
     guard.set_arm(True)
@@ -349,7 +349,7 @@ def test_a_coefficient_out_of_range_is_clamped_and_told_once():
 @pytest.mark.parametrize("first", list(Law))
 def test_another_law_is_refused_while_armed_and_taken_once_disarmed(first):
     guard = CommandGuard()
-    guard.offer(OFFERED)
+    guard.set_box_law(OFFERED)
     commands = {Law.PAPER: LawCommand(), Law.COMPENSATED: SHAPED}
     other = Law(1 - first)
     guard.set_law(commands[first], 0.0)
@@ -374,7 +374,9 @@ def test_a_box_without_the_compensated_law_refuses_it():
 def test_every_box_and_every_holder_begins_with_the_papers_law_and_the_safe_command():
     guard = CommandGuard()
     assert guard.command(0.0) == Command() and list(guard.take_events()) == []
-    for forget in (lambda guard: guard.offer(None), lambda guard: guard.offer(OFFERED), CommandGuard.release_law):
+    for forget in (
+        lambda guard: guard.set_box_law(None), lambda guard: guard.set_box_law(OFFERED), CommandGuard.release_law
+    ):  # fmt: skip
         guard = compensated()
         guard.set_arm(False)
         forget(guard)

@@ -7,7 +7,7 @@ from itertools import count
 
 import pytest
 
-from hydro_bridge.safety.lease import BY_HAND, KEPT, SILENCE, Lease
+from hydro_bridge.safety.lease import BY_HAND, HANDOVER_TIME, SILENCE, Lease
 
 
 @pytest.fixture
@@ -39,17 +39,17 @@ def test_a_silent_holder_is_succeeded_and_its_commands_are_refused(lease: Lease)
 
 def test_a_claim_lapses_with_silence_in_which_no_command_came(lease: Lease) -> None:
     lease.take("trainer", 0, 0.0)
-    assert not lease.lapse(SILENCE) and lease.holder
+    assert not lease.expire(SILENCE) and lease.holder
     assert lease.admits("gains", lease.epoch, SILENCE)
     assert "trainer commands" in lease.take("evaluate", 0, SILENCE + 0.1)
-    assert not lease.lapse(2 * SILENCE) and lease.lapse(2 * SILENCE + 0.1) and not lease.holder
-    assert not lease.lapse(100.0), "nobody is there to lose it"
+    assert not lease.expire(2 * SILENCE) and lease.expire(2 * SILENCE + 0.1) and not lease.holder
+    assert not lease.expire(100.0), "nobody is there to lose it"
 
 
 def test_what_carries_no_epoch_or_an_old_one_is_refused_and_counted(lease: Lease) -> None:
     lease.take("trainer", 0, 0.0)
     old = lease.epoch
-    lease.end(10.0)
+    lease.end_session(10.0)
     assert not lease.admits("gains", old, 10.1) and not lease.refused, "on its way when the session ended"
     assert not lease.admits("gains", old, 11.0)
     assert not lease.admits("gains", 0, 11.0)
@@ -58,19 +58,19 @@ def test_what_carries_no_epoch_or_an_old_one_is_refused_and_counted(lease: Lease
 
 
 def test_only_the_holder_can_give_it_back_and_an_heir_is_waited_for_but_not_for_ever(lease: Lease) -> None:
-    assert not lease.give(0, 0.0)
+    assert not lease.release(0, 0.0)
     lease.take("trainer", 0, 0.0)
     old = lease.epoch
-    assert not lease.give(lease.claim + 1, 1.0) and lease.holder
-    assert lease.give(lease.claim, 1.0, heir="evaluate") and not lease.holder
+    assert not lease.release(lease.claim + 1, 1.0) and lease.holder
+    assert lease.release(lease.claim, 1.0, heir="evaluate") and not lease.holder
     assert "handed over to evaluate" in lease.take("collect", 0, 1.1)
     assert "handed over to evaluate" in lease.take("trainer", 0, 1.1), "nor he who gave it"
     assert lease.take("evaluate", 0, 2.0) == "" and lease.holder == "evaluate"
     assert lease.epoch != old
-    lease.give(lease.claim, 3.0)
+    lease.release(lease.claim, 3.0)
     assert lease.take("collect", 0, 3.1) == "", "given back to whoever asks"
-    lease.give(lease.claim, 4.0, heir="evaluate")
-    assert lease.take("collect", 0, 4.0 + KEPT) == "", "the heir has not come"
+    lease.release(lease.claim, 4.0, heir="evaluate")
+    assert lease.take("collect", 0, 4.0 + HANDOVER_TIME) == "", "the heir has not come"
 
 
 def test_numbers_are_drawn_anew_and_are_never_0() -> None:
@@ -80,29 +80,29 @@ def test_numbers_are_drawn_anew_and_are_never_0() -> None:
 
 def test_what_a_person_disarmed_only_a_person_arms(lease: Lease) -> None:
     lease.take("trainer", 0, 0.0)
-    lease.disarmed(lease.claim)
-    assert lease.may_arm(lease.claim, 0, "") == "", "its own disarming"
-    lease.disarmed(0)
-    assert lease.may_arm(lease.claim, 0, "") == BY_HAND and lease.may_arm(0, 0, "") == ""
-    assert "trainer commands this plant, not evaluate" in lease.may_arm(0, 0, "evaluate")
-    assert "changed hands since" in lease.may_arm(0, lease.epoch + 1, "trainer")
-    lease.armed()
-    assert lease.may_arm(lease.claim, lease.epoch, "trainer") == ""
-    lease.disarmed(0)
+    lease.note_disarmed(lease.claim)
+    assert lease.arm_refusal(lease.claim, 0, "") == "", "its own disarming"
+    lease.note_disarmed(0)
+    assert lease.arm_refusal(lease.claim, 0, "") == BY_HAND and lease.arm_refusal(0, 0, "") == ""
+    assert "trainer commands this plant, not evaluate" in lease.arm_refusal(0, 0, "evaluate")
+    assert "changed hands since" in lease.arm_refusal(0, lease.epoch + 1, "trainer")
+    lease.note_armed()
+    assert lease.arm_refusal(lease.claim, lease.epoch, "trainer") == ""
+    lease.note_disarmed(0)
     lease.take("evaluate", 0, SILENCE + 0.1)
-    assert lease.may_arm(lease.claim, 0, "") == "", "the bar was the other's"
+    assert lease.arm_refusal(lease.claim, 0, "") == "", "the bar was the other's"
 
 
 def test_a_holder_that_disarms_by_its_claim_from_before_its_silence_may_arm(lease: Lease) -> None:
     lease.take("trainer", 0, 0.0)
     old = lease.claim
-    assert lease.lapse(SILENCE + 0.1)
+    assert lease.expire(SILENCE + 0.1)
     lease.take("trainer", old, SILENCE + 0.2)
-    lease.disarmed(old)  # asked for before the answer to the line above came
-    assert lease.claim != old and lease.may_arm(lease.claim, lease.epoch, "trainer") == ""
+    lease.note_disarmed(old)  # asked for before the answer to the line above came
+    assert lease.claim != old and lease.arm_refusal(lease.claim, lease.epoch, "trainer") == ""
 
 
 def test_corrections_do_not_renew_the_lease(lease: Lease) -> None:
     lease.take("trainer", 0, 0.0)
     assert lease.admits("correction", lease.epoch, SILENCE, renews=False)
-    assert lease.lapse(SILENCE + 0.1)
+    assert lease.expire(SILENCE + 0.1)

@@ -73,19 +73,24 @@ class HostClock:
 
     def __init__(self) -> None:
         self._wall = time.time_ns
-        self.offset = 0
-        """ROS time minus monotonic time, ns."""
-        while not self.detect_step():
+        while (offset := self._read()) is None:
             pass
+        self.offset = offset
+        """ROS time minus monotonic time, ns."""
 
     def detect_step(self) -> int:
         """Read both clocks; return by how much the host's clock was set since the last call, ns, mostly 0.
 
         Call it about once per sample.
         """
-        before = time.monotonic_ns()
-        step = self._wall() - before - self.offset
-        if time.monotonic_ns() - before > self._READING or abs(step) < self.STEP:
+        offset = self._read()
+        if offset is None or abs(offset - self.offset) < self.STEP:
             return 0
-        self.offset += step
+        self.offset, step = offset, offset - self.offset
         return step
+
+    def _read(self) -> int | None:
+        """Return wall time minus monotonic time, ns; None if this thread was interrupted between the two readings."""
+        before = time.monotonic_ns()
+        wall = self._wall()
+        return wall - before if time.monotonic_ns() - before <= self._READING else None

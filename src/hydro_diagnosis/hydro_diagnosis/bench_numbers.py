@@ -22,9 +22,9 @@ from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
 SPRING = ("spring_stiffness", "spring_rest_position")
-NONE = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
-"""Numbers of what a bench need not have, as they are where they are not given."""
-_INERT = {"stroke": 5.0, "valve_current_max": 10.0}
+OPTIONAL_NUMBERS = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
+"""Numbers that a bench need not have, and their values where they are not given."""
+_STAND_INS = {"stroke": 5.0, "valve_current_max": 10.0}
 """Stand-ins that no recording comes near; the others are those of the nominal bench."""
 
 
@@ -41,7 +41,7 @@ class PartialBench(Bench):
 
     def to_mapping(self) -> dict[str, Any]:
         """Return keys and values of what is known."""
-        still = {name for name in self.absent if getattr(self, name) == NONE[name]}
+        still = {name for name in self.absent if getattr(self, name) == OPTIONAL_NUMBERS[name]}
         hidden = {"unknown", "absent", *self.unknown, *still}
         return {key: value for key, value in super().to_mapping().items() if key not in hidden}
 
@@ -61,8 +61,8 @@ def lacks(bench: Bench, name: str) -> bool:
     return isinstance(bench, PartialBench) and name in bench.unknown | bench.absent
 
 
-def hiding(bench: Bench, names: Collection[str]) -> Bench:
-    """The bench as if these numbers were not known: their values are stand-ins."""
+def with_unknown(bench: Bench, names: Collection[str]) -> Bench:
+    """Return the bench with these numbers marked as unknown: their values are stand-ins."""
     if not names:
         return bench
     values = {entry.name: getattr(bench, entry.name) for entry in fields(bench)}
@@ -77,25 +77,28 @@ def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Ben
     """
     content = read_yaml(path)
     try:
-        return completed(content, estimated)
+        return parse_bench(content, estimated)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def completed(content: Mapping[str, Any], estimated: frozenset[str] = frozenset()) -> Bench:
-    """A bench of the keys and values that are known; `estimated` and errors as in `read_bench`."""
+def parse_bench(content: Mapping[str, Any], estimated: frozenset[str] = frozenset()) -> Bench:
+    """Return the bench of a file's content: a `Bench` where it holds all numbers, else a `PartialBench`.
+
+    `estimated` and errors: as of `read_bench`.
+    """
     springless = content.get("spring_stiffness") == 0
     missing = frozenset(name for name in numbers() if name not in content)
     if not missing and not springless:
         return Bench.from_mapping(content)
     half_a_spring = not springless and any(name in content or name in estimated for name in SPRING)
-    absent = (frozenset(NONE) & missing) - estimated - (frozenset(SPRING) if half_a_spring else frozenset())
-    stand_ins = {**Bench.nominal().to_mapping(), **_INERT, **dict.fromkeys(absent, 1.0)}
+    absent = (frozenset(OPTIONAL_NUMBERS) & missing) - estimated - (frozenset(SPRING) if half_a_spring else frozenset())
+    stand_ins = {**Bench.nominal().to_mapping(), **_STAND_INS, **dict.fromkeys(absent, 1.0)}
     whole = Bench.from_mapping(
         {**{name: stand_ins[name] for name in missing}, **content, **({"spring_stiffness": 1.0} if springless else {})}
     )
     values = {entry.name: getattr(whole, entry.name) for entry in fields(whole)}
-    values |= {name: NONE[name] for name in absent} | ({"spring_stiffness": 0.0} if springless else {})
+    values |= {name: OPTIONAL_NUMBERS[name] for name in absent} | ({"spring_stiffness": 0.0} if springless else {})
     return PartialBench(**values, unknown=missing - absent, absent=absent)
 
 
@@ -104,8 +107,8 @@ def numbers() -> tuple[str, ...]:
     return tuple(name for name in Bench.quantities() if name != "load_cell_bandwidth")
 
 
-def told(bench: Bench, **values: float) -> Bench:
-    """The bench with numbers that are known from now on."""
+def with_known(bench: Bench, **values: float) -> Bench:
+    """Return the bench with these numbers replaced and marked as known."""
     if not isinstance(bench, PartialBench):
         return replace(bench, **values)  # type: ignore[arg-type]
     return replace(bench, unknown=bench.unknown - values.keys(), **values)  # type: ignore[arg-type]
@@ -131,8 +134,8 @@ VALVE = frozenset({"valve_nominal_flow", "valve_nominal_current", "valve_nominal
 """Numbers of which the valve's gain is made."""
 
 
-def guarded(bench: Bench) -> Bench:
-    """The bench, with stand-ins and what it has not raising where they are read."""
+def guard(bench: Bench) -> Bench:
+    """Return a bench that raises `UnknownNumberError` where a stand-in or an absent number is read."""
     if not isinstance(bench, PartialBench):
         return bench
     return cast(Bench, Guarded(bench, bench.unknown | bench.absent))
@@ -140,7 +143,7 @@ def guarded(bench: Bench) -> Bench:
 
 @dataclass(frozen=True)
 class Connection:
-    """Channels that together bring an equation in."""
+    """Recorded channels that make an equation available."""
 
     block: str
     """Block of residuals: PRESSURE, MOTION, LOAD or HYDRAULIC."""
@@ -179,8 +182,8 @@ def at_the_rod(channels: Collection[str], bench: Bench) -> bool:
     return {"load_force", "piston_position"} <= set(channels) and driven and not has_spring(bench)
 
 
-def connected(channels: Collection[str], bench: Bench) -> tuple[Connection, ...]:
-    """Equations that these channels bring in."""
+def available_connections(channels: Collection[str], bench: Bench) -> tuple[Connection, ...]:
+    """Return the equations that the recorded channels make available."""
     measured = at_the_rod(channels, bench)
     return tuple(
         one
@@ -193,7 +196,7 @@ def connected(channels: Collection[str], bench: Bench) -> tuple[Connection, ...]
 
 def refuse_unconnected(channels: Collection[str], bench: Bench, notes: Sequence[str] = ()) -> None:
     """Raise `InputError` if no equation can be checked: what is lacking, and `notes` on what was left out and why."""
-    if connected(channels, bench):
+    if available_connections(channels, bench):
         return
     ways = dict.fromkeys(
         f"{', '.join(sorted(one.channels - set(channels)))} ({one.equation})"
@@ -208,10 +211,10 @@ def refuse_unconnected(channels: Collection[str], bench: Bench, notes: Sequence[
     )
 
 
-def needed(channels: Collection[str], bench: Bench) -> dict[str, str]:
-    """Numbers that the recorded channels need, each with the first equation that needs it."""
+def required_numbers(channels: Collection[str], bench: Bench) -> dict[str, str]:
+    """Return the numbers that the recorded channels require, each with the first equation that needs it."""
     found: dict[str, str] = {}
-    for one in connected(channels, bench):
+    for one in available_connections(channels, bench):
         spring = SPRING if one.block == MOTION and any(not knows(bench, name) for name in SPRING) else ()
         for name in (*one.numbers, *spring):
             found.setdefault(name, one.equation)
@@ -222,7 +225,7 @@ def refuse_missing(channels: Collection[str], bench: Bench, estimated: Collectio
     """Raise `InputError` if numbers are needed that are neither known nor estimated: all of them in one sentence."""
     lacking = {
         name: equation
-        for name, equation in needed(channels, bench).items()
+        for name, equation in required_numbers(channels, bench).items()
         if lacks(bench, name) and name not in estimated
     }
     if not lacking:
@@ -234,11 +237,15 @@ def refuse_missing(channels: Collection[str], bench: Bench, estimated: Collectio
     )
 
 
-def left_out(channels: Collection[str], bench: Bench) -> list[str]:
-    """Notes on what is not checked or taken as none since the bench file does not hold it."""
+def omission_notes(channels: Collection[str], bench: Bench) -> list[str]:
+    """Return notes, one sentence each, on what the bench file lacks.
+
+    On every equation that is not checked and every coefficient assumed zero because the file lacks it, and on a load
+    cell that is part of the motion's balance because there is no spring.
+    """
     if not isinstance(bench, PartialBench):
         return []
-    blocks = {one.block for one in connected(channels, bench)}
+    blocks = {one.block for one in available_connections(channels, bench)}
     notes = [
         f"the {one.equation} was left out: the bench file does not hold {one.if_known}"
         for one in CONNECTIONS
@@ -254,7 +261,7 @@ def left_out(channels: Collection[str], bench: Bench) -> list[str]:
 
 
 def applies(effect: Effect, bench: Bench) -> bool:
-    """Return whether an effect can act on a bench: not one of a spring that it has not, or of a number not known."""
+    """Return whether an effect can act on a bench: its spring exists and its numbers are known."""
     if not isinstance(bench, PartialBench):
         return True
     if effect.equations[:1] == ("load",) and not has_spring(bench):

@@ -26,8 +26,8 @@ from hydro_diagnosis.io.columns import Columns, is_time, means, runs_forward
 from hydro_diagnosis.io.table import base_of
 from hydro_diagnosis.io.units import quantity, split_unit, to_si
 from hydro_diagnosis.recording import MEASURED
-from hydro_diagnosis.significance import MATTERS
-from hydro_diagnosis.wiring import LOOKED_AT, MEAN, TOGETHER, line
+from hydro_diagnosis.significance import PRACTICAL_SHARE
+from hydro_diagnosis.wiring import LOOKED_AT, MEAN, TOGETHER, block_regression
 from hydro_sim.model.bench import Bench
 
 _PRESSURE = r"(p|press\w*|druck\w*)"
@@ -61,7 +61,7 @@ _VALVE = re.compile(r"valve|spool|ventil|schieber|servo", re.IGNORECASE)
 _NEVER = re.compile(r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
 
 
-def proposed(found: Columns, bench: Bench) -> ColumnMap:
+def propose_sources(found: Columns, bench: Bench) -> ColumnMap:
     """Propose a source for each field; unknown fields are left out, as is the time where clocks state their units.
 
     Numbers that are not known of a bench are taken to be of the nominal one's size.
@@ -113,7 +113,7 @@ def _move_lone_force(sources: dict[str, Source], found: Columns, sprung: bool) -
         return
     force, position = found.series[load.column], found.series[place.column]
     both = np.isfinite(force) & np.isfinite(position) if len(force) == len(position) else np.zeros(len(force), bool)
-    slope, left = line(position[both], force[both], 1) if both[: len(position)].any() else (1.0, 0.0)
+    slope, left = block_regression(position[both], force[both], 1) if both[: len(position)].any() else (1.0, 0.0)
     if not sprung or slope < 0.0 or left > 1.0 - TOGETHER**2:
         sources["hydraulic_force"] = sources.pop("load_force")
 
@@ -190,16 +190,16 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
                 fields[field] = fitting[0]
                 taken.add(fitting[0].column)
 
-        exact = _balance(forces[force], pressures[a], pressures[b], bench, MATTERS) < 1e-3
+        exact = _balance(forces[force], pressures[a], pressures[b], bench, PRACTICAL_SHARE) < 1e-3
         take("hydraulic_force", [force] if exact else [])
         places = sized("piston_position", taken | {force.column})
-        springs = {place: line(one, forces[force], 1) for place, one in places.items()}
+        springs = {place: block_regression(one, forces[force], 1) for place, one in places.items()}
         springs = {place: spring for place, spring in springs.items() if _like_spring(*spring, bench)}
         if not springs:
             return fields
         place = min(springs, key=lambda one: springs[one][1])
         take("piston_position", [place])
-        slopes = {one: line(places[place], values, 1) for one, values in sized("load_force", taken).items()}
+        slopes = {one: block_regression(places[place], values, 1) for one, values in sized("load_force", taken).items()}
         silent = [one for one in slopes if _silent(free[one.column])]
         take("load_force", [one for one in slopes if one not in silent and _like_spring(*slopes[one], bench)])
         take("reference_force", [one for one in silent if _like_spring(*slopes[one], bench, 0.5)])  # it lags behind it
@@ -216,7 +216,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         for force in forces
         if a.unit == b.unit and len({force.column, a.column, b.column}) == 3
     }
-    ways = [(solved(*triple), left) for triple, left in triples.items() if left < MATTERS]
+    ways = [(solved(*triple), left) for triple, left in triples.items() if left < PRACTICAL_SHARE]
     fields, _ = max(ways, key=lambda way: (len(way[0]), -way[1]), default=({}, 0.0))
     sources.update(fields)
 

@@ -16,8 +16,8 @@ from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
-from hydro_diagnosis.shapes import PROFILE, Fitted, fading, fitted, missing_sign, named, one_way
-from hydro_diagnosis.significance import MATTERS, QUANTILE
+from hydro_diagnosis.shapes import PROFILE, FittedShape, curve_shape, fading_interval, fit_shape, missing_sign, one_way
+from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE
 from hydro_sim.model import grammar
 
 LABELS = {
@@ -36,9 +36,9 @@ NOTHING = {"named": 0.0, "all": 0.0}
 
 @dataclass(frozen=True, kw_only=True)
 class CurveClaims:
-    """What is read off a curve."""
+    """Claims that the curve of the force supports."""
 
-    shape: Fitted | None = None
+    shape: FittedShape | None = None
     claims: tuple[Claim, ...] = ()
     bounds: Sequence[Interval] = ()
     """Of all parameters of the claims, in their order."""
@@ -53,11 +53,13 @@ class CurveClaims:
     """Which sign of a mechanism is missing; empty if none is."""
 
 
-def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, library: Sequence[Effect]) -> CurveClaims:
-    """The claims of a curve; `unseen`: motions of what was held out; `library`: causes that may be named."""
+def claims_from_curve(
+    curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, library: Sequence[Effect]
+) -> CurveClaims:
+    """Return the claims of a curve; `unseen`: held-out motions; `library`: causes that may be named."""
     effects = {effect.label: effect for effect in library if effect.named}
     allowed = frozenset(name for name, label in {**LABELS, "directional": DIRECTIONAL}.items() if label in effects)
-    shape = named(curve, problem.bench.viscous_friction, allowed)
+    shape = curve_shape(curve, problem.bench.viscous_friction, allowed)
     share = partial(_share, curve, unseen)
     found = _Claims(effects)
     terms = curve.terms
@@ -66,9 +68,9 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
             numbers = shape.number(name, -1.0 if name == "constant" else 1.0)
             label = DIRECTIONAL if len(numbers) > 1 else LABELS[name]
             if name == "stribeck":
-                numbers.append((shape.shape.stribeck, *fading(curve.points, shape, curve.top)))
+                numbers.append((shape.shape.stribeck, *fading_interval(curve.points, shape, curve.top)))
             if name != "constant" or not terms.position:  # else it is the law's
-                gain = share(shape, terms) - share(shape.but(name), terms)
+                gain = share(shape, terms) - share(shape.without(name), terms)
                 found.add(label, numbers, _rise(curve, shape, name), gain)
     dry = shape.number("dry") if shape is not None else []
     operators = {"mass": (MASS, replace(terms, mass=False)), "rise": (RISE, replace(terms, rise=0.0)),
@@ -77,10 +79,12 @@ def read_off(curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, libr
         if shape is None or not getattr(terms, name) or (label == RISE and not dry):
             continue
         strokes = len(np.unique(curve.sliding.stroke))
-        evidence = 2.0 * strokes * float(np.log(curve.left(less) / curve.left(terms))) - float(np.log(strokes))
+        evidence = 2.0 * strokes * float(np.log(curve.held_out_rms(less) / curve.held_out_rms(terms))) - float(
+            np.log(strokes)
+        )
         found.add(label, _size(curve, name, dry), evidence, share(shape, terms) - share(shape, less))
     accounted = {"named": share(shape, replace(terms, position="")), "all": share(shape, terms)}
-    if shape is not None and accounted["all"] <= MATTERS:
+    if shape is not None and accounted["all"] <= PRACTICAL_SHARE:
         return CurveClaims(why="what the curve would be named after does not hold on what was held out")
     closures = []
     if terms.position and accounted["all"] > accounted["named"]:
@@ -117,10 +121,10 @@ class _Claims:
         self.evidence[label] = {"delta_bic": delta_bic, "holdout_gain": gain}
 
 
-def _share(curve: ForceCurve, unseen: Sequence[Motion], shape: Fitted | None, terms: Terms) -> float:
-    """What claims account for of the force that held-out recordings miss: 1 - (rms left) / (rms missing).
+def _share(curve: ForceCurve, unseen: Sequence[Motion], shape: FittedShape | None, terms: Terms) -> float:
+    """Return the share of the missing force that claims account for in held-out recordings.
 
-    Means and the noise aside.
+    1 - (rms of the residual) / (rms of the missing force), means and noise subtracted.
     """
     left, missing, noise = list[FloatArray](), list[FloatArray](), list[float]()
     for one in unseen:
@@ -136,25 +140,25 @@ def _share(curve: ForceCurve, unseen: Sequence[Motion], shape: Fitted | None, te
     return 1.0 - float(np.sqrt(max(after - floor, 0.0) / max(before - floor, 1e-300)))
 
 
-def _rise(curve: ForceCurve, shape: Fitted, name: str) -> float:
+def _rise(curve: ForceCurve, shape: FittedShape, name: str) -> float:
     """Evidence [BIC] of the points for a name."""
     without = shape.shape.without(name)
     while name in without.names:
         without = without.without(name)
-    fewer, count = fitted(curve.points, without, curve.top), len(curve.points)
+    fewer, count = fit_shape(curve.points, without, curve.top), len(curve.points)
     numbers = len(shape.values) - len(fewer.values)
     return float(count * np.log(max(fewer.squares, 1e-9) / max(shape.squares, 1e-9)) - numbers * np.log(count))
 
 
 def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Number of an operator with its interval: what it may be and leave no more than `MATTERS` more than the least."""
+    """Return an operator's number and interval: within it the held-out RMS rises by `PRACTICAL_SHARE` at most."""
     if name == "mass":
         value, error = curve.mass
         return [(value, value - QUANTILE * error, value + QUANTILE * error)]
     value = getattr(curve.terms, name)
-    least = curve.left(curve.terms)
-    most, tried = (1.0 + MATTERS) * least, value * PROFILE[::2]
-    flat = [one for one in tried.tolist() if curve.left(replace(curve.terms, **{name: one})) < most]
+    least = curve.held_out_rms(curve.terms)
+    most, tried = (1.0 + PRACTICAL_SHARE) * least, value * PROFILE[::2]
+    flat = [one for one in tried.tolist() if curve.held_out_rms(replace(curve.terms, **{name: one})) < most]
     low, high = min([*flat, value]), max([*flat, value])
     return [(value, low, high)] if name == "cell" else [(dry[0][0] / value, dry[0][0] / high, dry[0][0] / low)]
 
@@ -173,7 +177,7 @@ def _rivals(curve: ForceCurve) -> list[Rival]:
 
 
 def _law(
-    curve: ForceCurve, problem: Problem, shape: Fitted | None, found: _Claims, accounted: Mapping[str, float]
+    curve: ForceCurve, problem: Problem, shape: FittedShape | None, found: _Claims, accounted: Mapping[str, float]
 ) -> ClosureReport:
     """Add the force over the position to the claims; it is no cause, and has no name."""
     constant = sum(one for one, *_ in shape.number("constant")) if shape is not None else 0.0

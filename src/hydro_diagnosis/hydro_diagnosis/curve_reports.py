@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.curves import SLOW, ForceCurve, splines
+from hydro_diagnosis.curves import STANDSTILL_SHARE, ForceCurve, splines
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
@@ -45,7 +45,7 @@ def curve_reports(
         if by_curve is not None:
             made = by_curve.shape.force(at) if by_curve.shape is not None else np.zeros_like(at)
         else:
-            made = np.array(curve.means([one.force_of(problem.baseline, claims) for one in curve.motions]))
+            made = np.array(curve.point_means([one.force_of(problem.baseline, claims) for one in curve.motions]))
         found.append(_report(MOTION, "velocity", "m/s", "N", at, force, error, strokes, made))
         if curve.terms.position:
             found.append(_over_position(curve, by_curve))
@@ -107,10 +107,10 @@ def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> list[tup
         count = max(round(steady_for / model.step), 3)
         speed, reach = np.asarray(uniform_filter1d(model.v, count)), count // 2
         if rest:
-            there = maximum_filter1d(np.abs(speed), count) < SLOW * top
+            there = maximum_filter1d(np.abs(speed), count) < STANDSTILL_SHARE * top
         else:
             change = np.abs(np.roll(speed, -reach) - np.roll(speed, reach))
-            there = (np.abs(speed) > SLOW * top) & (change < 0.2 * np.abs(speed))
+            there = (np.abs(speed) > STANDSTILL_SHARE * top) & (change < 0.2 * np.abs(speed))
         there = there[model.rows]
         smoothed = (np.asarray(uniform_filter1d(each, count)) for each in (over, measured, *modelled))
         at, one, after, before = (model.kept(each)[there] for each in smoothed)

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the force misses, as curves of its arguments: read off the recordings before anything is named.
+"""Missing force as curves of its arguments, estimated from the recordings before any cause is named.
 
 In the band of the recorded motion the force that the bench file does not explain is an additive model (Hastie and
-Tibshirani 1990), jointly, so that one curve does not leak into another::
+Tibshirani 1990), fitted jointly, so that one curve does not leak into another::
 
     missing = cell( g(speed, direction) s(position) + m acceleration + h(position) + constant )
 
 `g` is straight between speeds, for each direction, neighbours held together by a penalty (P-splines: Eilers and Marx
 1996); `s` is the direction of motion, behind a play and an elastic rise where there is memory (Dahl 1968); `cell` is
-the identity, or the low-pass of a slow cell. A term or an operator joins if it halves what is left on strokes that were
-not fitted. Errors are those of whole strokes (a sandwich over strokes, and over recordings where there are three).
-Rests, and turns of the piston, are no evidence of friction: neither makes a point of the curve.
+the identity, or the low-pass of a slow cell. A term or an operator joins if it halves the held-out RMS over strokes.
+Errors are those of whole strokes (a sandwich over strokes, and over recordings where there are three). Rests, and turns
+of the piston, are no evidence of friction: neither makes a point of the curve.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.significance import ALIKE, FOLDS, ITERATIONS, MATTERS, SURE
+from hydro_diagnosis.significance import COVERAGE_FACTOR, FOLDS, ITERATIONS, PRACTICAL_SHARE, TIE_RATIO
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 from hydro_sim.model.tables import KNOTS
 
-RATE = 16.0
-"""Rate of the samples over the cut-off."""
-SLOW = 0.03
+SAMPLES_PER_PERIOD = 16.0
+"""Samples per period of the cut-off."""
+STANDSTILL_SHARE = 0.03
 """Share of the top speed below which the piston stands: a tenth of a decade above what the band resolves of a turn."""
-RATIO = 1.4
+SPEED_RATIO = 1.4
 """Ratio of neighbouring speeds of the curve: ten to a direction from `SLOW` to the top."""
-SMOOTH = 0.03
+SMOOTHING_WEIGHT = 0.03
 """Weight of the penalties between neighbouring speeds, and on the bend over the position, over that of all samples."""
-ROUGH_FROM = 2.5
+ROUGH_RATIO = 2.5
 """What the most flexible curve leaves over the force's white noise, from which recordings are rough: 3.1 and more on 24
 of 26 real rigs, at most 1.8 on drawn ones whose causes are shapes of the motion (docs/reports/real_recordings.md).
 """
 
 
-def band(position: FloatArray, step: float) -> float:
-    """Cut-off [Hz] within which a position, sampled every `step` s, holds its motion and its speed is known."""
+def motion_bandwidth(position: FloatArray, step: float) -> float:
+    """Return the cut-off [Hz] below which a position, sampled every `step` s, holds its motion and yields its speed."""
     frequency, power = welch(
         position - position.mean(), 1.0 / step, nperseg=min(len(position), max(256, len(position) // 2)),
         detrend="linear",
@@ -59,7 +59,9 @@ def band(position: FloatArray, step: float) -> float:
     motion = float(frequency[min(np.searchsorted(clean, 0.999 * clean[-1]), len(frequency) - 1)])
     period = max(int(0.1 / max(motion, 1e-9) / step), 1)
     speed = float(np.std(np.diff(position[::period]))) * motion / 0.1
-    quiet = (3.0 * (MATTERS * speed) ** 2 / (4.0 * np.pi**2 * noise)) ** (1.0 / 3.0)  # noise of the speed up to there
+    quiet = (3.0 * (PRACTICAL_SHARE * speed) ** 2 / (4.0 * np.pi**2 * noise)) ** (
+        1.0 / 3.0
+    )  # noise of the speed up to there
     within = min(5.0 * motion, quiet)  # with the motion's harmonics, in which friction shows
     return float(np.clip(within, min(40.0 / (len(position) * step), 0.2 / step), 0.2 / step))
 
@@ -87,10 +89,10 @@ class Motion:
         )
         self.recording = first.segment.recording
         self.mass = bench.moving_mass
-        self.band = band(place, step)
-        every = max(int(1.0 / (RATE * self.band * step)), 1)
+        self.band = motion_bandwidth(place, step)
+        every = max(int(1.0 / (SAMPLES_PER_PERIOD * self.band * step)), 1)
         self.step = step * every
-        position, force = (self.passed(one, step)[::every] for one in (place, raw))
+        position, force = (self.low_pass(one, step)[::every] for one in (place, raw))
         self.position, self.measured = position, force
         self.velocity = np.gradient(position, self.step)
         self.acceleration = np.gradient(self.velocity, self.step)
@@ -105,8 +107,8 @@ class Motion:
         self.noise = float(np.sqrt(np.median(power[frequency > 0.35 / step]) * self.band))
         self.memory = Memory(self.step)
 
-    def passed(self, signals: FloatArray, step: float) -> FloatArray:
-        """What the band passes of signals that are sampled every `step` s, shape (n, ...)."""
+    def low_pass(self, signals: FloatArray, step: float) -> FloatArray:
+        """Return signals, sampled every `step` s, after a zero-phase low-pass at the cut-off, shape (n, ...)."""
         order, reach = butter(4, self.band, fs=1.0 / step, output="sos"), int(3 / (self.band * step))
         return np.asarray(sosfiltfilt(order, signals, axis=0, padlen=min(len(signals) - 1, reach)))
 
@@ -118,12 +120,12 @@ class Motion:
         ]
         whole = np.concatenate(parts)
         step = self.models[0].step * self.models[0].spacing
-        return self.passed(whole, step)[:: max(round(self.step / step), 1)]
+        return self.low_pass(whole, step)[:: max(round(self.step / step), 1)]
 
-    def judged(self, top: float) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Samples that are no rest, and those of them that are no turn either, shape (n,); `top`: top speed [m/s]."""
+    def motion_masks(self, top: float) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+        """Return masks of evaluated samples in motion, with and without turns, shape (n,); `top`: top speed [m/s]."""
         period = 1.0 / (self.band * self.step)
-        slow = np.abs(self.velocity) < SLOW * top
+        slow = np.abs(self.velocity) < STANDSTILL_SHARE * top
         rest = _share(_share(~slow, 0.25 * period) < 0.5, 0.75 * period) > 1e-9
         turning = (_share(slow, 0.15 * period) > 0.0) | (
             np.abs(self.acceleration) > np.pi * self.band * np.abs(self.velocity)
@@ -132,12 +134,12 @@ class Motion:
         there[edge : len(slow) - edge : 2] = True  # 8 to a period of the cut-off
         return there & ~rest, there & ~rest & ~turning
 
-    def strokes(self, top: float) -> npt.NDArray[np.int64]:
-        """Number of the stroke that each sample belongs to: from one turn to the next.
+    def stroke_numbers(self, top: float) -> npt.NDArray[np.int64]:
+        """Return the number of each sample's stroke, from one turn to the next, shape (n,).
 
-        It lasts five periods of the cut-off, one of the motion, at most: beyond, its errors are those of another.
+        A stroke lasts five periods of the cut-off (one of the motion) at most: errors farther apart are independent.
         """
-        moving = np.flatnonzero(np.abs(self.velocity) > SLOW * top)
+        moving = np.flatnonzero(np.abs(self.velocity) > STANDSTILL_SHARE * top)
         turns = np.zeros(len(self.velocity), dtype=np.int64)
         turns[moving[1:][np.diff(np.sign(self.velocity[moving])) != 0.0]] = 1
         stroke = np.cumsum(turns)
@@ -147,9 +149,9 @@ class Motion:
 
 
 def motions(models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> list[Motion]:
-    """One of each recording without a gap: segments that follow on each other are joined.
+    """Return one motion per recording without a gap: consecutive segments are joined.
 
-    `baseline`: effects that the bench file holds beside its numbers.
+    `baseline`: effects that the bench file holds in addition to its numbers.
     """
     groups: list[list[SegmentModel]] = []
     for one in models:
@@ -170,7 +172,7 @@ def _share(there: npt.NDArray[np.bool_], reach: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Terms:
-    """Terms and operators of the additive model beside the speed."""
+    """Terms and operators of the additive model other than the curve over the speed."""
 
     mass: bool = False
     position: str = ""
@@ -214,8 +216,8 @@ class Point:
     strokes: int
 
 
-Seen = tuple[tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]], npt.NDArray[np.int64], FloatArray]
-"""Judged samples with and without turns, strokes, and shares of the knots, of a recording."""
+CurveSamples = tuple[tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]], npt.NDArray[np.int64], FloatArray]
+"""Of a recording: masks of `Motion.motion_masks`, stroke numbers, and hat functions of the speed."""
 
 
 class ForceCurve:
@@ -236,10 +238,10 @@ class ForceCurve:
         self.limits = min(float(m.position.min()) for m in motions), max(float(m.position.max()) for m in motions)
         self.stroke = float(np.median([np.ptp(one.position) for one in motions]))
         """Usual distance [m] of a recording."""
-        count = int(np.ceil(np.log(1.0 / SLOW) / np.log(RATIO)))
-        self.knots = np.concatenate([[0.0], self.top * RATIO ** np.arange(1 - count, 2.0)])
+        count = int(np.ceil(np.log(1.0 / STANDSTILL_SHARE) / np.log(SPEED_RATIO)))
+        self.knots = np.concatenate([[0.0], self.top * SPEED_RATIO ** np.arange(1 - count, 2.0)])
         """Speeds [m/s] between which the curve is straight."""
-        self._kept: dict[int, Seen] = {}
+        self._kept: dict[int, CurveSamples] = {}
         self.rivals: list[Terms] = []
         """Terms that would do as well as those that were chosen."""
         self.terms = self._chosen() if terms is None else terms
@@ -249,34 +251,34 @@ class ForceCurve:
             values = self._solved(design, weight, self.terms)
             left = design.missing - design.columns @ values
             size = 1.483 * float(np.median(np.abs(left))) + 1e-30
-            weight = np.minimum(1.0, SURE * size / np.maximum(np.abs(left), 1e-30))
+            weight = np.minimum(1.0, COVERAGE_FACTOR * size / np.maximum(np.abs(left), 1e-30))
         self.values, self.sliding, self.weight, self.residual = values, design, weight, left
 
     # -- choice of terms -----------------------------------------------------------------------------------------------
 
     def _chosen(self) -> Terms:
         terms = Terms()
-        left = self.left(terms)
+        left = self.held_out_rms(terms)
         while True:
             best: list[tuple[float, Terms]] = []
             for kind in self._further(terms):
                 played = bool(kind) and kind[0].play > terms.play
-                if kind and not (played and min(one for one, _ in best) > ALIKE * left):
+                if kind and not (played and min(one for one, _ in best) > TIE_RATIO * left):
                     best.append(self._best(kind))
             least = min((one for one, _ in best), default=np.inf)
             if not least < 0.5 * left:  # a term joins if it halves what is left
                 return terms
-            alike = [one for one in best if ALIKE * one[0] <= least]
+            alike = [one for one in best if TIE_RATIO * one[0] <= least]
             self.rivals += [other for _, other in alike[1:]]
             left, terms = alike[0]
 
     def _best(self, kind: Sequence[Terms]) -> tuple[float, Terms]:
-        """What the best terms of a kind leave, the rise between those tried, and which they are."""
-        left, terms = min(((self.left(one), one) for one in kind), key=lambda one: one[0])
+        """Return the least held-out RMS [N] of a kind of terms, the rise refined, and the terms."""
+        left, terms = min(((self.held_out_rms(one), one) for one in kind), key=lambda one: one[0])
         if not terms.rise:
             return left, terms
         found = minimize_scalar(
-            lambda log: self.left(replace(terms, rise=float(np.exp(log)))),
+            lambda log: self.held_out_rms(replace(terms, rise=float(np.exp(log)))),
             bounds=(np.log(terms.rise / 3.0), np.log(terms.rise * 3.0)), method="bounded", options={"maxiter": 8},
         )  # fmt: skip
         finer = replace(terms, rise=float(np.exp(found.x)))
@@ -291,31 +293,35 @@ class ForceCurve:
         yield [replace(one, play=play * self.stroke) for one in rises for play in (0.05, 0.1, 0.2, 0.3)]
         yield [replace(terms, mass=True)] if not terms.mass else []
         position = {"": "straight", "straight": "curved", "curved": ""}[terms.position]
-        yield [replace(terms, position=position)] if position and not (position == "curved" and self.mimicked) else []
+        yield (
+            [replace(terms, position=position)]
+            if position and not (position == "curved" and self.position_confounded)
+            else []
+        )
         yield [replace(terms, cell=share * self.motions[0].band) for share in (0.25, 0.5, 1.0, 2.0) if beginning]
 
     @cached_property
-    def mimicked(self) -> bool:
-        """Whether speeds and a bend over the position are one, as in strokes of one size: nothing tells them apart.
+    def position_confounded(self) -> bool:
+        """Whether a bend over the position cannot be told from the curve over the speed, as in strokes of one size.
 
-        So where the speeds leave less than a fifth of the bend's variance.
+        Then the mean at each speed leaves less than a fifth of the bend's variance.
         """
         design = self.design(Terms(), self.motions)
-        bend = np.square(self.share(design.position) - 0.5)
-        place = np.sign(design.velocity) * (1 + self.place(np.abs(design.velocity)))
+        bend = np.square(self.relative_position(design.position) - 0.5)
+        place = np.sign(design.velocity) * (1 + self.nearest_knot(np.abs(design.velocity)))
         _, index = np.unique(place, return_inverse=True)
         means = np.bincount(index, bend) / np.bincount(index)
         return bool(np.var(bend - means[index]) < 0.2 * np.var(bend))
 
-    def left(self, terms: Terms) -> float:
-        """Root mean square [N] of what is left on strokes that were not fitted."""
+    def held_out_rms(self, terms: Terms) -> float:
+        """Return the held-out RMS [N] of the fit, by folds of strokes; inf if the moving mass became negative."""
         design = self.design(terms, self.motions)
         if terms.mass and self._solved(design, np.ones(len(design.missing)), terms)[-2] < -self.motions[0].mass:
             return float(np.inf)  # no body weighs less than nothing
         return float(np.sqrt(np.mean(np.square(self._held_out(design, terms)))))
 
     def _held_out(self, design: Design, terms: Terms) -> FloatArray:
-        """What is left [N] of each row by the fit to the other strokes."""
+        """Return the residual [N] of each row under the fit to the strokes of the other folds."""
         names, stroke = np.unique(design.stroke, return_inverse=True)
         fold = stroke % FOLDS if len(names) >= FOLDS else np.arange(len(stroke)) * FOLDS // len(stroke)
         off = np.array(design.missing)
@@ -328,35 +334,35 @@ class ForceCurve:
 
     # -- least squares -------------------------------------------------------------------------------------------------
 
-    def place(self, speed: FloatArray) -> npt.NDArray[np.int64]:
-        """Which of the points each speed [m/s] belongs to, shape (n,): that of the nearest knot, by ratio."""
-        return np.searchsorted(self.knots[1:] / RATIO**0.5, speed)
+    def nearest_knot(self, speed: FloatArray) -> npt.NDArray[np.int64]:
+        """Return the index of the point whose knot is nearest by ratio to each speed [m/s], shape (n,)."""
+        return np.searchsorted(self.knots[1:] / SPEED_RATIO**0.5, speed)
 
-    def hats(self, speed: FloatArray) -> FloatArray:
-        """Shares of the knots in each speed [m/s], shape (n, knots)."""
+    def hat_basis(self, speed: FloatArray) -> FloatArray:
+        """Return the hat functions of the knots at each speed [m/s], shape (n, knots)."""
         return np.stack([np.interp(speed, self.knots, one) for one in np.eye(len(self.knots))], axis=-1)
 
-    def _seen(self, motion: Motion) -> Seen:
-        """What no term changes: judged samples, strokes, and shares of the knots."""
+    def _samples_of(self, motion: Motion) -> CurveSamples:
+        """Return what does not depend on the terms: masks, stroke numbers and hat functions, computed once."""
         if id(motion) not in self._kept:
-            hats = self.hats(np.abs(motion.velocity))
-            self._kept[id(motion)] = motion.judged(self.top), motion.strokes(self.top), hats
+            hats = self.hat_basis(np.abs(motion.velocity))
+            self._kept[id(motion)] = motion.motion_masks(self.top), motion.stroke_numbers(self.top), hats
         return self._kept[id(motion)]
 
     def design(self, terms: Terms, motions: Sequence[Motion], *, sliding: bool = False) -> Design:
         """The rows of some recordings; `sliding`: without turns."""
         parts: list[dict[str, npt.NDArray[Any]]] = []
         for number, one in enumerate(motions):
-            judged, stroke, hats = self._seen(one)
+            judged, stroke, hats = self._samples_of(one)
             there = judged[1 if sliding else 0]
             sign, cell = self._sign(one, terms), self._cell(one, terms)
             sides = (np.maximum(sign, 0.0), np.minimum(sign, 0.0))
             speeds = np.concatenate([side[:, None] * hats for side in sides], axis=1)
-            bends, share = list[FloatArray](), self.share(one.position)
+            bends, share = list[FloatArray](), self.relative_position(one.position)
             if terms.position:
                 bends = [share - 0.5] if terms.position == "straight" else list(splines(share)[:, 1:].T)
             further = np.column_stack([*bends, *([one.acceleration] if terms.mass else []), np.ones(len(sign))])
-            columns = np.concatenate([one.passed(cell(speeds), one.step), cell(further)], axis=1)
+            columns = np.concatenate([one.low_pass(cell(speeds), one.step), cell(further)], axis=1)
             if sliding:  # behind an elastic beginning, a sample says something of the force once that has risen
                 there = there & (np.abs(sign) > 0.9)
             rows = {
@@ -382,7 +388,7 @@ class ForceCurve:
             return lambda signals: signals
         return lambda signals: motion.memory.low_pass("cell", signals, terms.cell, LOAD_CELL_DAMPING)
 
-    def share(self, position: FloatArray) -> FloatArray:
+    def relative_position(self, position: FloatArray) -> FloatArray:
         """Position over the recorded range, 0 to 1."""
         return np.clip((position - self.limits[0]) / max(self.limits[1] - self.limits[0], 1e-12), 0.0, 1.0)
 
@@ -391,10 +397,10 @@ class ForceCurve:
         columns, speeds = design.columns, len(self.knots)
         held = np.zeros((2 * (speeds - 1) + (KNOTS - 2 if terms.position == "curved" else 0), columns.shape[1]))
         for row, k in enumerate([*range(speeds - 1), *range(speeds, 2 * speeds - 1)]):
-            held[row, k], held[row, k + 1] = -SMOOTH, SMOOTH
+            held[row, k], held[row, k + 1] = -SMOOTHING_WEIGHT, SMOOTHING_WEIGHT
         for k, row in enumerate(range(2 * (speeds - 1), len(held))):  # the first spline has the coefficient 0
             at = 2 * speeds + np.arange(k - 1, k + 2)
-            held[row, at[at >= 2 * speeds]] = SMOOTH * np.array([1.0, -2.0, 1.0])[at >= 2 * speeds]
+            held[row, at[at >= 2 * speeds]] = SMOOTHING_WEIGHT * np.array([1.0, -2.0, 1.0])[at >= 2 * speeds]
         held = held * np.sqrt(weight.sum())
         normal = (columns * weight[:, None]).T @ columns + held.T @ held
         scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -415,15 +421,15 @@ class ForceCurve:
         if terms.mass:
             force = force + self.mass[0] * motion.acceleration
         if terms.position:
-            force = force + splines(self.share(motion.position)) @ self.over_position
-        return self._cell(motion, terms)(motion.passed(force, motion.step))
+            force = force + splines(self.relative_position(motion.position)) @ self.over_position
+        return self._cell(motion, terms)(motion.low_pass(force, motion.step))
 
     def missing(self, motion: Motion) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Force [N] that is missing in a recording, and the samples that are judged, shape (n,).
+        """Return the missing force [N] of a recording, and the mask of evaluated samples, shape (n,) each.
 
-        No rests, and no turns either unless a memory of the direction is part of the model.
+        Rests are excluded, and turns too unless a memory of the direction is part of the model.
         """
-        there = motion.judged(self.top)[0 if self.terms.rise else 1]
+        there = motion.motion_masks(self.top)[0 if self.terms.rise else 1]
         return motion.measured - self._cell(motion, self.terms)(motion.known), there
 
     @classmethod
@@ -455,7 +461,7 @@ class ForceCurve:
     def points(self) -> list[Point]:
         """The curve over the speed: of speeds that at least two strokes have, from the slowest."""
         design, count, found = self.sliding, len(self.knots), []
-        place = self.place(np.abs(design.velocity))
+        place = self.nearest_knot(np.abs(design.velocity))
         for side in (1.0, -1.0):
             for k in range(count):
                 here = (np.sign(design.velocity) == side) & (place == k)
@@ -466,21 +472,21 @@ class ForceCurve:
                     continue  # what is left of a stroke behind an elastic beginning slows down
                 row, at = np.zeros(len(self.values)), float(design.velocity[here].mean())
                 first = 0 if side > 0.0 else count
-                row[first : first + count], row[-1] = side * self.hats(np.array([abs(at)]))[0], 1.0
+                row[first : first + count], row[-1] = side * self.hat_basis(np.array([abs(at)]))[0], 1.0
                 found.append(Point(at=at, force=float(row @ self.values),
                                    error=self.error(row), strokes=strokes))  # fmt: skip
         return sorted(found, key=lambda point: point.at)
 
-    def means(self, signals: Sequence[FloatArray]) -> list[float]:
-        """Mean of a signal of each motion over the samples of each point, in the order of `points`."""
-        there = [one.judged(self.top)[1] for one in self.motions]
+    def point_means(self, signals: Sequence[FloatArray]) -> list[float]:
+        """Return the mean of one signal per motion over the samples of each point, in the order of `points`."""
+        there = [one.motion_masks(self.top)[1] for one in self.motions]
         values, speed = (
             np.concatenate([one[here] for one, here in zip(parts, there, strict=True)])
             for parts in (signals, [one.velocity for one in self.motions])
         )
-        place, sign = self.place(np.abs(speed)), np.sign(speed)
+        place, sign = self.nearest_knot(np.abs(speed)), np.sign(speed)
         return [
-            float(np.mean(values[(place == self.place(np.array([abs(one.at)]))[0]) & (sign == np.sign(one.at))]))
+            float(np.mean(values[(place == self.nearest_knot(np.array([abs(one.at)]))[0]) & (sign == np.sign(one.at))]))
             for one in self.points
         ]
 
@@ -513,14 +519,14 @@ class ForceCurve:
 
     @property
     def rough(self) -> bool:
-        """Whether even the most flexible curve leaves far more than noise: then no name can explain it all.
+        """Whether even the most flexible curve leaves far more than noise, so that names cannot explain all of it.
 
-        On strokes that were not fitted, by the median: not of single strokes.
+        By the median of the held-out residuals: not because of single strokes.
         """
         terms = Terms(mass=True, position="curved")
         off = np.abs(self._held_out(self.design(terms, self.motions, sliding=True), terms))
         noise = float(np.sqrt(np.mean(np.square([one.noise for one in self.motions]))))
-        return 1.483 * float(np.median(off)) / noise > ROUGH_FROM
+        return 1.483 * float(np.median(off)) / noise > ROUGH_RATIO
 
 
 def splines(share: FloatArray) -> FloatArray:

@@ -101,7 +101,7 @@ def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
     return {f"{name}{part}": f"{path}{part}" for part in parts}
 
 
-def diagnosed(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
+def diagnose_part(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
     """Diagnose one recording, write its report to a folder, and return its rows of both tables, without its name."""
     from hydro_diagnosis.pipeline import diagnose
     from hydro_diagnosis.report.page import write_files
@@ -190,7 +190,7 @@ def main() -> int:
         "unit": "recording",
     }
     try:
-        found.update(jobs.run(diagnosed, arguments, **told))
+        found.update(jobs.run(diagnose_part, arguments, **told))
     finally:
         write_study(chosen.out, {name: found[name] for name in named if name in found})
     refused = {name: one["diagnosis"]["refused"] for name, one in found.items() if "refused" in one["diagnosis"]}

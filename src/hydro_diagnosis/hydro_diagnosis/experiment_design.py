@@ -23,7 +23,7 @@ from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import Fit, fit, jacobian
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.significance import DECISIVE
 from hydro_sim.model.bench import Bench
@@ -33,7 +33,7 @@ from hydro_sim.simulation.offline import Schedule, simulate
 
 if TYPE_CHECKING:
     from hydro_diagnosis.judge import Assessment
-    from hydro_diagnosis.selection.search import Outcome
+    from hydro_diagnosis.selection.search import SearchOutcome
 
 
 def simulated_recording(
@@ -49,7 +49,7 @@ def simulated_recording(
     believed = replace(bench, effects=(), closures=())
     states = simulate(plant, believed, Schedule(reference=reference, gains=gains, seconds=seconds), seed=seed)
     columns = {name: states[name].copy() for name in STATE_FIELDS}
-    return checked(RawTable("rehearsal", states["time"].copy(), None, columns), believed)
+    return check_recording(RawTable("rehearsal", states["time"].copy(), None, columns), believed)
 
 
 PROPOSED = 20.0
@@ -79,7 +79,7 @@ def catalog(bench: Bench) -> list[ReferenceSignal]:
     ]
 
 
-def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -> dict[str, Any] | None:
+def next_recording(problem: Problem, outcome: SearchOutcome, assessment: Assessment) -> dict[str, Any] | None:
     """The recording that separates the closest pair of rivals; None if all are distinguished."""
     close = []
     for claim in assessment.fit.claims:
@@ -130,7 +130,7 @@ def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, ri
 def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
     """The recording that separates the weightiest law of a fit from its rival; None without a law or a rival."""
     fits = {
-        k: fit(problem, found.but(claim))
+        k: fit(problem, found.claims_without(claim))
         for k, claim in enumerate(found.claims)
         if is_closure(claim.effect) and isinstance(claim.effect.law, Law)
     }

@@ -65,20 +65,20 @@ class Loop:
     """Reading of the load cell [N], shape (schedule.samples,)."""
     start: FloatArray
     """Measurement x of the first sample, shape (8,)."""
-    judged: slice
-    """Samples that are compared: recorded ones, once the loop has settled."""
+    scored_samples: slice
+    """Samples over which the RMSE is taken: recorded ones, once the loop has settled."""
 
     def rmse(self, force: FloatArray) -> float:
         """RMSE [N] of a load force against the reference."""
-        return float(np.sqrt(np.mean(np.square((self.reference - force)[self.judged]))))
+        return float(np.sqrt(np.mean(np.square((self.reference - force)[self.scored_samples]))))
 
     def simulated(self, bench: Bench, sensors: Sensors) -> float:
         """RMSE [N] on a simulated bench; infinite where its box trips."""
-        states = simulate(_Begun(bench, sensors, self.start), self.belief, self.schedule, config=self.config)
+        states = simulate(_InitialisedPlant(bench, sensors, self.start), self.belief, self.schedule, config=self.config)
         return float("inf") if np.any(states["flags"] & Flag.TRIPPED) else self.rmse(states["load_force"])
 
 
-class _Begun(AnalyticPlant):
+class _InitialisedPlant(AnalyticPlant):
     """A bench in the state of a measurement x, shape (8,), what has no sensor at rest."""
 
     def __init__(self, bench: Bench, sensors: Sensors, start: FloatArray) -> None:
@@ -185,7 +185,7 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
         recording=segment.recording, belief=belief, config=config, schedule=schedule,
         start=np.array([part[name][0] for name in PLANT_FIELDS]),
         reference=part["reference_force"], force=part["load_force"],
-        judged=slice(-(-round(settle / SAMPLE_PERIOD) // spacing) * spacing, None, spacing),
+        scored_samples=slice(-(-round(settle / SAMPLE_PERIOD) // spacing) * spacing, None, spacing),
     )  # fmt: skip
 
 

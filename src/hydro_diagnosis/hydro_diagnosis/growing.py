@@ -48,8 +48,8 @@ class Agreement:
     """Probability of deviations as large as these if one value holds for all; None likewise."""
 
     @property
-    def one_for_all(self) -> bool:
-        """Whether one value fits all benches."""
+    def consistent(self) -> bool:
+        """Whether one value is consistent with all benches: Cochran's Q has a probability of 5 % or more."""
         return self.probability is not None and self.probability >= 2.0 * (1.0 - CONFIDENCE)
 
     @property
@@ -57,7 +57,7 @@ class Agreement:
         """The finding, for the command and for the effect's docstring."""
         if self.probability is None or self.ci95 is None:
             return f"{self.name}: too few benches identify it to compare its values."
-        if not self.one_for_all:
+        if not self.consistent:
             return f"{self.name}: each bench has its own value ({_probability(self.probability)} for one value)."
         interval = "{:.4g} to {:.4g}".format(*self.ci95)
         return (
@@ -66,7 +66,7 @@ class Agreement:
         )
 
 
-def agreements(found: Sequence[Sighting]) -> list[Agreement]:
+def agreements(found: Sequence[LawEstimate]) -> list[Agreement]:
     """Return the agreement of each parameter of the law, in the law's order."""
     agreed = []
     for name, unit in units(found[0].law).items():
@@ -92,8 +92,8 @@ def _probability(value: float) -> str:
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """A law as one diagnosis found it."""
+class LawEstimate:
+    """A law with the parameters that one diagnosis estimated."""
 
     report: str
     """Path of the report, as it was given."""
@@ -107,8 +107,8 @@ def units(law: Law) -> dict[str, str]:
     return {"coefficient": law.unit, **{number.name: number.unit for number in law.numbers}}
 
 
-def sightings(reports: Sequence[str | Path], form: str | None = None) -> list[Sighting]:
-    """The law that all reports hold, as each of them found it.
+def law_estimates(reports: Sequence[str | Path], form: str | None = None) -> list[LawEstimate]:
+    """Return the law that all reports share, with the parameters that each diagnosis estimated.
 
     `reports`: report.json of diagnoses, or the folders that hold them. `form`: name of the law, where the reports have
     several in common. Raises UserError: reports that are too few, of the same recordings, unreadable, without a
@@ -148,7 +148,7 @@ def _read(path: Path) -> Mapping[str, Any]:
     return content
 
 
-def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], Sighting]:
+def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], LawEstimate]:
     """Laws of one report by equation and form: those of the grammar from which `closures` were written."""
     if not content["closures"]:
         raise UserError(f"{report} has no closure (its verdict is {content['verdict']}): there is no law to grow from")
@@ -165,7 +165,7 @@ def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], Sigh
             further = f", {law.numbers[0].name} = " if law.numbers else ""
             if same and (written == law.text or (further and written.startswith(law.text + further))):
                 numbers = {name: ParameterEstimate(**one) for name, one in terms.items()}
-                found[law.equation, law.form] = Sighting(report, law, numbers)
+                found[law.equation, law.form] = LawEstimate(report, law, numbers)
                 break
         else:
             raise UserError(f"{report}: the law {written!r} is none of this version's: diagnose its recordings again")
@@ -175,7 +175,7 @@ def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], Sigh
 # --- the effect -------------------------------------------------------------------------------------------------------
 
 
-def written(found: Sequence[Sighting], agreed: Sequence[Agreement], path: Path) -> None:
+def write_effect(found: Sequence[LawEstimate], agreed: Sequence[Agreement], path: Path) -> None:
     """Write the effect as `hydro_sim.model.effects.grown` reads it."""
     law = found[0].law
     about = [f'Grown by `diagnose --grow` from the law "{law.form}" ({law.equation}), found on {len(found)} benches.',
@@ -210,9 +210,9 @@ def grow(chosen: argparse.Namespace) -> int:
         raise UserError(f"--id {chosen.id}: an effect of this id exists: choose another name")
     if path.exists():
         raise UserError(f"{path} exists: choose another --id")
-    found = sightings(chosen.reports, chosen.law)
+    found = law_estimates(chosen.reports, chosen.law)
     agreed = agreements(found)
-    written(found, agreed, path)
+    write_effect(found, agreed, path)
     law = found[0].law
     table = Table(
         {"report": "", "parameter": "", "value": "SI, in the unit beside it", "low": "of the 95 % interval", "high": "",

@@ -15,7 +15,7 @@ from hydro_core.cli.console import Table, add_json_argument, command, writable_f
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
-from hydro_diagnosis.column_proposal import as_yaml, proposed
+from hydro_diagnosis.column_proposal import as_yaml, propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import Columns, is_time
 from hydro_diagnosis.io.table import columns_of, table_of
@@ -64,7 +64,7 @@ COLUMNS = {
 
 def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
     """Add a row per column of a recording; returns the map, proposed if none is given."""
-    chosen = proposed(found, bench) if columns is None else columns.completed(found.series)
+    chosen = propose_sources(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
 
     def add(column: str, used: str, extent: Extent, unit: str = "", rate: float = np.nan, shape: str = "") -> None:
@@ -181,7 +181,9 @@ def unlike(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
     taken = {source.column for source in proposal.sources.values()}
     left = {split_unit(name)[0]: name for name in found.series if name not in taken and found.unit(name)}
     bare = replace(found, units={}, series={own: found.series[name] for own, name in left.items()})
-    likely = {field: left[source.column] for field, source in proposed(bare, bench).sources.items()} if left else {}
+    likely = (
+        {field: left[source.column] for field, source in propose_sources(bare, bench).sources.items()} if left else {}
+    )
     return [
         f"{name!r} may be the {field}, but is in {found.unit(name)}: give a factor to SI, as in "
         f"{field}={Source(name, (('*', 0.001),))}"

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The judge: which names stand, and the verdict. Decided once, from a few scores that a user can read.
+"""Judgement of the search: retained claims and verdict. Decided once, from a few scores that a user can read.
 
-A name stands where its interval excludes its absence, where physics allows it, and where it does not make what was held
-out worse. Where names leave more than noise, those that act there may only mimic what is missing: then they stand
-if together they account for nearly all of it. What remains is a share that is said.
+A claim is retained if its interval excludes its absence, if it is physically possible, and if it does not increase the
+held-out errors. Where the names leave more than noise, those that act there may only mimic what is missing: they are
+retained if together they account for nearly all of it. The remaining share is reported.
 
-`accounted` of an equation is 1 - (rms left) / (rms missing) on what was held out, the noise taken off both.
+`accounted` of an equation is 1 - (rms of the residual) / (rms of what the bench file misses) on held-out recordings,
+the noise subtracted from both.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit, without_one
 from hydro_diagnosis.estimation.intervals import Interval, without_insignificant
 from hydro_diagnosis.estimation.problem import NOTICEABLE, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
-from hydro_diagnosis.significance import CLAIMED, ITERATIONS, MATTERS
+from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE
 
 NEARLY_ALL = 0.98
 """Share of the squared mismatch that names explain where something remains beside them: six sevenths of it."""
@@ -32,33 +33,33 @@ _EQUATION = {"hydraulic": "sensor"}
 
 @dataclass(frozen=True)
 class Assessment:
-    """What stands."""
+    """Result of the judgement: verdict, retained claims and remaining mismatch."""
 
     verdict: str
     """no_mismatch, explained, modelled, partly_explained or unknown."""
     fit: Fit
-    """The fit with the claims that stand."""
+    """Fit with the retained claims."""
     places: tuple[Place, ...]
     """Location of the mismatch against the baseline."""
     remainder: tuple[Place, ...]
-    """Where something is left."""
+    """Locations of the remaining mismatch."""
     forms: tuple[FreeForm, ...]
-    """Free-form inputs for what is left, the most informative first; empty if nothing is."""
+    """Free-form inputs for the remaining mismatch, the most informative first; empty if there is none."""
     dropped: tuple[Claim, ...]
-    """Claims of the search that do not stand."""
+    """Claims of the search that are not retained."""
 
 
-def judged(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tuple[Fit, list[Interval]]:
-    """The fit with the claims that stand, and their intervals.
+def retain_claims(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tuple[Fit, list[Interval]]:
+    """Return the fit with the retained claims, and the intervals of its parameters.
 
-    `holdout`: what was held out; `found`: the search's fit; `nothing`: that without claims.
+    `holdout`: held-out recordings; `found`: fit of the search; `nothing`: fit without claims.
     """
     while True:
         count = len(found.claims)
         if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < NEARLY_ALL:
             suspects, noisy = set(), problem.remaining(found.residual)
-            for claim in found.judged:  # that shows mainly in channels in which something remains
-                shown = problem.mean_squares(problem.residual(found.but(claim)) - found.residual)
+            for claim in found.cause_claims:  # that shows mainly in channels in which something remains
+                shown = problem.mean_squares(problem.residual(found.claims_without(claim)) - found.residual)
                 if max(shown, key=lambda name: shown[name]) in noisy:
                     suspects.add(claim.effect.label)
             trusted = tuple(claim for claim in found.claims if claim.effect.label not in suspects)
@@ -71,25 +72,28 @@ def judged(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tupl
             remains = problem.noticeable(found.residual) or any(not one.effect.named for one in found.claims)
             found = fit(problem, named, iterations=0 if remains else ITERATIONS)
         elif worst := _most_harmful(problem, holdout, found):
-            found = fit(problem, found.but(worst))
+            found = fit(problem, found.claims_without(worst))
         if len(found.claims) == count:
             return found, bounds
 
 
 def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> Claim | None:
-    """The name that makes what was held out worse by most, where that is more than its claim needed to gain."""
-    unseen = holdout.weighed(found.claims)
+    """Return the claim that increases the held-out deviance most, if by more than `CLAIM_THRESHOLD`; else None."""
+    unseen = holdout.reweighted(found.claims)
     before = unseen.deviance(unseen.residual(found.claims))
     harm = {
         before - unseen.deviance(unseen.residual(without_one(problem, found, claim).claims)): claim
         for claim in found.removable
     }
     worst = max(harm, default=0.0)
-    return harm[worst] if worst > CLAIMED else None
+    return harm[worst] if worst > CLAIM_THRESHOLD else None
 
 
 def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
-    """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
+    """Return the share of the excess over the noise that a fit accounts for.
+
+    That of the channel with the smallest share among those in which it leaves more than noise; 1 if there are none.
+    """
     before, after = problem.mean_squares(nothing.residual), problem.mean_squares(found.residual)
     limit = problem.noise_thresholds
     gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
@@ -98,31 +102,34 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     return float(min(shares, default=1.0))
 
 
-def assessed(
+def assess(
     problem: Problem, found: Fit, kept: Fit, nothing: Fit, holdout: Problem,
     accounted: Mapping[str, Mapping[str, float]],
 ) -> Assessment:  # fmt: skip
-    """What stands, and the verdict.
+    """Return the verdict, with the locations of the mismatch and of what remains of it.
 
     Parameters
     ----------
     found, kept, nothing
-        Fits of the search, of what stands, and without claims.
+        Fits of the search, with the retained claims, and without claims.
     accounted
-        Of what was held out (`shares`).
+        `accounted_shares` of the held-out recordings.
     """
-    terms = any(not one.effect.named for one in kept.judged)
-    names = any(one.effect.named for one in kept.judged)
+    terms = any(not one.effect.named for one in kept.cause_claims)
+    names = any(one.effect.named for one in kept.cause_claims)
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
     left = (
         problem.noticeable(kept.residual)
         or any(not one.effect.named for one in dropped)
-        or any(name in accounted and accounted[name]["all"] < 1.0 - MATTERS for name in _left(holdout, kept))
-        or (not kept.judged and bool(_left(holdout, kept)))
+        or any(
+            name in accounted and accounted[name]["all"] < 1.0 - PRACTICAL_SHARE
+            for name in _remaining_equations(holdout, kept)
+        )
+        or (not kept.cause_claims and bool(_remaining_equations(holdout, kept)))
     )
     if not left:
-        verdict = ("modelled" if terms else "explained") if kept.judged else "no_mismatch"
+        verdict = ("modelled" if terms else "explained") if kept.cause_claims else "no_mismatch"
         places = tuple(locate_claims(problem, kept, nothing.residual))
         return Assessment(verdict, kept, places, (), (), dropped)
     forms = free_forms(problem, kept)
@@ -134,24 +141,25 @@ def assessed(
         nowhere = tuple(() for _ in problem.models)  # of what was fitted
         remainder = tuple(replace(one, windows=nowhere) for one in remainder)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
-    whole = all(one["all"] >= 1.0 - MATTERS for one in accounted.values()) and bool(accounted)
-    if kept.judged and whole:
+    whole = all(one["all"] >= 1.0 - PRACTICAL_SHARE for one in accounted.values()) and bool(accounted)
+    if kept.cause_claims and whole:
         verdict = "modelled" if terms else "explained"
     else:
         verdict = "partly_explained" if names else "unknown"
     return Assessment(verdict, kept, places, remainder, tuple(forms[:6]), dropped)
 
 
-def _left(holdout: Problem, kept: Fit) -> list[str]:
-    """Equations in which a fit leaves more than noise of what was held out."""
-    unseen = holdout.weighed(kept.claims)
+def _remaining_equations(holdout: Problem, kept: Fit) -> list[str]:
+    """Return the equations in which a fit leaves more than noise in the held-out recordings."""
+    unseen = holdout.reweighted(kept.claims)
     return [_EQUATION.get(name, name) for name in unseen.remaining(unseen.residual(kept.claims))]
 
 
-def shares(errors: Mapping[str, Mapping[str, Any]], named: Mapping[str, Mapping[str, Any]]) -> Accounted:
-    """What all terms, and the named ones, account for: `validation.equation_errors` of both.
+def accounted_shares(errors: Mapping[str, Mapping[str, Any]], named: Mapping[str, Mapping[str, Any]]) -> Accounted:
+    """Return the shares that all terms, and that the named ones, account for, by equation.
 
-    Without equations in which the bench file misses nothing but noise.
+    `errors`, `named`: `validation.equation_errors` with all terms and with the named ones. Equations in which the bench
+    file misses nothing but noise are left out.
     """
     found: Accounted = {}
     for name, one in errors.items():

@@ -22,7 +22,7 @@ from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
 from hydro_diagnosis.stages.reading import Case, Progress, Question
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
-from hydro_diagnosis.twin import compared
+from hydro_diagnosis.twin import compare_reports
 from hydro_sim.model.bench import Bench
 
 
@@ -52,7 +52,7 @@ def diagnose(
         Recordings on which nothing is fitted; without, the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
-        A file or content needs only the numbers that the recorded channels connect (`bench_numbers.needed`).
+        A file or content needs only the numbers that the recorded channels connect (`bench_numbers.required_numbers`).
     model
         File of a learned bench as the baseline, in place of `bench`.
     columns
@@ -104,7 +104,7 @@ def diagnose(
     except DiagnosisInterrupted as interrupted:
         unfinished = replace(found.report, verdict=INTERRUPTED)
         raise DiagnosisInterrupted(unfinished, interrupted.status) from None
-    return replace(found, report=compared(found.report, other.report))
+    return replace(found, report=compare_reports(found.report, other.report))
 
 
 def _read(question: Question, progress: Progress) -> tuple[Case, float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import PRESSURE, Claim
-from hydro_diagnosis.effects.closure import splined
+from hydro_diagnosis.effects.closure import evaluate_spline
 from hydro_diagnosis.effects.dynamics import opened
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -24,7 +24,7 @@ def _memory() -> None:
     record.bristle("z", path, 2e5, np.ones(10))
     record.play("p", path, 0.1)
     opened(np.zeros((10, 4)), 1e-3, 1e-4)
-    splined(path, 0.0, 1.0, np.zeros(KNOTS))
+    evaluate_spline(path, 0.0, 1.0, np.zeros(KNOTS))
 
 
 def _equations() -> None:

@@ -79,10 +79,10 @@ class Segment:
         """First sample that lies at one of the logger's rows."""
         return 0 if self.measured is None else int(np.argmax(self.measured)) % self.spacing
 
-    def judged(self, begin: int, end: int, stride: int, margin: int) -> npt.NDArray[np.int64] | slice:
-        """Samples that are judged: recorded ones, `stride` recorded rows apart; a slice where every row was recorded.
+    def evaluated_rows(self, begin: int, end: int, stride: int, margin: int) -> npt.NDArray[np.int64] | slice:
+        """Return the rows at which residuals are evaluated: recorded ones, `stride` recorded rows apart.
 
-        None is missing within `margin` rows of them.
+        A slice where every row was recorded. None is missing within `margin` rows of them.
         """
         if self.measured is None:
             return slice(begin, end, stride)

@@ -3,8 +3,8 @@
 
 The simplest shape that misses no point, of half as many numbers as points. Where there is none, another name joins as
 long as the points' evidence (BIC, their discrepancy estimated) is for it. A point is missed by more than two standard
-errors and more than `MATTERS` of the largest force. Where one number is all that few points have room for and misses
-one grossly, it is a number either way: dry friction and a constant force.
+errors and more than `PRACTICAL_SHARE` of the largest force. Where one number is all that few points have room for and
+misses one grossly, it is a number either way: dry friction and a constant force.
 
 Sizes are by generalised least squares on the points; their intervals hold the errors between strokes and a discrepancy
 of the shape, estimated from what it misses, whose errors at neighbouring speeds are alike (Kennedy and O'Hagan 2001).
@@ -21,9 +21,9 @@ from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.curves import ForceCurve, Point
-from hydro_diagnosis.significance import CONFIDENCE, ITERATIONS, MATTERS, SURE
+from hydro_diagnosis.significance import CONFIDENCE, COVERAGE_FACTOR, ITERATIONS, PRACTICAL_SHARE
 
-STRIBECK = (0.05, 0.1, 0.2, 0.4, 0.6)
+STRIBECK_VELOCITY_RATIOS = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Speeds, over the top speed, over which a rise towards standstill may fade."""
 PROFILE = np.geomspace(0.25, 4.0, 33)
 """Factors of a number of a shape or an operator among which its interval ends."""
@@ -63,7 +63,7 @@ class Shape:
 
     @property
     def numbers(self) -> int:
-        """How many numbers it has, the speed over which a rise fades among them."""
+        """Number of its parameters, including the speed over which a rise fades."""
         return len(self.names) + bool(self.stribeck)
 
     def without(self, name: str) -> Shape:
@@ -83,12 +83,12 @@ class Shape:
         if not self.constant:
             yield replace(self, constant=True)
         if self.dry and not self.stribeck:
-            yield from (replace(self, stribeck=share * top) for share in STRIBECK)
+            yield from (replace(self, stribeck=share * top) for share in STRIBECK_VELOCITY_RATIOS)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fitted:
-    """A shape at its sizes."""
+class FittedShape:
+    """A shape with fitted sizes."""
 
     shape: Shape
     values: FloatArray
@@ -113,17 +113,17 @@ class Fitted:
         found = [(self.values[k], self.low[k], self.high[k]) for k in rows]
         return [(factor * value, *sorted((factor * low, factor * high))) for value, low, high in found]
 
-    def but(self, name: str) -> Fitted:
-        """The same without a name."""
+    def without(self, name: str) -> FittedShape:
+        """Return the same with the values of a name set to 0."""
         kept = np.where([one == name for one in self.shape.names], 0.0, self.values)
         return replace(self, values=kept)
 
 
-def fitted(points: Sequence[Point], shape: Shape, top: float) -> Fitted:
-    """The sizes of a shape at the points; `top`: top speed [m/s]."""
+def fit_shape(points: Sequence[Point], shape: Shape, top: float) -> FittedShape:
+    """Return a shape with the sizes fitted to the points; `top`: top speed [m/s]."""
     speed, force, error = (np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error"))
     largest = max(float(np.max(np.abs(force))), 1e-30)
-    matters = MATTERS * largest
+    matters = PRACTICAL_SHARE * largest
     columns, plain = shape.columns(speed), 1.0 / np.hypot(error, 0.5 * matters)
     weight = plain
     for _ in range(ITERATIONS):
@@ -131,7 +131,7 @@ def fitted(points: Sequence[Point], shape: Shape, top: float) -> Fitted:
         inverse = np.linalg.pinv(columns * weight[:, None] / scale, rcond=1e-9) / scale[:, None]
         values = inverse @ (force * weight)
         off = force - columns @ values
-        far = np.maximum(np.abs(off) * plain / SURE, 1.0)
+        far = np.maximum(np.abs(off) * plain / COVERAGE_FACTOR, 1.0)
         weight = plain / np.sqrt(far)
     free = max(len(points) - columns.shape[1], 0)
     level = (float(np.sum(np.square(off) / far)) + (0.5 * matters) ** 2) / (free + 1.0)
@@ -140,22 +140,22 @@ def fitted(points: Sequence[Point], shape: Shape, top: float) -> Fitted:
     moves = inverse * weight
     errors = np.sqrt(np.maximum(np.diag(moves @ covariance @ moves.T), 0.0))
     reach = errors * float(stdtrit(max(free, 1), CONFIDENCE))
-    missing = np.abs(off) / np.maximum(matters, SURE * error)
-    return Fitted(
+    missing = np.abs(off) / np.maximum(matters, COVERAGE_FACTOR * error)
+    return FittedShape(
         shape=shape,
         values=values,
         reach=reach,
         low=values - reach,
         high=values + reach,
-        squares=float(np.sum(np.where(far > 1.0, SURE**2 * (2.0 * far - 1.0), np.square(off * plain)))),
+        squares=float(np.sum(np.where(far > 1.0, COVERAGE_FACTOR**2 * (2.0 * far - 1.0), np.square(off * plain)))),
         missed=int(np.count_nonzero(missing > 1.0)),
         worst=float(np.max(missing)),
     )
 
 
-def simplest(
+def simplest_shape(
     points: Sequence[Point], top: float, viscous: float = 0.0, allowed: frozenset[str] = frozenset()
-) -> Fitted:
+) -> FittedShape:
     """The simplest shape that misses no point, or to which the points have no evidence of another name.
 
     `viscous`: friction [N s/m] of the bench file, below which the sum cannot be nothing; `allowed`: names, and
@@ -163,7 +163,7 @@ def simplest(
     """
     room = max(len(points) // 2, 1)
 
-    def possible(one: Fitted) -> bool:
+    def possible(one: FittedShape) -> bool:
         if not set(one.shape.names) <= allowed or (one.shape.viscous == 2 and "directional" not in allowed):
             return False
         value = dict(zip(one.shape.names, one.values, strict=True))
@@ -174,35 +174,35 @@ def simplest(
     shapes = [
         Shape(dry, drag, constant, share * top)
         for dry, drag, constant in product((False, True), range(3), (False, True))
-        for share in ((0.0, *STRIBECK) if dry else (0.0,))
+        for share in ((0.0, *STRIBECK_VELOCITY_RATIOS) if dry else (0.0,))
     ]
-    whole = [fitted(points, shape, top) for shape in shapes if shape.numbers <= room]
+    whole = [fit_shape(points, shape, top) for shape in shapes if shape.numbers <= room]
     whole = [one for one in whole if not one.missed and possible(one)]
     if whole:
         return min(whole, key=lambda one: (one.shape.numbers, one.squares))
-    current = fitted(points, Shape(), top)
+    current = fit_shape(points, Shape(), top)
     while True:
-        tried = [fitted(points, shape, top) for shape in current.shape.richer(top)]
+        tried = [fit_shape(points, shape, top) for shape in current.shape.richer(top)]
         best = min((one for one in tried if len(one.values) <= room and possible(one)),
                    key=lambda one: one.squares, default=current)  # fmt: skip
         price = (len(best.values) - len(current.values)) * np.log(len(points))
         if best is current or len(points) * np.log(best.squares / current.squares) > -price:
             break
         current = best
-    either_way = fitted(points, Shape(dry=True, constant=True), top)
-    alone = current.worst > SURE and room == 1 and len(points) > 2
+    either_way = fit_shape(points, Shape(dry=True, constant=True), top)
+    alone = current.worst > COVERAGE_FACTOR and room == 1 and len(points) > 2
     return either_way if alone and not either_way.missed and possible(either_way) else current
 
 
-def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
-    """The shape without names that may be absent, that of least evidence first; intervals hold with and without it."""
+def drop_uncertain(points: Sequence[Point], found: FittedShape, top: float) -> FittedShape:
+    """Return the shape without names that may be absent, the least evident dropped first; intervals span both fits."""
     while len(found.values):
         unsure = {name for name, value, reach in zip(found.shape.names, found.values, found.reach, strict=True)
                   if abs(value) <= reach}  # fmt: skip
         if not unsure:
             break
-        fewer = [fitted(points, found.shape.without(name), top) for name in sorted(unsure)]
-        fewer = [one for one in fewer if found.missed or one.worst < SURE]
+        fewer = [fit_shape(points, found.shape.without(name), top) for name in sorted(unsure)]
+        fewer = [one for one in fewer if found.missed or one.worst < COVERAGE_FACTOR]
         if not fewer:  # without it a point is missed grossly: it is needed, and what it may be ends at nothing
             low = np.where(found.values > 0.0, np.maximum(found.low, 0.0), found.low)
             return replace(found, low=low, high=np.where(found.values < 0.0, np.minimum(found.high, 0.0), found.high))
@@ -216,14 +216,14 @@ def sure(points: Sequence[Point], found: Fitted, top: float) -> Fitted:
     return found
 
 
-def named(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> Fitted | None:
-    """The shape of a curve, if it shows the signs of friction: points either way, and a force against the motion."""
+def curve_shape(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> FittedShape | None:
+    """Return the shape fitted to a curve, or None if the curve lacks a sign of friction (`missing_sign`)."""
     if missing_sign(curve):
         return None
     if one_way(curve):
         allowed = allowed - {"constant"}  # it is one with dry friction
-    found = simplest(curve.points, curve.top, viscous, allowed)
-    return sure(curve.points, found, curve.top)
+    found = simplest_shape(curve.points, curve.top, viscous, allowed)
+    return drop_uncertain(curve.points, found, curve.top)
 
 
 def one_way(curve: ForceCurve) -> bool:
@@ -232,10 +232,10 @@ def one_way(curve: ForceCurve) -> bool:
     return min(speeds) > 0.0 or max(speeds) < 0.0
 
 
-def fading(points: Sequence[Point], found: Fitted, top: float) -> tuple[float, float]:
+def fading_interval(points: Sequence[Point], found: FittedShape, top: float) -> tuple[float, float]:
     """95 % interval of the speed [m/s] over which a rise towards standstill fades: the profile of the squares."""
     tried = found.shape.stribeck * PROFILE
-    squares = [fitted(points, replace(found.shape, stribeck=float(one)), top).squares for one in tried]
+    squares = [fit_shape(points, replace(found.shape, stribeck=float(one)), top).squares for one in tried]
     rise = len(points) * np.log(np.maximum(squares, 1e-12) / max(found.squares, 1e-12))
     inside = tried[rise < stdtrit(max(len(points) - len(found.values) - 1, 1), CONFIDENCE) ** 2]
     return float(min([*inside, found.shape.stribeck])), float(max([*inside, found.shape.stribeck]))
@@ -247,7 +247,7 @@ def missing_sign(curve: ForceCurve) -> str:
         return "hardly a speed is held"
     if one_way(curve):  # the force must change with the speed by more than matters, and be against the motion all along
         force = np.array([one.force * np.sign(one.at) for one in curve.points])
-        follows = force.min() > 0.0 and np.ptp(force) > MATTERS * force.max()
+        follows = force.min() > 0.0 and np.ptp(force) > PRACTICAL_SHARE * force.max()
         return "" if follows else "all motion is one way, and the force does not follow the speed"
     if curve.opposing < OPPOSING:
         return (

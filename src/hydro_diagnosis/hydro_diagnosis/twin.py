@@ -25,8 +25,8 @@ from hydro_diagnosis.report_json import (
 )
 
 
-def compared(bench: Report, simulator: Report) -> Report:
-    """The bench's report with what the simulator has differently, and a note on what was found in its recordings."""
+def compare_reports(bench: Report, simulator: Report) -> Report:
+    """Return the bench's report, with differences from the simulator's and a note on the simulator's verdict."""
     note = f"the simulator's recordings against the same bench file: {simulator.verdict}"
     open_ = {"bench": bench, "simulator": simulator}
     doubtful = [name for name, one in open_.items() if one.verdict in ("unknown", "partly_explained")]

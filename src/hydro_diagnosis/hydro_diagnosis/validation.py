@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, values_key
+from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, claims_key
 from hydro_diagnosis.effects.memory import Indices
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_diagnosis.recording import UNITS
-from hydro_diagnosis.significance import ITERATIONS, OUTLYING, SURE
+from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLYING
 
 MOST = 0.25
 """Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
@@ -54,7 +54,7 @@ class Comparison:
 Simulated = tuple[FloatArray, dict[str, FloatArray]]
 """States in which windows begin, shape (4, windows), and reading minus recording by channel, shape (rows, windows)."""
 Known = dict[tuple[Any, ...], Simulated]
-"""By recording, horizon and claims: what has been simulated already."""
+"""Simulations so far, by recording, horizon and claims."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class _Windows:
         `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
         """
         error = self._size(apart)
-        if not np.any(error > SURE):
+        if not np.any(error > COVERAGE_FACTOR):
             return np.zeros(len(self.begins), dtype=bool)
         position, step = self.noise.get("piston_position", 0.0), self.plant.model.step * self.plant.model.spacing
         pressures = (TOTAL_NOISE_GAIN * self.noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
@@ -96,7 +96,7 @@ class _Windows:
         each = {name: one.reshape(self.length, draws + 1, windows) for name, one in shown.items()}
         scatter = self._size({name: (one[:, 1:] - one[:, :1]).reshape(-1, windows) for name, one in each.items()})
         enough = np.maximum(0.5 * error, OUTLYING * np.nanmedian(scatter))
-        return np.asarray((error > SURE) & (scatter >= enough))
+        return np.asarray((error > COVERAGE_FACTOR) & (scatter >= enough))
 
     def _size(self, apart: dict[str, FloatArray]) -> FloatArray:
         """Root mean square per window over time and channels, noise floors."""
@@ -162,7 +162,7 @@ def compare(
             found: list[Simulated] = []
             for claims in (before, after):
                 stretch = _Windows(Plant.of(model, claims), begins, length, noise)
-                key = (number, seconds, shooting, *values_key(claims))
+                key = (number, seconds, shooting, *claims_key(claims))
                 if key not in known:
                     state = stretch.plant.start(begins)  # as recorded, smoothed
                     state = stretch.shot(state) if shooting else state
@@ -222,16 +222,16 @@ _MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hy
 _EQUATION_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
 
 
-def held_out(
+def holdout_errors(
     problem: Problem,
     unseen: Problem,
     claims: Sequence[Claim],
     known: Known | None = None,
 ) -> dict[str, Any]:
-    """Errors of the baseline and of the corrected model as they stand in report.json under `fit`.
+    """Return the errors of the baseline and of the corrected model, as under `fit` in report.json.
 
-    `unseen`: the held-out recordings; noise and baseline are those of `problem`. `known`: what has been simulated of
-    them already, added to.
+    `unseen`: held-out recordings; noise and baseline are those of `problem`. `known`: simulations so far, which it
+    extends.
     """
     models = unseen.models
     equations = equation_errors(unseen, claims)
@@ -261,13 +261,12 @@ def held_out(
 
 
 def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, dict[str, Any]]:
-    """Errors on the recordings of `problem`, by channel of residuals, before and after the claims are added.
+    """Return the errors on the recordings of `problem`, by channel, before and after the claims are added.
 
-    As they stand in report.json under `fit.equations`; `signal`: root mean square of what the equation explains.
+    As under `fit.equations` in report.json; `signal`: root mean square of what the equation explains.
 
-    Weighted like the fit that the verdict rests on, by the inverse square of each residual's deviation under the
-    problem's doubt: where dry friction reverses, its sign is not known, and its level would stand
-    in every figure. `before` and `after` have the same weights.
+    Residuals are weighted by their inverse variances, as in the fit: where dry friction reverses its sign is uncertain,
+    and would dominate every figure. `before` and `after` have the same weights.
     """
     before, after = problem.residual(()), problem.residual(claims)
     found = {}

@@ -11,17 +11,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import UnknownNumberError, guarded
+from hydro_diagnosis.bench_numbers import UnknownNumberError, guard
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import means
-from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.io.units import to_si
 from hydro_diagnosis.recording import MEASURED
 from hydro_sim.model.bench import Bench
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.io.table import RawTable
 
 Channels = Mapping[str, FloatArray]
 """By BenchState field, SI units, equally spaced, each of shape (n,)."""
@@ -130,7 +133,7 @@ class Inspection:
 
 def inspect_table(table: RawTable, bench: Bench) -> Inspection:
     """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
-    found, bench, taken = Inspection(units=dict(table.units)), guarded(bench), table.units
+    found, bench, taken = Inspection(units=dict(table.units)), guard(bench), table.units
     looked = {name: values[:LOOKED_AT] for name, values in table.columns.items()}
     looked = {name: values for name, values in looked.items() if np.isfinite(values).sum() > 0.5 * len(values)}
     rows = np.all([np.isfinite(values) for values in looked.values()], axis=0)
@@ -150,9 +153,12 @@ def _copies(channels: Channels) -> Iterator[Doubt]:
     """Two sensors never have the same noise."""
     sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
     for one, other in combinations(sensors, 2):
-        if line(channels[one], channels[other], 1)[1] < 1e-12:
+        if block_regression(channels[one], channels[other], 1)[1] < 1e-12:
             pairs = [(other, one), (one, other)]
-            if one == "pressure_a" and line(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0:
+            if (
+                one == "pressure_a"
+                and block_regression(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0
+            ):
                 pairs.reverse()  # it falls as the force grows
             yield tuple(
                 Repair(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out", becomes="")
@@ -182,7 +188,7 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
     factor = 0.0  # by which the position would compress the spring as the load's force says
     zero = 0.5 * stroke - 0.5 * float(position.min() + position.max())  # m, by the middle, else by the spring
     if "load_force" in channels:
-        slope, left = line(position, channels["load_force"])
+        slope, left = block_regression(position, channels["load_force"])
         if not left > 1.0 - TOGETHER**2:
             factor = slope / bench.spring_stiffness
             rest = float(np.median(channels["load_force"] / bench.spring_stiffness - factor * position))
@@ -230,8 +236,11 @@ def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iter
         yield tuple(one for one in scales if one.factor * largest <= BEYOND * limit)
 
 
-def line(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
-    """Least-squares slope of means over so many samples, and the share of the variance that it leaves; else 0, 1."""
+def block_regression(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
+    """Return the least-squares slope of block means over `samples` each, and the share of variance that it leaves.
+
+    0 and 1 if one of the signals is constant.
+    """
     one, other = (means(values, samples) for values in (on, dependent))
     one, other = one - one.mean(), other - other.mean()
     size, power = float(one @ one), float(other @ other)

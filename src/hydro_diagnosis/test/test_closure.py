@@ -14,7 +14,7 @@ import pytest
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure import admission
-from hydro_diagnosis.closure.admission import admitted, share_closed
+from hydro_diagnosis.closure.admission import admit, share_closed
 from hydro_diagnosis.closure.selection import ClosureFit, closures
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -41,8 +41,8 @@ def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_o
     named, closed = held(a=10.0, b=1.5), ClosureFit(fit(problem, ()), "law", 1.0, problem)
     assert share_closed(named, held(a=1.0, b=1.6)) > 0.9
     for later, taken in ((1.6, False), (float("nan"), False), (1.5, True)):
-        monkeypatch.setattr(admission, "held_out", lambda *_, b=later: held(a=1.0, b=b))
-        assert (admitted(problem, problem, [closed], named) is not None) == taken
+        monkeypatch.setattr(admission, "holdout_errors", lambda *_, b=later: held(a=1.0, b=b))
+        assert (admit(problem, problem, [closed], named) is not None) == taken
 
 
 def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_bench(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.memory import Memory, along, held_lag
+from hydro_diagnosis.effects.memory import Memory, bristle_force, held_lag
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -52,11 +52,11 @@ def test_a_lag_is_that_of_its_differential_equation() -> None:
 
 def test_a_path_element_follows_direction_and_distance_alone() -> None:
     back_and_forth = np.concatenate([np.linspace(0.0, 1.0, 50), np.linspace(1.0, 0.5, 20)])
-    force = along(back_and_forth, 10.0, np.ones(70))
+    force = bristle_force(back_and_forth, 10.0, np.ones(70))
     assert force[49] == pytest.approx(1.0 - np.exp(-10.0))
     assert force[-1] == pytest.approx(-1.0 + (force[49] + 1.0) * np.exp(-5.0))
     slow = np.repeat(back_and_forth, 3)
-    np.testing.assert_allclose(along(slow, 10.0, np.ones(210))[2::3], force)
+    np.testing.assert_allclose(bristle_force(slow, 10.0, np.ones(210))[2::3], force)
 
 
 def test_laminar_edges_pass_what_is_proportional_to_a_small_drop_and_the_root_of_a_large_one() -> None:

@@ -14,7 +14,7 @@ import pytest
 from scipy.io import savemat
 
 from hydro_core.signals import StateArray
-from hydro_diagnosis.column_proposal import proposed
+from hydro_diagnosis.column_proposal import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
@@ -107,7 +107,7 @@ def test_two_forces_are_told_apart_by_what_they_act_on(hydraulic: str, load: str
     time = np.arange(500) * 1e-3
     force = 200.0 * np.sin(6.0 * time)
     series = {"t": time, load: force / (1e3 if "kN" in load else 1.0), hydraulic: 1.1 * force}
-    sources = proposed(Columns(series), Bench.nominal()).sources
+    sources = propose_sources(Columns(series), Bench.nominal()).sources
     assert (sources["hydraulic_force"].column, sources["load_force"].column) == (hydraulic, load)
 
 
@@ -117,7 +117,7 @@ def test_forces_whose_names_say_nothing_are_told_apart_by_the_pressures() -> Non
     hydraulic = load + 40.0 * np.sign(np.cos(6.0 * time))
     series = {"t": time, "F1 [N]": load, "F2 [N]": hydraulic, "x [mm]": 40.0 + load / 20.0}
     pressures = {"p_a [bar]": 80.0 + 1e-5 * hydraulic / bench.piston_area, "p_b [bar]": np.full(2000, 80.0)}
-    sources = proposed(Columns(series | pressures), bench).sources
+    sources = propose_sources(Columns(series | pressures), bench).sources
     assert (sources["hydraulic_force"].column, sources["load_force"].column) == ("F2 [N]", "F1 [N]")
 
 
@@ -255,7 +255,7 @@ def test_the_map_that_inspect_proposes_reads_an_export_as_the_bench_was(
     states = nominal[:4000]
     path = tmp_path / f"run.{EXPORTS[write]}"
     path.write_bytes(write(states))
-    found = read_table(path, proposed(columns_of(path), Bench.nominal()))
+    found = read_table(path, propose_sources(columns_of(path), Bench.nominal()))
     expected = set(FIELDS) if write is not numbered else {*FIELDS[:-1], "hydraulic_force"}
     assert set(found.columns) == expected
     np.testing.assert_allclose(np.diff(found.time), 1e-3, atol=1e-9)
@@ -295,12 +295,14 @@ def test_a_matrix_without_names_and_units_is_mapped_by_the_equations_of_the_benc
             file.create_dataset("data", data=matrix.T)
         for name in ("old.mat", "new.mat"):
             path = tmp_path / name
-            found = read_table(path, proposed(columns_of(path), Bench.nominal()))
+            found = read_table(path, propose_sources(columns_of(path), Bench.nominal()))
             assert set(found.columns) == set(fields)
             for field in fields:
                 np.testing.assert_allclose(found.columns[field], nominal[field], rtol=1e-9, atol=1e-12, err_msg=field)
     larger = replace(Bench.nominal(), piston_area=2.0 * Bench.nominal().piston_area)
-    assert set(proposed(columns_of(path), larger).sources) == {"time"}, "another bench's numbers fulfil no equation"
+    assert set(propose_sources(columns_of(path), larger).sources) == {"time"}, (
+        "another bench's numbers fulfil no equation"
+    )
 
 
 def test_a_double_rod_without_names_is_mapped_though_one_pressure_falls_as_the_other_rises() -> None:
@@ -324,7 +326,7 @@ def test_a_double_rod_without_names_is_mapped_though_one_pressure_falls_as_the_o
     expected = {field: f"c{number}" for field, number in zip(units, (1, 2, 3, 4, 5, 6, 7), strict=True)}
     for named in (False, True):
         names = {f"c{k}": f"c{k} [{unit}]" for k, unit in enumerate((*units.values(), "°C"), 1)} if named else {}
-        found = proposed(Columns({names.get(name, name): values for name, values in series.items()}), bench)
+        found = propose_sources(Columns({names.get(name, name): values for name, values in series.items()}), bench)
         assert {field: source.column for field, source in found.sources.items()} == {
             field: names.get(name, name) for field, name in expected.items()
         }
@@ -342,7 +344,7 @@ def test_temperatures_and_flows_are_no_pressures_and_positions(tmp_path: Path, n
     for head in (brackets, names):
         row = [] if head == brackets else [",".join(units)]
         path.write_text("\n".join([",".join(head), *row, *rows(values, ",")]))
-        assert set(proposed(columns_of(path), Bench.nominal()).sources) == {"time", "pressure_b"}
+        assert set(propose_sources(columns_of(path), Bench.nominal()).sources) == {"time", "pressure_b"}
         with pytest.raises(InputError, match="is a temperature, in degC: no field is one"):
             read_table(path, ColumnMap.load(f"time='{head[0]}',pressure_a='{head[1]}'"))
 
@@ -367,7 +369,7 @@ def test_milliseconds_without_a_unit_and_sensors_in_every_fifth_row_only(tmp_pat
     cells = [",".join("" if np.isnan(one) else repr(float(one)) for one in row) for row in values]
     path = tmp_path / "two_rates.csv"
     path.write_text("\n".join(["t,x,pa,pb,f_load,i", *cells]))
-    found = read_table(path, proposed(columns_of(path), Bench.nominal()))
+    found = read_table(path, propose_sources(columns_of(path), Bench.nominal()))
     np.testing.assert_allclose(np.diff(found.time), 5e-3, atol=1e-9)
     assert set(found.columns) == set(FIELDS[:-1])
     for field in FIELDS[:-2]:

@@ -14,20 +14,20 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import completed
+from hydro_diagnosis.bench_numbers import parse_bench
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.curves import ForceCurve, Motion, Point, Terms, motions, splines
-from hydro_diagnosis.effects.closure import splined
+from hydro_diagnosis.effects.closure import evaluate_spline
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.pipeline import diagnose
-from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.shapes import Fitted, missing_sign, named, simplest, sure
+from hydro_diagnosis.preprocessing.quality import check_recording
+from hydro_diagnosis.shapes import FittedShape, curve_shape, drop_uncertain, missing_sign, simplest_shape
 from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
-BENCH = completed({"moving_mass": 1.0}, frozenset())
+BENCH = parse_bench({"moving_mass": 1.0}, frozenset())
 STEP = 1e-3
 NAMES = frozenset({"dry", "viscous", "constant", "stribeck"})
 Law = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -49,15 +49,15 @@ def strokes(law: Law, *, seed: int = 0, seconds: float = 40.0, noise: float = 0.
 
 def recorded(law: Law, **how: Any) -> list[Motion]:
     tables = [strokes(law, seed=seed, **how) for seed in (0, 1, 2)]
-    return motions(Problem([one for table in tables for one in checked(table, BENCH).segments], BENCH).models)
+    return motions(Problem([one for table in tables for one in check_recording(table, BENCH).segments], BENCH).models)
 
 
 def rubbing(dry: float = 10.0, viscous: float = 0.0, constant: float = 0.0, rise: float = 0.0) -> Law:
     return lambda _x, v, _a: np.sign(v) * (dry + rise * np.exp(-np.square(v / 0.01))) + viscous * v + constant
 
 
-def shape_of(curve: ForceCurve) -> Fitted:
-    found = named(curve, 0.0, NAMES)
+def shape_of(curve: ForceCurve) -> FittedShape:
+    found = curve_shape(curve, 0.0, NAMES)
     assert found is not None, missing_sign(curve)
     return found
 
@@ -87,8 +87,8 @@ def test_the_simplest_shape_is_named_whatever_the_size_of_the_machine(
     table.columns["hydraulic_force"] -= (1.0 - scale) * np.gradient(
         np.gradient(table.columns["piston_position"], STEP), STEP
     )
-    bench = completed({"moving_mass": scale}, frozenset())
-    found = shape_of(ForceCurve.over_speed(motions(Problem(checked(table, bench).segments, bench).models)))
+    bench = parse_bench({"moving_mass": scale}, frozenset())
+    found = shape_of(ForceCurve.over_speed(motions(Problem(check_recording(table, bench).segments, bench).models)))
     assert found.shape.names == names
     right = dict(zip(("dry", "viscous", "constant", "stribeck"),
                      (truth.get(one, 0.0) for one in ("dry", "viscous", "constant", "rise")), strict=True))  # fmt: skip
@@ -104,11 +104,11 @@ def test_one_number_that_misses_few_points_grossly_does_not_stand() -> None:
     # eha_loaded of benchmarks.real_recordings: a load that acts one way
     loaded = points((-0.0131, -1995.0, 12.0), (0.0127, 6569.0, 8.9), (0.0179, 6953.0, 29.0))
     names = frozenset({"dry", "viscous", "constant", "stribeck", "directional"})
-    found = sure(loaded, simplest(loaded, 0.0137, allowed=names), 0.0137)
+    found = drop_uncertain(loaded, simplest_shape(loaded, 0.0137, allowed=names), 0.0137)
     assert found.shape.names == ["dry", "constant"] and not found.missed
     assert all(low >= 0.0 for low in found.low)
     alike = points((-0.0131, -4200.0, 12.0), (0.0127, 4100.0, 8.9), (0.0179, 4500.0, 29.0))
-    assert sure(alike, simplest(alike, 0.0137, allowed=names), 0.0137).shape.names == ["dry"]
+    assert drop_uncertain(alike, simplest_shape(alike, 0.0137, allowed=names), 0.0137).shape.names == ["dry"]
 
 
 def elastic(level: float, rise: float, *, sharp: bool) -> Law:
@@ -155,15 +155,15 @@ def test_a_spring_and_a_mass_are_terms_beside_the_speed() -> None:
 
 def test_curves_over_the_position_are_those_that_the_simulation_takes() -> None:
     values, share = np.random.default_rng(1).standard_normal(12), np.linspace(0.0, 1.0, 101)
-    assert splines(share) @ values == pytest.approx(splined(2.0 + share, 2.0, 3.0, values), abs=1e-9)
+    assert splines(share) @ values == pytest.approx(evaluate_spline(2.0 + share, 2.0, 3.0, values), abs=1e-9)
 
 
 def test_what_does_not_oppose_the_motion_is_not_named_and_the_missing_sign_is_told() -> None:
     tank = ForceCurve.over_speed(recorded(lambda x, _v, _a: 300.0 * (x - 0.05), drift=2.0))
-    assert "opposes the motion in" in missing_sign(tank) and named(tank, 0.0, NAMES) is None
+    assert "opposes the motion in" in missing_sign(tank) and curve_shape(tank, 0.0, NAMES) is None
     table = strokes(rubbing())
     table.columns["piston_position"] = 0.02 + 1e-3 * table.time
-    one_way = motions(Problem(checked(table, BENCH).segments, BENCH).models)
+    one_way = motions(Problem(check_recording(table, BENCH).segments, BENCH).models)
     assert "hardly a speed" in missing_sign(ForceCurve.over_speed(one_way))
 
 
@@ -175,8 +175,8 @@ def test_one_way_only_what_follows_the_speed_is_named(viscous: float, names: lis
         return RawTable(f"{seed}", time, None, {"piston_position": 0.01 + speed * time, "hydraulic_force": force})
 
     tables = [one_way(speed, seed) for seed, speed in enumerate((0.004, 0.008, 0.016, 0.03))]
-    segments = [one for table in tables for one in checked(table, BENCH).segments]
-    found = named(ForceCurve.over_speed(motions(Problem(segments, BENCH).models)), 0.0, NAMES)
+    segments = [one for table in tables for one in check_recording(table, BENCH).segments]
+    found = curve_shape(ForceCurve.over_speed(motions(Problem(segments, BENCH).models)), 0.0, NAMES)
     assert (found and found.shape.names) == names
 
 
@@ -188,7 +188,7 @@ def test_what_is_pushed_at_rest_is_no_friction() -> None:
     for rest, push in zip(rests, (60.0, -80.0, 40.0), strict=True):
         moved[rest], force[rest] = 0.0, push
     table.columns["piston_position"] = 0.05 + np.cumsum(moved)
-    found = shape_of(ForceCurve.over_speed(motions(Problem(checked(table, BENCH).segments, BENCH).models)))
+    found = shape_of(ForceCurve.over_speed(motions(Problem(check_recording(table, BENCH).segments, BENCH).models)))
     assert found.shape.names == ["dry"] and found.values[0] == pytest.approx(10.0, rel=0.05)
 
 
@@ -198,7 +198,7 @@ def test_recordings_are_rough_where_no_curve_explains_them(drift: float, rough: 
 
 
 def test_segments_that_follow_on_each_other_are_one_motion() -> None:
-    (segment,) = checked(strokes(rubbing()), BENCH).segments
+    (segment,) = check_recording(strokes(rubbing()), BENCH).segments
     parts = [segment.cut(0, 12_000), segment.cut(12_000, 20_000), segment.cut(24_000, 40_000)]
     assert [len(one.models) for one in motions(Problem(parts, BENCH).models)] == [2, 1]
 

@@ -125,7 +125,7 @@ def test_equation_errors_do_not_contradict_the_verdict() -> None:
     dry = corrected_bench(Bench.nominal(), [claim("friction_coulomb", 15.0)])
     fitted, held = (problem_in(record(dry, seed, seconds=8.0)) for seed in (40, 41))
     claims = fit(fitted, [claim("friction_coulomb", 10.0)]).claims
-    motion = equation_errors(held.weighed(claims), claims)["motion"]
+    motion = equation_errors(held.reweighted(claims), claims)["motion"]
     assert motion["rmse_before"] > 30.0 * motion["noise_floor"]
     assert motion["rmse_after"] < 1.2 * motion["noise_floor"]
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
-from hydro_diagnosis.effects.base import Machine, sized
+from hydro_diagnosis.effects.base import Machine, scale_bounds
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
@@ -41,7 +41,7 @@ ADAPTED = [effect.adapted(BENCH) for effect in CANDIDATES]
 
 def test_a_rise_towards_standstill_is_gone_at_the_top_speed() -> None:
     stribeck = next(one for one in ADAPTED if one.id == "friction_stribeck")
-    found = sized(stribeck, Machine(force=100.0, speed=0.6, stroke=0.05))
+    found = scale_bounds(stribeck, Machine(force=100.0, speed=0.6, stroke=0.05))
     velocity = next(one for one in found.parameters if one.name == "velocity")
     assert np.exp(-np.square(0.6 / velocity.high)) == pytest.approx(0.05, abs=1e-3)  # else it passes for dry friction
 
@@ -157,7 +157,7 @@ def test_intervals_of_a_stribeck_rise_hold_whatever_its_exponent(exponent: float
     states = record_offline(truth_from_mapping({"profile": "nominal", "effects": effects}), [drive], seed=3).states
     problem, claims = problem_in(states), (claim("friction_coulomb", 10.0), claim("friction_stribeck", *sizes.values()))
     for _ in range(3):
-        problem = problem.weighed(claims)
+        problem = problem.reweighted(claims)
         found = fit(problem, claims)
         claims = found.claims
     for bound, true in zip(intervals(problem, found), (10.0, *sizes.values()), strict=True):
@@ -230,7 +230,7 @@ def claimed(law: Law | Table) -> Claim:
     amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
     share = next((one for form, one in SHARES.items() if law.form.startswith(form)), 1.0)
     sizes = {one.name: share * one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
-    starts = effect.nothing()
+    starts = effect.start_values()
     numbers = law.numbers if isinstance(law, Law) else ()
     passed = {one.name: PASSED[one.over] for one in numbers if one.over}
     return Claim(effect, {**starts[len(starts) // 2], **passed, **sizes})
@@ -266,7 +266,7 @@ def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> No
     ]
     assert isinstance(back[1].effect, Closure)
     assert back[1].effect.limits == LIMITS["position"]
-    assert Bench.load(path).digest == bench_file.digest(bench_file.read_numbers(path)) != BENCH.digest
+    assert Bench.load(path).digest == bench_digest.digest(bench_digest.read_numbers(path)) != BENCH.digest
 
 
 def test_a_law_that_has_a_name_is_an_effect_of_the_corrected_bench_and_no_closure() -> None:

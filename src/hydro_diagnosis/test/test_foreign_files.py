@@ -20,12 +20,12 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from hydro_diagnosis import inspect_command
-from hydro_diagnosis.column_proposal import proposed
+from hydro_diagnosis.column_proposal import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table, table_of
 from hydro_diagnosis.preprocessing.loading import load_dataset
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 from tests.checks import status_of
@@ -155,7 +155,7 @@ TEXTS: dict[str, tuple[str, dict[str, Array]]] = {
 
 def as_proposed(path: Path) -> RawTable:
     found = columns_of(path)
-    return table_of(path, found, proposed(found, BENCH))
+    return table_of(path, found, propose_sources(found, BENCH))
 
 
 def holds(table: RawTable, answer: Mapping[str, Array], within: float = 1e-5) -> None:
@@ -415,7 +415,7 @@ def test_bags_of_other_formats_are_told_with_what_makes_them_readable(tmp_path: 
 def test_a_lone_force_is_the_springs_only_where_it_goes_with_the_position(tmp_path: Path) -> None:
     spring = BENCH.spring_stiffness * (1e-3 * X - BENCH.spring_rest_position)
     for force, field in ((spring, "load_force"), (400.0 * np.sign(np.cos(0.02 * K)), "hydraulic_force")):
-        found = proposed(Columns({"t [s]": T, "x [mm]": X, "Force [N]": force}), BENCH).sources
+        found = propose_sources(Columns({"t [s]": T, "x [mm]": X, "Force [N]": force}), BENCH).sources
         assert found[field].column == "Force [N]" and len(found) == 3
 
 
@@ -426,12 +426,12 @@ def test_a_position_out_of_the_stroke_is_called_so(tmp_path: Path) -> None:
         "run", time, None, {"piston_position": place, "hydraulic_force": 900.0 * np.sign(np.cos(2.0 * time))}
     )
     with pytest.raises(InputError, match=r"piston_position runs from -130 to 130 mm.*stroke of the bench.*80 mm"):
-        checked(table, BENCH)
+        check_recording(table, BENCH)
     larger = replace(BENCH, stroke=0.4)
     with pytest.raises(InputError, match=r"zero is elsewhere.*piston_position=piston_position\+0\.2"):
-        checked(table, larger)
+        check_recording(table, larger)
     moved = replace(table, columns={**table.columns, "piston_position": place + 0.2})
-    assert checked(moved, larger).segments
+    assert check_recording(moved, larger).segments
 
 
 def test_a_channel_that_was_dropped_for_its_clock_is_named_with_the_clock_that_keeps_it(tmp_path: Path) -> None:

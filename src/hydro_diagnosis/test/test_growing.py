@@ -15,7 +15,7 @@ import pytest
 
 from hydro_core.errors import UserError
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.growing import agreements, sightings
+from hydro_diagnosis.growing import agreements, law_estimates
 from hydro_sim.model import grammar
 from hydro_sim.model.laws import Law
 from tests.checks import each, ran
@@ -69,20 +69,20 @@ def test_a_report_says_which_law_it_holds(tmp_path: Path) -> None:
         number, law = number_and_law
         numbers = {name: around(0.1 * (k + 1)) for k, name in enumerate(law.names)}
         folders = [report(tmp_path / str(number) / name, closure(law, numbers)) for name in "ab"]
-        assert [one.law for one in sightings(folders)] == [law, law]
+        assert [one.law for one in law_estimates(folders)] == [law, law]
 
     each(enumerate(EVERY), check, lambda case: f"{case[1].equation} {case[1].form}")
 
 
 def test_one_value_fits_benches_whose_intervals_overlap_and_not_others(tmp_path: Path) -> None:
-    alike = sightings([dragged(tmp_path / "a", 880.0), dragged(tmp_path / "b", 884.0)])
+    alike = law_estimates([dragged(tmp_path / "a", 880.0), dragged(tmp_path / "b", 884.0)])
     (agreed,) = agreements(alike)
     deviation = 880.0 * 0.01 / 1.959964
     weights = np.array([1.0, (880.0 / 884.0) ** 2]) / deviation**2
     assert agreed.common == pytest.approx(weights @ [880.0, 884.0] / weights.sum(), rel=1e-6)
-    assert agreed.one_for_all and "one value fits all benches" in agreed.sentence
-    (apart,) = agreements(sightings([dragged(tmp_path / "c", 500.0), dragged(tmp_path / "d", 884.0)]))
-    assert not apart.one_for_all and "each bench has its own value" in apart.sentence
+    assert agreed.consistent and "one value fits all benches" in agreed.sentence
+    (apart,) = agreements(law_estimates([dragged(tmp_path / "c", 500.0), dragged(tmp_path / "d", 884.0)]))
+    assert not apart.consistent and "each bench has its own value" in apart.sentence
 
 
 REFUSED: tuple[tuple[list[str], str], ...] = (

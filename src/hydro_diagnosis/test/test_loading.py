@@ -16,7 +16,7 @@ from hydro_diagnosis.inspect_command import COLUMNS, listed
 from hydro_diagnosis.io.table import columns_of, read_table
 from hydro_diagnosis.preprocessing import loading, streaming
 from hydro_diagnosis.preprocessing.loading import load_dataset
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.preprocessing.streaming import read_bag_within
 from hydro_diagnosis.recording import InputError, Recording
 from hydro_sim.emulator.offline import record_offline
@@ -87,7 +87,7 @@ def bag(folder: Path, seconds: float, kinds: Sequence[tuple[str, float, float]] 
 @pytest.fixture(scope="module")
 def minute(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
     path = bag(tmp_path_factory.mktemp("minute"), 60.0)
-    return path, checked(read_table(path), BENCH)
+    return path, check_recording(read_table(path), BENCH)
 
 
 def test_bag_read_in_stretches_is_the_bag(minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch) -> None:

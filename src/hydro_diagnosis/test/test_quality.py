@@ -17,7 +17,7 @@ from hydro_core.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.preprocessing.box_clock import BETWEEN
-from hydro_diagnosis.preprocessing.quality import checked, counted, frozen_encoder, uneven
+from hydro_diagnosis.preprocessing.quality import check_recording, frozen_encoder, sampling_grid, uneven
 from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.search import Search
@@ -32,7 +32,7 @@ BENCH = Bench.nominal()
 def read(data: pd.DataFrame, folder: Path) -> Recording:
     path = folder / "run.csv"
     data.to_csv(path, index=False)
-    return checked(read_table(path), BENCH)
+    return check_recording(read_table(path), BENCH)
 
 
 def without_numbers(data: pd.DataFrame) -> pd.DataFrame:
@@ -117,7 +117,7 @@ def logged(states: StateArray, rows: object = slice(None), time: np.ndarray | No
     """What a logger makes of a run whose rows it takes, without the box's count."""
     columns = {name: states[name][rows].copy() for name in STATE_FIELDS}
     stamps = (states["time"] if time is None else time)[rows].copy()
-    return checked(RawTable("run", stamps, None, columns), BENCH)
+    return check_recording(RawTable("run", stamps, None, columns), BENCH)
 
 
 @pytest.mark.parametrize("late", [0, 1])
@@ -126,7 +126,7 @@ def test_fast_logger_gives_the_rows_at_the_box_s_milliseconds(nominal: StateArra
     columns = {name: np.interp(fine / 4.0, np.arange(len(nominal)), nominal[name]) for name in STATE_FIELDS}
     columns["valve_current"] = nominal["valve_current"][fine // 4]
     table = RawTable("run", 2.5e-4 * fine[late:], None, {name: one[late:] for name, one in columns.items()})
-    (segment,) = checked(table, BENCH).segments
+    (segment,) = check_recording(table, BENCH).segments
     assert segment.step == 1e-3 and segment.thinner is None
     assert np.allclose(segment.channels["piston_position"], nominal["piston_position"][late : len(segment) + late])
 
@@ -171,7 +171,7 @@ def test_lost_rows_and_their_neighbours_are_not_judged(nominal: StateArray) -> N
     (segment,) = recording.segments
     assert any("missing samples were bridged" in note for note in recording.quality)
     assert segment.measured is not None and np.array_equal(segment.measured, kept)
-    rows = segment.judged(300, len(segment) - 20, 5, 6)
+    rows = segment.evaluated_rows(300, len(segment) - 20, 5, 6)
     lost = np.flatnonzero(~kept)
     assert isinstance(rows, np.ndarray) and len(rows) > 800 and np.min(np.diff(rows)) >= 5
     assert np.min(np.abs(rows[:, None] - lost[None, :])) > 6
@@ -193,7 +193,7 @@ def test_rows_lost_under_uneven_stamps_are_found(nominal: StateArray) -> None:
     kept = random.uniform(size=len(nominal)) > 0.05
     shaken = np.sort(nominal["time"] + random.uniform(-3e-4, 3e-4, len(nominal)))
     assert uneven(shaken[kept]) and not uneven(nominal["time"][kept])
-    _, rows = counted(shaken[kept])
+    _, rows = sampling_grid(shaken[kept])
     true = np.flatnonzero(kept)
     assert np.array_equal(rows - rows[0], true - true[0])
 
@@ -202,7 +202,7 @@ def test_samples_taken_unevenly_are_placed_by_their_stamps(nominal: StateArray) 
     """Position between the box's rows by splines; the current, held for a millisecond, is of no use then."""
     time = nominal["time"][3:-3] + np.random.default_rng(4).uniform(-3e-4, 3e-4, len(nominal) - 6)
     columns = {name: np.interp(time, nominal["time"], nominal[name]) for name in STATE_FIELDS}
-    recording = checked(RawTable("run", time, None, columns), BENCH)
+    recording = check_recording(RawTable("run", time, None, columns), BENCH)
     assert any("the samples were taken so" in note for note in recording.quality)
     channels = recording.segments[0].channels
     assert "valve_current" not in channels

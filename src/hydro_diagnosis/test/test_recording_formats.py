@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import StateArray
-from hydro_diagnosis.column_proposal import proposed
+from hydro_diagnosis.column_proposal import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import columns_of, read_columns, read_table
 from hydro_diagnosis.recording import SUFFIXES, InputError
@@ -23,7 +23,7 @@ BENCH = Bench.nominal()
 def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, nominal: StateArray) -> None:
     short, (write, text) = nominal[:4000], loggers.FORMATS[name]
     path = write(tmp_path, short)
-    table = read_table(path, ColumnMap.load(text) if text else proposed(columns_of(path), BENCH))
+    table = read_table(path, ColumnMap.load(text) if text else propose_sources(columns_of(path), BENCH))
     assert len(table.time) == len(short)
     assert set(table.columns) == {field for field, _, _ in loggers.CHANNELS.values()}
     np.testing.assert_allclose(np.diff(table.time), 1e-3, rtol=1e-3)

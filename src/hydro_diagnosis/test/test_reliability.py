@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import Waveform
-from hydro_diagnosis.bench_numbers import completed
+from hydro_diagnosis.bench_numbers import parse_bench
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem, sensor_noise
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.judge import assessed, judged, shares
+from hydro_diagnosis.judge import accounted_shares, assess, retain_claims
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.validation import HORIZON, MOST, Comparison, compare, equation_errors
 from hydro_sim.model.bench import Bench
 from tests.segments import claim, frame, record, segment
 
 DRY = "friction_coulomb"
-BENCH = completed({"moving_mass": 1.0}, frozenset())
+BENCH = parse_bench({"moving_mass": 1.0}, frozenset())
 SPEEDS = (0.02, 0.05, 0.12)
 
 
@@ -42,7 +42,7 @@ def strokes(force: float, name: str) -> RawTable:
 
 def problem(*forces: float) -> Problem:
     tables = [strokes(force, f"run{k}") for k, force in enumerate(forces)]
-    return Problem([checked(table, BENCH).segments[0] for table in tables], BENCH)
+    return Problem([check_recording(table, BENCH).segments[0] for table in tables], BENCH)
 
 
 def errors(after: float, before: float = 10.0) -> dict[str, dict[str, float]]:
@@ -51,27 +51,27 @@ def errors(after: float, before: float = 10.0) -> dict[str, dict[str, float]]:
 
 def test_shares_are_of_root_mean_squares_with_the_noise_taken_off() -> None:
     left = np.sqrt(1.0 + 0.04 * 99.0)
-    assert shares(errors(1.0), errors(left))["motion"] == pytest.approx({"named": 0.8, "all": 1.0})
-    assert shares(errors(1.0, 1.1), errors(1.0, 1.1)) == {}  # the bench file misses nothing but noise
+    assert accounted_shares(errors(1.0), errors(left))["motion"] == pytest.approx({"named": 0.8, "all": 1.0})
+    assert accounted_shares(errors(1.0, 1.1), errors(1.0, 1.1)) == {}  # the bench file misses nothing but noise
 
 
 @pytest.mark.parametrize(("size", "verdict"), [(11.0, "explained"), (9.0, "partly_explained")])
 def test_everything_is_explained_only_where_what_was_held_out_is(size: float, verdict: str) -> None:
     """20 N s/m are left beside dry friction alone: little of the force, but more than noise."""
     claims = (claim(DRY, 10.0), claim("friction_viscous", 20.0)) if size == 11.0 else (claim(DRY, size),)
-    fitted, held = problem(0.0).weighed(claims), problem(0.0).weighed(claims)
+    fitted, held = problem(0.0).reweighted(claims), problem(0.0).reweighted(claims)
     found = fit(fitted, claims, iterations=0)
     nothing = fit(fitted, ())
     proof = equation_errors(held, found.claims)
-    assert assessed(fitted, found, found, nothing, held, shares(proof, proof)).verdict == verdict
+    assert assess(fitted, found, found, nothing, held, accounted_shares(proof, proof)).verdict == verdict
 
 
 def test_a_name_that_makes_what_was_held_out_worse_is_not_claimed() -> None:
     claims = (claim(DRY, 10.0), claim("friction_viscous", 20.0), claim("force_offset", -4.0))
-    fitted = problem(4.0).weighed(claims)
+    fitted = problem(4.0).reweighted(claims)
     found, nothing = fit(fitted, claims), fit(fitted, ())
     for held, claimed in ((problem(4.0), True), (problem(0.0), False)):
-        kept, _ = judged(fitted, held, found, nothing)
+        kept, _ = retain_claims(fitted, held, found, nothing)
         assert ("force_offset" in {one.effect.label for one in kept.claims}) == claimed
 
 
@@ -97,9 +97,9 @@ def test_cavitation_is_what_noise_does_not_make(
     columns["pressure_a"] += noise * np.random.default_rng(1).standard_normal(len(columns["pressure_a"]))
     table = RawTable("run", 1e-3 * np.arange(len(columns["pressure_a"]), dtype=np.float64), None, columns)
     bench = replace(Bench.nominal(), tank_pressure=tank)
-    assert any("cavitate" in note for note in checked(table, bench).quality) == cut
+    assert any("cavitate" in note for note in check_recording(table, bench).quality) == cut
     del columns["valve_current"]  # no equation of the oil is checked
-    assert not any("cavitate" in note for note in checked(table, bench).quality)
+    assert not any("cavitate" in note for note in check_recording(table, bench).quality)
 
 
 NOMINAL = Bench.nominal()

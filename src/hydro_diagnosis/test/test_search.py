@@ -16,9 +16,9 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import is_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, Budget, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims
-from hydro_diagnosis.judge import assessed, judged
+from hydro_diagnosis.judge import assess, retain_claims
 from hydro_diagnosis.report.corrected_bench import corrected_bench
-from hydro_diagnosis.selection.search import Outcome, Search, SearchSettings
+from hydro_diagnosis.selection.search import Search, SearchOutcome, SearchSettings
 from hydro_diagnosis.stages.naming import StageResult
 from hydro_diagnosis.stages.reporting import describe
 from hydro_sim.model.bench import Bench
@@ -32,7 +32,7 @@ EFFECTS = [effect.adapted(NOMINAL) for effect in CANDIDATES]
 BIAS, BULK, HOSES = "load_cell_bias:hydraulic_force", "bulk_modulus", "hoses_that_widen"
 
 
-def search(problem: Problem, effects: Sequence[Effect] = ADAPTED) -> Outcome:
+def search(problem: Problem, effects: Sequence[Effect] = ADAPTED) -> SearchOutcome:
     return Search(problem, list(effects)).run()
 
 
@@ -173,8 +173,8 @@ def test_a_number_that_was_given_is_estimated_beside_the_causes() -> None:
     causes = {"valve_deadband": (2e-3,), "valve_lag": (70.0, 0.8), "leakage_internal": (1e-12,)}
     problem = problem_with(*(claim(label, *sizes) for label, sizes in causes.items()))
     numbers = estimated_claims(NOMINAL, ["bulk_modulus"])
-    found = Search(problem.estimating(numbers), ADAPTED, given=True).run().fit
-    assert {one.effect.id for one in found.judged} == set(causes)
+    found = Search(problem.with_estimated(numbers), ADAPTED, given=True).run().fit
+    assert {one.effect.id for one in found.cause_claims} == set(causes)
     assert found.claims[0].effect.estimated and found.claims[0].values["ratio"] == pytest.approx(1.0, abs=0.02)
 
 
@@ -189,8 +189,8 @@ def test_hoses_that_widen_are_no_wrong_bulk_modulus() -> None:
     problem = problem_of(**hoses(1.1e-14))
     outcome = search(problem, EFFECTS)
     assert [one.effect.label for one in outcome.fit.claims] == [HOSES]
-    kept, _ = judged(problem, problem, outcome.fit, outcome.nothing)
-    found = assessed(problem, outcome.fit, kept, outcome.nothing, problem, {})
+    kept, _ = retain_claims(problem, problem, outcome.fit, outcome.nothing)
+    found = assess(problem, outcome.fit, kept, outcome.nothing, problem, {})
     assert found.verdict == "unknown"
     assert found.fit.claims == ()
     assert found.dropped[0].values["compliance"] == pytest.approx(1.1e-14, rel=0.02)
@@ -204,8 +204,8 @@ def test_wrong_bulk_modulus_is_no_hoses() -> None:
     rival = fit(problem, [claim(HOSES)])
     assert rival.score > outcome.fit.score + 100.0
     assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals[BULK]]
-    kept, bounds = judged(problem, problem, outcome.fit, outcome.nothing)
-    judgement = assessed(problem, outcome.fit, kept, outcome.nothing, problem, {})
+    kept, bounds = retain_claims(problem, problem, outcome.fit, outcome.nothing)
+    judgement = assess(problem, outcome.fit, kept, outcome.nothing, problem, {})
     (effect,) = describe(
         StageResult(problem=problem, outcome=outcome, assessment=judgement, bounds=bounds, holdout=problem,
                     simulated={}, proof={}, accounted={})

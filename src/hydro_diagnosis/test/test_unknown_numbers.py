@@ -16,15 +16,15 @@ import yaml
 from hydro_core.signals import StateArray
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.bench_numbers import (
-    NONE,
+    OPTIONAL_NUMBERS,
     PartialBench,
     applies,
-    completed,
     knows,
-    needed,
     numbers,
+    parse_bench,
     read_bench,
     refuse_missing,
+    required_numbers,
 )
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY
@@ -152,11 +152,11 @@ def residual(recorded: dict[str, np.ndarray], channels: Collection[str], bench: 
 @pytest.mark.parametrize("rig", RIGS)
 def test_equations_read_the_numbers_that_are_asked_for_and_no_others(rig: str, recorded: dict[str, np.ndarray]) -> None:
     channels = RIGS[rig]
-    known = completed({name: getattr(BENCH, name) for name in needed(channels, BENCH)})
+    known = parse_bench({name: getattr(BENCH, name) for name in required_numbers(channels, BENCH)})
     assert np.all(np.isfinite(residual(recorded, channels, known)))
     refuse_missing(channels, known)
-    asked = set(needed(channels, BENCH))
-    at_all = asked | set(NONE) if "moving_mass" in asked else asked
+    asked = set(required_numbers(channels, BENCH))
+    at_all = asked | set(OPTIONAL_NUMBERS) if "moving_mass" in asked else asked
     before = residual(recorded, channels, BENCH)
     others = {name: _moved(name) for name in numbers() if name not in at_all}
     assert others
@@ -172,7 +172,7 @@ def _moved(name: str) -> float:
 
 
 def test_all_that_is_missing_is_asked_for_at_once() -> None:
-    bench = completed({"piston_area": 2e-4, "area_ratio": 0.6})
+    bench = parse_bench({"piston_area": 2e-4, "area_ratio": 0.6})
     with pytest.raises(InputError) as refused:
         refuse_missing(("load_force", "piston_position"), bench)
     sentence = str(refused.value)
@@ -196,7 +196,7 @@ def test_bench_holds_and_writes_only_what_is_known(tmp_path: Path) -> None:
 
 
 def test_causes_that_need_what_is_not_known_are_not_tried() -> None:
-    bench = completed({"moving_mass": 1.0})
+    bench = parse_bench({"moving_mass": 1.0})
     acting = {effect.id for effect in LIBRARY if applies(effect, bench)}
     assert {"friction_coulomb", "friction_viscous", "moving_mass", "force_offset"} <= acting
     assert not acting & {"end_cushion", "spring_rest", "spring_stiffness", "backlash"}

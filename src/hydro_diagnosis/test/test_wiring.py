@@ -20,9 +20,9 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import InputError
-from hydro_diagnosis.stages.hypotheses import read_repaired, suspected
+from hydro_diagnosis.stages.hypotheses import read_repaired, suspected_repairs
 from hydro_diagnosis.stages.reading import Case, Question
 from hydro_diagnosis.wiring import inspect_table, reversed_sign
 from hydro_sim.emulator.offline import record_offline
@@ -124,8 +124,8 @@ SUSPECTED: dict[str, Callable[[Channels], Channels]] = {
 def test_signs_and_exchanges_are_suspected_before_a_cause_is_sought(runs: list[Channels]) -> None:
     time = 1e-3 * np.arange(len(runs[0]["load_force"]))
     for said, change in SUSPECTED.items():
-        segments = checked(RawTable("run", time, None, {**change(runs[0])}), BENCH).segments
-        assert [repair.sentence for repair in suspected(Problem(segments, BENCH), ())] == [said]
+        segments = check_recording(RawTable("run", time, None, {**change(runs[0])}), BENCH).segments
+        assert [repair.sentence for repair in suspected_repairs(Problem(segments, BENCH), ())] == [said]
     assert str(reversed_sign("load_force").edit(cast(ColumnMap, ColumnMap.load("load_force=x*-1")))) == "load_force=x"
 
 
@@ -213,5 +213,5 @@ def test_as_wired_tries_no_repair_and_a_map_that_repairs_is_enough(runs: list[Ch
 
 
 def test_right_recordings_raise_no_suspicion(problem: Problem, nominal: StateArray) -> None:
-    assert suspected(problem, ()) == ()
+    assert suspected_repairs(problem, ()) == ()
     assert inspect_table(RawTable("run", nominal["time"].copy(), None, fields(nominal)), BENCH).doubts == []

@@ -65,7 +65,7 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
 
 
 def test_a_closure_that_remembers_is_refused_in_a_sentence() -> None:
-    for law in (law for law in LAWS if law.element is not None):
+    for law in (law for law in LAWS if law.memory_element is not None):
         numbers = {"coefficient": law.typical, **{one.name: one.probes[0] for one in law.numbers}}
         closure = {"equation": law.equation, "form": law.form, "parameters": numbers}
         with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):

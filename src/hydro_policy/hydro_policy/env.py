@@ -152,7 +152,7 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         return observation, reward, terminated, truncated, info
 
     def save_policy(self, learner: Any, path: str | Path) -> None:
-        """Write what a learner of stable-baselines3 or skrl has learnt here to a file that `evaluate --policy` takes.
+        """Write the policy of a learner of stable-baselines3 or skrl to a file that `evaluate --policy` reads.
 
         Raises ValueError: it cannot be deployed (`sac.peers.policy_of`), or not under this law.
         """

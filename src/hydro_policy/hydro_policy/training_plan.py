@@ -91,8 +91,8 @@ class TrainingPlan(Plan):
     ) -> None:
         self.settings, self.learner, self.record = settings, learner, record or RunRecord()
         self.progress = Progress() if state is None else Progress(**state["progress"])
-        self.gave_up = ""  # why the run ended before its last episode; empty if it did not
-        self.last_stop = ""  # why a policy was last stopped; empty if none was
+        self.abort_reason = ""  # why the run ended before its last episode; empty if it did not
+        self.last_stop_reason = ""  # why a policy was last stopped; empty if none was
         self.rollbacks_in_a_row = 0  # rollbacks since a policy was last accepted
         self.explorer = Explorer(settings, learner.replay, outputs, learner.new_weights, learner.wake)
         self.explorer.published = self.explorer.total_steps = self.progress.total_steps
@@ -106,14 +106,14 @@ class TrainingPlan(Plan):
         if best is not None:
             learner.save_policy(best)
         self._fresh = True  # no episode has passed since the box was armed
-        self.follow(self._in_turn())
+        self.set_trials(self._in_turn())
 
     # ---------------------------------------------------------------------------------------------------- trials
 
     @property
     def trial(self) -> Trial | None:
         """See `Plan`."""
-        return None if self.gave_up else self._trial
+        return None if self.abort_reason else self._trial
 
     @property
     def trained(self) -> bool:
@@ -121,7 +121,10 @@ class TrainingPlan(Plan):
         return self.progress.episode >= self.settings.episodes
 
     def begin(self, trial: Trial) -> None:
-        """See `Plan`: the first agent is good until a better one is known; the learner's present state is examined."""
+        """Start a training episode or an examination, as `Plan.begin`.
+
+        An examination's first trial loads the learner's current parameters into the policy.
+        """
         self.start()
         if self.exam is None:
             number, signal = self.progress.episode + 1, trial.case.signal
@@ -131,7 +134,7 @@ class TrainingPlan(Plan):
         elif not self.scores:
             if (parameters := self.propose()) is not None:
                 self.policy.load_flat(parameters)
-            self.explorer.forget()
+            self.explorer.discard_action()
 
     def add(self, score: Score) -> str:
         """See `Plan`: a policy that was stopped is rolled back."""
@@ -140,7 +143,7 @@ class TrainingPlan(Plan):
         return super().add(score)
 
     def _in_turn(self) -> Generator[Trial, Score, None]:
-        """Examinations before the first episode, at intervals, and after the last, once each; episodes between them."""
+        """Yield the trials: episodes, with an examination first, last, and after each `exam.every` episodes."""
         task, exam, progress, learner = self.settings.task, self.settings.exam, self.progress, self.learner
         while True:
             self.exam, self.scores, done = None, [], progress.episode
@@ -157,7 +160,7 @@ class TrainingPlan(Plan):
             else:
                 case = Case(f"episode {done + 1}", events.reference(task, done, self.settings.seed))
                 seconds = task.steps_per_episode * SAMPLES_PER_STEP * SAMPLE_PERIOD
-                yield Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, judged=False)
+                yield Trial(controller=self.explorer, case=case, settle=0.0, measure=seconds, is_scored=False)
                 episode, self._fresh = self.explorer.current, False
                 progress.episode += 1
                 progress.last_return, progress.last_rmse = episode.episode_return, episode.force_rmse
@@ -176,12 +179,12 @@ class TrainingPlan(Plan):
         """See `Plan`: an examination begins anew."""
         self.progress.interruptions += 1
         self._fresh = True
-        self.follow(self._in_turn())
+        self.set_trials(self._in_turn())
 
-    def wait(self, *, exact: bool) -> None:
+    def prepare_step(self, *, exact: bool) -> None:
         """See `Plan`."""
         self.learner.exact = exact
-        self.learner.settle()
+        self.learner.wait_for_updates()
 
     def poll(self) -> str:
         """See `Plan`."""
@@ -204,20 +207,20 @@ class TrainingPlan(Plan):
         """
         progress = self.progress
         reference = progress.reference_rmse or reference_rmse(self.settings.exam, scores)
-        if not any(run.spoilt for run in scores if run.controller != EXAMINED):
+        if not any(run.disturbed for run in scores if run.controller != EXAMINED):
             progress.reference_rmse = reference
         rmse, score, error = verdict(scores, reference)
         beaten = sum(own < fixed for own, fixed in zip(rmse, reference, strict=True))
         errors = [*(exam["error"] for exam in progress.exams if not exam.get("spoilt")), error]
         best_error = next((exam["error"] for exam in reversed(progress.exams) if exam["best"]), 0.0)
-        spoilt = any(run.spoilt for run in scores)
-        best = not spoilt and significantly_better(score, progress.best_score, errors, best_error)
+        disturbed = any(run.disturbed for run in scores)
+        best = not disturbed and significantly_better(score, progress.best_score, errors, best_error)
         self._accept(best)
         progress.examined, progress.best_score = progress.episode, score if best else progress.best_score
-        if progress.passed_at < 0 and beaten == len(rmse) and not spoilt:
+        if progress.passed_at < 0 and beaten == len(rmse) and not disturbed:
             progress.passed_at = progress.episode
         result = {"episode": progress.episode, "policy": digest, "rmse": rmse, "beaten": beaten}
-        progress.exams.append({**result, "score": score, "error": error, "best": best, "spoilt": spoilt})
+        progress.exams.append({**result, "score": score, "error": error, "best": best, "spoilt": disturbed})
         self.record.add("exam", **progress.exams[-1], reference_rmse=reference)
         return best
 
@@ -231,17 +234,17 @@ class TrainingPlan(Plan):
             where, self.progress.examined = "the examination", self.progress.episode
         self.progress.rollbacks += 1
         self.rollbacks_in_a_row += 1
-        self.last_stop, most = reason, self.settings.monitor.rollbacks_max
+        self.last_stop_reason, most = reason, self.settings.monitor.rollbacks_max
         sentence = f"policy stopped in {where}: {reason}; rolled back to the last good one"
         if (good := self.good) is not None:
             self.learner.roll_back()
             self.policy.load_flat(good)
             sentence += f" ({self.policy.digest()})"
         if self.rollbacks_in_a_row > most:
-            self.gave_up = f"{self.rollbacks_in_a_row} rollbacks in a row, the last: {reason}"
+            self.abort_reason = f"{self.rollbacks_in_a_row} rollbacks in a row, the last: {reason}"
             sentence += f"; that was once too often ({most} in a row): the run ends"
         self.record.add("stop", sentence, reason=reason, rollbacks=self.progress.rollbacks)
-        self.follow(self._in_turn())
+        self.set_trials(self._in_turn())
         return sentence
 
     # ----------------------------------------------------------------------------------------------------- agents

@@ -35,13 +35,13 @@ pytestmark = pytest.mark.usefixtures("domain")
 def test_a_schedule_goes_on_behind_a_trip_and_ends_after_three_in_a_row() -> None:
     plan = SchedulePlan([Segment(seconds=1.0, kp=60.0) for _ in range(6)], (15.0, 5.0))
     assert plan.trial is not None and plan.trial.controller.gains(np.zeros(14)) == (45.0, 10.0)
-    done, tripped = plan.trial.blank(), plan.trial.blank("tripped")
+    done, tripped = plan.trial.empty_score(), plan.trial.empty_score("tripped")
     for each in (tripped, tripped, done, tripped, tripped):
         plan.add(each)
-    assert plan.trial is not None and not plan.ended
+    assert plan.trial is not None and not plan.end_reason
     assert (plan.played, plan.done, plan.trips, plan.in_a_row) == (1.0, 5.0, 4, 2)
     plan.add(tripped)
-    assert plan.trial is None and "3 times in a row" in plan.ended
+    assert plan.trial is None and "3 times in a row" in plan.end_reason
 
 
 @pytest.fixture

@@ -246,7 +246,7 @@ def test_it_learns_the_lag_from_both_messages_of_each_sample(ahead: int) -> None
     live = LiveCompensation(LAW)
     pairs(live, range(5, 400), ahead=ahead)
     assert live.acting is Law.COMPENSATED
-    assert live.command.coefficients[1] == pytest.approx(0.02, rel=0.1) and live.held <= 1
+    assert live.command.coefficients[1] == pytest.approx(0.02, rel=0.1) and live.uncounted_steps <= 1
 
 
 @pytest.mark.parametrize("flag", [Flag.SATURATED, Flag.WATCHDOG, Flag.TRIPPED, Flag.SENSOR_FAULT, Flag.FILTER_STALE])
@@ -309,7 +309,7 @@ def test_under_mismatch_the_law_s_base_gains_hold_and_its_run_begins_again() -> 
 
 def test_a_plant_that_does_not_take_up_the_law_ends_its_runs() -> None:
     live, graph = LiveCompensation(LAW), Heard()
-    graph.guard.offer(None)
+    graph.guard.set_box_law(None)
     session = started(graph, live, 1.0)
     graph.run(session, 60.0, compensation=live)
     assert session.finished and "does not take up" in session.scores[1].stopped
@@ -319,4 +319,4 @@ def test_a_plant_that_does_not_take_up_the_law_ends_its_runs() -> None:
 def test_a_lost_message_holds_one_policy_step() -> None:
     live = LiveCompensation(LAW)
     pairs(live, range(300), lost=1555)
-    assert live.held == 1
+    assert live.uncounted_steps == 1

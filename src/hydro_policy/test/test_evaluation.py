@@ -176,7 +176,7 @@ def test_an_interrupted_comparison_makes_only_the_trials_that_are_missing(tmp_pa
     made = len(graph.gains_published)
     graph.run(resumed, 20.0)
     assert resumed.finished and made == 0 and len(resumed.scores) == len(resumed.plan)
-    assert [score.run for score in resumed.scores] == [trial.blank().run for trial in resumed.plan.trials]
+    assert [score.run for score in resumed.scores] == [trial.empty_score().run for trial in resumed.plan.trials]
     assert len(resumed.traces) < len(resumed.plan)
     for last in ({"kind": "end", "complete": True}, {"kind": "episode"}):  # compared, or another policy
         record.events.append(last)
@@ -204,7 +204,7 @@ def test_search_finds_the_best_pair_and_never_climbs_beyond_the_first_that_is_st
     assert [kp for kp, _ in search.tried if kp > LIMIT] == [150.0, 135.0, 127.5], "each below those stopped before"
     assert len(search.tried) < 30
     assert np.isinf(search.scores[(150.0, 15.0)])
-    assert search.found
+    assert search.any_completed
 
 
 def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_track_well() -> None:

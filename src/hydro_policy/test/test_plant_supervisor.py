@@ -39,7 +39,7 @@ class Watched:
     def arm(self, arm: bool) -> None:
         self.armings.append(arm)
 
-    def say(self, sentence: str, warning: bool = False) -> None:
+    def report(self, sentence: str, warning: bool = False) -> None:
         self.said.append(sentence)
 
     def run(self, flags: int | None, until: float) -> None:
@@ -198,7 +198,7 @@ def test_a_controller_that_acts_keeps_the_plant_armed_whatever_is_missing() -> N
     at.run(ARMED, 0.6)
     learner.ready = False
     for tick in range(12, 200):
-        at.watch.acted(tick / 20)
+        at.watch.note_action(tick / 20)
         at.run(ARMED | (STALE if tick % 3 else 0), (tick + 1) / 20)
     assert at.armings == []
 
@@ -210,7 +210,7 @@ def test_under_gains_that_a_person_holds_a_plant_is_not_idle_but_after_them_it_i
     at.run(ARMED, 9.0)
     assert at.armings == []
     override.release()
-    assert at.watch.unready(9.0), "nothing acts between the release and the next tick"
+    assert at.watch.blocking_reason(9.0), "nothing acts between the release and the next tick"
     at.run(ARMED, 9.1)
     assert at.armings == [False]
 
@@ -227,7 +227,7 @@ def test_every_wait_ends(flags: int | None, seconds: float, sentence: str) -> No
 
 def test_a_watch_goes_on_where_another_sessions_ends() -> None:
     before = armed(rearm=False)
-    before.watch.acted(2.0)
+    before.watch.note_action(2.0)
     for begun, may in ((2.5, True), (9.0, False)):
         at = Watched(rearm=False)
         at.watch.take_over(before.watch)

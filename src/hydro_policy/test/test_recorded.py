@@ -40,9 +40,9 @@ def settings(file: Path) -> EvaluationSettings:
 def test_the_box_plays_the_record(file: Path) -> None:
     (case,) = settings(file).cases
     fleet = VectorBench([Bench.nominal()], [AnalyticPlant(Bench.nominal())])
-    steps = vector_runs.run(fleet, [case], vector_runs.fixed(np.array((90.0, 15.0))), settings(file))
+    steps = vector_runs.run(fleet, [case], vector_runs.fixed_gains(np.array((90.0, 15.0))), settings(file))
     played = np.concatenate([step.samples["reference_force"][0].copy() for step in steps])
-    assert settings(file).length(case) == pytest.approx(5.4)
+    assert settings(file).duration(case) == pytest.approx(5.4)
     wanted = np.interp(0.001 * np.arange(len(played)), TIME, SHAKE)
     wanted *= 300.0 / np.abs(wanted).max()
     away = np.sqrt(np.mean((played - wanted)[300:] ** 2) / np.mean(wanted**2))

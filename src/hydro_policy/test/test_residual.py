@@ -42,7 +42,8 @@ def run(residual: Residual | None, seconds: float = 7.0) -> tuple[FloatArray, Fl
     fleet = VectorBench([BENCH] * len(pairs), [AnalyticPlant(bench) for bench, _ in pairs])
     cases, estimator, settings = [case for _, case in pairs], Compensator(len(pairs)), EvaluationSettings(measure=5.0)
     errors, values = [], []
-    for step in vector_runs.run(fleet, cases, vector_runs.fixed(np.array(BASE)), settings, 7, estimator, residual):
+    gains = vector_runs.fixed_gains(np.array(BASE))
+    for step in vector_runs.run(fleet, cases, gains, settings, 7, estimator, residual):
         errors.append(step.samples["reference_force"] - step.samples["load_force"])
         values.append(np.zeros(len(pairs)) if residual is None else residual.value.copy())
         if len(errors) == round(100 * seconds):

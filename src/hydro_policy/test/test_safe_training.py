@@ -63,7 +63,7 @@ def assert_acts_by(session: TrialRunner[TrainingPlan], parameters: np.ndarray) -
 def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_from_it() -> None:
     graph, learner, session = start(settings())
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.plan.gave_up
+    assert session.finished and not session.plan.abort_reason
     exams = session.plan.record.of("exam")
     assert [exam["episode"] for exam in exams] == [0, 1, 2]
     assert learner.replay.produced == session.plan.progress.total_steps == 300
@@ -82,11 +82,11 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
     graph.run(session, 12.0, learner)
     stops = session.plan.record.of("stop")
     assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
-    assert "4 rollbacks in a row" in session.plan.gave_up
+    assert "4 rollbacks in a row" in session.plan.abort_reason
     assert all("error of" in stop["reason"] or "chattering" in stop["reason"] for stop in stops), "not the box"
     assert f"rolled back to the last good one ({session.plan.policy.digest()})" in stops[-1]["sentence"]
     assert graph.references[-1].waveform is Waveform.HOLD and graph.gains_published[-1][:2] == (0.0, 0.0)
-    rows, _ = learner.replay.stored()
+    rows, _ = learner.replay.snapshot()
     assert (rows[:, -1] == 1).sum() == 4 and (rows[rows[:, -1] == 1, -2] == -1000.0).all()
     assert_acts_by(session, actor_parameters(started))
 
@@ -107,7 +107,7 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     assert session.phase is Phase.PAUSED, "calm first"
     assert {g[:2] for g in graph.gains_published[-80:]} == {(0.0, 0.0)}
     graph.run(session, 60.0, learner)
-    assert session.finished and not session.plan.gave_up and session.plan.progress.rollbacks >= 1
+    assert session.finished and not session.plan.abort_reason and session.plan.progress.rollbacks >= 1
     assert learner.updates >= updates, "the updates stay counted"
     assert session.plan.rollbacks_in_a_row == 0, "an accepted policy ends the row"
 
@@ -162,7 +162,7 @@ def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_
     graph.run(session, 0.1, learner)
     assert session.override.description == "no"
     assert (25.0, 2.0) not in {g[:2] for g in graph.gains_published[-8:]}
-    rows, _ = learner.replay.stored()
+    rows, _ = learner.replay.snapshot()
     after = rows[produced + 1]
     np.testing.assert_allclose(after[11:13], GainRange().action(25.0, 2.0), atol=1e-6)  # what acted before it
     assert "override" not in json.dumps(session.plan.state())
@@ -214,9 +214,9 @@ def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_i
 
 def test_what_the_box_did_under_other_gains_and_the_return_from_them_are_not_charged_to_the_policy() -> None:
     monitor, current = SafetyMonitor(), np.tile((0.0, 0.05), 5)
-    far = replace(step(400.0, current), held=int(Flag.FILTER_STALE))
+    far = replace(step(400.0, current), hold_flags=int(Flag.FILTER_STALE))
     assert all(monitor.add(far) is None for _ in range(60))
-    assert monitor.add(replace(far, held=0)) is not None, "the error counts again at once"
+    assert monitor.add(replace(far, hold_flags=0)) is not None, "the error counts again at once"
     assert monitor.add(far) is None
     *spared, judged = (monitor.add(step(0.0, current)) for _ in range(30))  # 0.2 s of return, a window of 0.1 s
     assert spared == [None] * 29 and judged is not None and "chattering" in judged

@@ -17,7 +17,7 @@ from hydro_policy.evaluation.runner import REPEATS, SILENCE, Phase, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.run import RunRecord, TrainingSettings
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.supervision.plant_supervisor import UNHELD, PlantSupervisor, learner_requirement
+from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE, PlantSupervisor, learner_requirement
 from hydro_policy.task.cases import EvaluationSettings, ExamSettings
 from hydro_policy.task.mdp import StepClock, TaskSettings, rewards
 from hydro_policy.training_plan import TrainingPlan, training
@@ -56,7 +56,7 @@ def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> N
     graph.run(session, 10.0, learner)
     assert session.phase is Phase.FINISHED and session.plan.progress.episode == 2
     assert session.plan.progress.total_steps == learner.replay.produced == 300
-    rows, _ = learner.replay.stored()
+    rows, _ = learner.replay.snapshot()
     observations, following, actions, rewards, terminated = np.split(rows, np.cumsum([13, 13, 2, 1]), axis=1)
     assert not terminated.any(), "an episode's end is a truncation"
     np.testing.assert_array_equal(following[:-1], observations[1:])
@@ -105,7 +105,7 @@ def test_step_falls_on_every_tenth_sequence_number_and_a_gap_spoils_it() -> None
     sample[STATE_FIELDS.index("proportional_gain")] = 60.0  # a plant that requires no filter: these gains act
     for base, acts in ((None, False), ((15.0, 5.0), True), ((60.0, 0.0), False)):
         steps = [clock.add(clock._last + 1, sample, Flag.ARMED | Flag.FILTER_STALE, base) for _ in range(20)]
-        assert [bool(step.held) for step in steps if step][-1] is not acts
+        assert [bool(step.hold_flags) for step in steps if step][-1] is not acts
 
 
 def test_lost_plant_pauses_within_150_ms_and_asks_to_disarm() -> None:
@@ -122,7 +122,7 @@ def test_lost_plant_pauses_within_150_ms_and_asks_to_disarm() -> None:
 def test_a_trip_is_a_termination_with_penalty() -> None:
     graph, learner, session = start(short(amplitude_min=300.0), config=BoxConfig(load_force_limit=150.0))
     graph.run(session, 2.0, learner)
-    rows, _ = learner.replay.stored()
+    rows, _ = learner.replay.snapshot()
     assert rows[:, -1].sum() >= 1
     np.testing.assert_array_equal(rows[rows[:, -1] == 1, -2], -1000.0)
     assert any("force_limit" in sentence for sentence in graph.sentences)
@@ -189,7 +189,7 @@ def test_a_bench_that_base_gains_do_not_hold_is_not_armed_for_ever() -> None:
 
     session.on_sample = arrive  # type: ignore[method-assign]
     graph.run(session, 60.0)
-    assert [score.stopped for score in session.scores][-1] == UNHELD and session.finished and trips <= 4
+    assert [score.stopped for score in session.scores][-1] == BASE_GAINS_UNSTABLE and session.finished and trips <= 4
 
 
 def test_a_controller_that_trips_is_not_held_against_base_gains() -> None:

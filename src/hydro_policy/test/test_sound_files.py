@@ -74,7 +74,7 @@ def test_a_file_that_is_damaged_or_cut_short_is_refused_by_name(kind: str, tmp_p
 def run(tmp_path: Path) -> RunDirectory:
     """A run that was killed as soon as its first checkpoint was there."""
     made, start = RunDirectory(tmp_path / "run").create(), shipped_agent("paper")
-    settings = start.adopted(configuration("paper"))
+    settings = start.adapt_settings(configuration("paper"))
     begin_checkpoint(made, settings, start)
     made.save_settings(settings)
     return made
@@ -185,7 +185,7 @@ def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past
     again = Sac(OBSERVATIONS, ACTIONS, settings)
     restore(again, start.agent)
     assert again.updates == 0
-    adopted = start.adopted(TrainingSettings())
+    adopted = start.adapt_settings(TrainingSettings())
     assert adopted.sac.hidden_size == 16 and adopted.task.trip_penalty == 100.0
     assert adopted.task.gains == GainRange(delta_kp_max=285.0)
     with pytest.raises(ValueError, match=r"holds no learner\.safetensors"):

@@ -92,7 +92,7 @@ def imported_sources(modules: Iterable[Path], packages: tuple[Path, ...]) -> set
 
 @cache
 def _imports(module: Path) -> set[tuple[str, ...]]:
-    """Dotted names that a source imports, each with what else it may be: of `from a import b` it is a.b, or a."""
+    """Imports of a source as tuples of candidate modules: of `from a import b` the candidates are a.b and a."""
     names: set[tuple[str, ...]] = set()
     for node in ast.walk(ast.parse(module.read_bytes())):
         if isinstance(node, ast.Import):
@@ -104,7 +104,7 @@ def _imports(module: Path) -> set[tuple[str, ...]]:
 
 @cache
 def _source(names: tuple[str, ...], packages: tuple[Path, ...]) -> Path | None:
-    """The source of ours that the first of the names is which is one."""
+    """Source file of the first name that is a module of `packages`; None: none is."""
     for name in names:
         words = name.split(".")
         for package in packages:

@@ -12,7 +12,7 @@ import yaml
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_core.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, to_matrix
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping
@@ -94,7 +94,7 @@ BOX = BoxIdentity(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral=
 def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text("# another comment\n" + yaml.safe_dump(bench.to_mapping(), sort_keys=True).replace("80.0", "80"))
-    assert Bench.load(path).digest == bench.digest == bench_file.digest(bench_file.read_numbers(path))
+    assert Bench.load(path).digest == bench.digest == bench_digest.digest(bench_digest.read_numbers(path))
     assert replace(bench, spring_stiffness=20000).digest == bench.digest
     assert replace(bench, spring_stiffness=20000.1).digest != bench.digest
     assert replace(bench, load_cell_bandwidth=None).digest != bench.digest
@@ -170,7 +170,7 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
     found = Bench.load(tmp_path / "out.yaml")
     assert "more than 3" in found.rejection_reason and (tmp_path / "table.json").exists()
     assert replace(found, viscous_friction=61.0).rejection_reason == ""
-    assert bench_file.digest(yaml.safe_load((tmp_path / "out.yaml").read_text())) == found.digest
+    assert bench_digest.digest(yaml.safe_load((tmp_path / "out.yaml").read_text())) == found.digest
     assert replace(found, learned=None).digest == found.digest
 
 

@@ -181,15 +181,16 @@ def _at_rest(path: Path) -> Iterator[None]:
     with path.open("rb") as file:
         if not try_lock(file):
             raise RecordingError(f"{path} is being written by a recorder: end that first")
-        before = path.stat()
+        wanted = path.stat()
         for entry in Path("/proc").glob("[0-9]*/fd/*"):  # of the processes that this user may look at
             with suppress(OSError, ValueError, IndexError):
                 found = entry.stat()
-                if (found.st_dev, found.st_ino) == (before.st_dev, before.st_ino):
+                if (found.st_dev, found.st_ino) == (wanted.st_dev, wanted.st_ino):
                     flags = (entry.parent.parent / "fdinfo" / entry.name).read_text().split("flags:")[1].split()[0]
                     if int(flags, 8) & (os.O_WRONLY | os.O_RDWR):
                         writer = entry.parent.parent.name
                         raise RecordingError(f"{path} is open for writing in process {writer}: end that first")
+        before = path.stat()
         if time.time() - before.st_mtime < _RECENT:  # on another machine, say
             time.sleep(_GROWS)
             if path.stat().st_size != before.st_size:

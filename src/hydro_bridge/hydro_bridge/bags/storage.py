@@ -323,7 +323,7 @@ class McapScan:
         return spans
 
     def _keep(self, opcode: int, body: bytes) -> None:
-        """Keep a record that is no message; others than these say nothing."""
+        """Store a schema, channel, metadata or attachment record; others are ignored."""
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)

@@ -16,7 +16,7 @@ import numpy as np
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.conformance.reference import Derivatives, expected_references, nominal_current
 from hydro_bridge.serial.protocol import BoxDetails, BoxLaw, State
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
 
 FLOAT32_TOLERANCE = 1e-6
@@ -206,7 +206,7 @@ def check_bench_digest(host: Host) -> None:
         raise ViolationError(f"valve_current_max {host.info.valve_current_max:g} A, the file has {limit:g} A")
     if not told:
         host.notes.append("its digest is not told: only valve_current_max is compared")
-    elif told != (digest := bench_file.digest(host.bench)):
+    elif told != (digest := bench_digest.digest(host.bench)):
         raise ViolationError(f"its bench is {told}, the file is {digest}")
 
 
@@ -261,7 +261,7 @@ def check_force_law(host: Host, tolerance: float = 2e-7, share: float = 1e-4) ->
 
 
 def _judge_armed(host: Host, judge: Callable[[Sequence[Derivatives | None]], None]) -> None:
-    """Judge the box by its expected reference; right is what is right with either rounding of a fade's end."""
+    """Apply `judge` to the expected references; the box passes if it does with either rounding of a fade's end."""
     wrong: list[ViolationError] = []
     for points in expected_references(host):
         if not any(points):
@@ -374,7 +374,7 @@ _KINK = 4e-3
 
 
 def _demand(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[float], tuple[float, float]]:
-    """Return the shaping and the gains that a command demands of a box; what is not finite counts as safe."""
+    """Return shaping and gains that a box must apply for a command; non-finite numbers count as the safe ones."""
     low, safe, high, _ = law.shaping
     if late or command is None or command.law is not Law.COMPENSATED:
         return safe, (law.base_kp, law.base_ki)

@@ -17,12 +17,19 @@ import msgspec
 import yaml
 
 from hydro_bridge.conformance.checks import CHECKS, InconclusiveError, NotReportedError, ViolationError, state_value
-from hydro_bridge.conformance.host import READ_INTERVAL_MAX, VERBS, Host, NoFrameError, NoStateError, open_session
+from hydro_bridge.conformance.host import (
+    READ_INTERVAL_MAX,
+    STEP_HANDLERS,
+    Host,
+    NoFrameError,
+    NoStateError,
+    open_session,
+)
 from hydro_bridge.conformance.reference import force_gain
 from hydro_bridge.serial.port import Port, PortSettings, describe_non_port
 from hydro_core.cli.console import Table, add_json_argument, command, make_parser, progress
 from hydro_core.errors import UserError
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_core.signals import Command, Flag
 
 NOMINAL_FORCE_GAIN = 10.53e6
@@ -36,7 +43,7 @@ class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     says: str
     """The requirement, as one sentence."""
     steps: tuple[dict[str, Any], ...]
-    """One verb each, with its parameters."""
+    """Per step the name of its handler (`host.STEP_HANDLERS`), or `check`, and its parameters."""
     moving: bool = False
     """Whether the case arms the box, or asks it to arm: the piston may move."""
     needs: str = ""
@@ -44,8 +51,9 @@ class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         for step in self.steps:
-            if len(step) != 1 or not step.keys() <= {*VERBS, "check"}:
-                raise UserError(f"conformance case {self.id!r}: a step is one of {', '.join(VERBS)}, check, not {step}")
+            if len(step) != 1 or not step.keys() <= {*STEP_HANDLERS, "check"}:
+                known = ", ".join(STEP_HANDLERS)
+                raise UserError(f"conformance case {self.id!r}: a step is one of {known}, check, not {step}")
             (words,) = step.values()
             if not self.moving and isinstance(words, dict) and words.get("arm"):
                 raise UserError(f"conformance case {self.id!r} asks the box to arm and is not marked as moving")
@@ -128,7 +136,7 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
             if verb == "check":
                 checked.append((host.snapshot(), words))
             else:
-                VERBS[verb](host, words)
+                STEP_HANDLERS[verb](host, words)
         host.command = Command()  # disarmed
         host.receive(10, host.send)
     except NoStateError as error:
@@ -207,7 +215,7 @@ def main() -> int:
         return 0
     if options.port is None:
         raise UserError("--port: which device is the box at? Only --list goes without")
-    bench = bench_file.read_numbers(options.bench) if options.bench else None
+    bench = bench_digest.read_numbers(options.bench) if options.bench else None
     if (kind := describe_non_port(options.port)) is not None:
         raise UserError(f"{options.port} is {kind}, not a serial port")
     port = Port(PortSettings(path=options.port, baud=options.baud))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Host side of the line in a conformance test: sends the commands of a case and stores all answers of the box.
 
-A conversation has a begin and an end; the steps of a case between them are the `VERBS`, some of which send damaged
-frames or garbage.
+A session opens with HELLO and a confirmed safe command, and ends disarmed. Each step of a case between these has a
+handler in `STEP_HANDLERS`; some handlers send damaged frames or noise.
 """
 
 from __future__ import annotations
@@ -334,7 +334,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
     return changes
 
 
-VERBS: dict[str, Callable[[Host, Any], None]] = {
+STEP_HANDLERS: dict[str, Callable[[Host, Any], None]] = {
     "commands": _commands,
     "once": _once,
     "wait": lambda host, samples: host.receive(samples),

@@ -248,7 +248,7 @@ class Link(PlantSide):
         return heard and super()._confirms(arm, before)
 
     @property
-    def absent(self) -> str:  # type: ignore[override]
+    def absence_reason(self) -> str:  # type: ignore[override]
         """Why there is no box; empty: it is connected."""
         return "" if self.state is LinkState.CONNECTED else f"the port is {self.state.value}"
 

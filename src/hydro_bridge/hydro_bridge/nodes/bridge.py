@@ -24,7 +24,7 @@ from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, describe_non_port
 from hydro_bridge.serial.protocol import BoxInfo, State
 from hydro_core.cli.console import UserError, command
-from hydro_core.files import bench_file, site
+from hydro_core.files import bench_digest, site
 from hydro_core.settings import describe
 from hydro_core.size import Size
 
@@ -123,8 +123,8 @@ def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode
     options = parser().parse_args(own)
     site.apply_site_option(options, bench=site.BENCH)
     settings = PortSettings(path=options.port, baud=options.baud)
-    file = options.bench or bench_file.shipped_bench_file()
-    bench = bench_file.read_box_bench(file) if file else None
+    file = options.bench or bench_digest.shipped_bench_file()
+    bench = bench_digest.read_box_bench(file) if file else None
     if (kind := describe_non_port(settings.path)) is not None:
         raise UserError(f"{settings.path} is {kind}, not a serial port")
     port, end = Port(settings), time.monotonic() + 2.0

@@ -202,7 +202,7 @@ class DashboardNode(Node):
         return told
 
     def _call(self, command: PageCommand) -> tuple[Client, object, str]:
-        """Return the service of a command, the request, and what to say where it is absent."""
+        """Return the service of a command, the request, and the message for an absent service."""
         name, holder = command.command, self._authority.holder
         if name == "disarm":
             return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_WHO), _NO_PLANT

@@ -107,7 +107,7 @@ class LeaseServer:
         self._node, self._plant, self._tripped = node, plant, tripped
         self.lease = plant.guard.lease
         self._following = threading.Lock()
-        self._armed, self._crowd = False, ""
+        self._armed, self._conflict = False, ""
         self.heard: dict[str, Subscription] = {}
         """Source of the commands of each topic; without one they come from this process."""
         self._publisher = create_publisher(node, topics.AUTHORITY)
@@ -128,33 +128,33 @@ class LeaseServer:
             self.lease.refused[topic] += 1
             self._give_up(topic)
             return False
-        self.follow()
+        self.track_arming()
         return self.lease.admits(topic, epoch, self._plant.now(), renews=topic != topics.CORRECTION)
 
-    def crowd(self) -> str:
+    def conflicts(self) -> str:
         """Return a sentence about the topics with more than one publisher; empty if there is none."""
         return publisher_conflicts(self._node, *topics.COMMANDS, topics.STATE, topics.AUTHORITY)
 
-    def follow(self) -> None:
-        """End the session on a disarm, whoever requested it, and on a trip."""
+    def track_arming(self) -> None:
+        """Track arming, and end the session on a disarm, whoever requested it, and on a trip."""
         with self._following:
             before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
             if before and not self._armed:
-                self.lease.end(self._plant.now())
+                self.lease.end_session(self._plant.now())
                 self._tell()
 
     def _on_claim(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
-        self.follow()
+        self.track_arming()
         lease, held = self.lease, self.lease.claim
         if request.act == Claim.Request.TAKE:
             trouble, done = lease.take(request.name, request.claim, self._plant.now()), "taken"
         elif request.act == Claim.Request.ARM:
-            trouble = lease.may_arm(request.claim, request.epoch, request.whom) or self.crowd()
+            trouble = lease.arm_refusal(request.claim, request.epoch, request.whom) or self.conflicts()
             if not trouble:
                 trouble = self._plant.arm(True)
                 if not trouble:
-                    lease.armed()
-                self.follow()
+                    lease.note_armed()
+                self.track_arming()
             done = f"armed for {lease.holder or 'nobody: base gains'}"
         elif request.act == Claim.Request.DISARM:
             trouble, done = self._disarm(request.claim), "disarmed"
@@ -162,7 +162,7 @@ class LeaseServer:
             trouble = f"{lease.holder or 'nobody'} commands this plant now"
             if lease.held_by(request.claim):
                 trouble = self._disarm(request.claim)
-                lease.give(request.claim, self._plant.now(), request.whom)
+                lease.release(request.claim, self._plant.now(), request.whom)
             done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
         else:
             trouble, done = f"act {request.act} is not known", ""
@@ -185,9 +185,9 @@ class LeaseServer:
         return response
 
     def _disarm(self, claim: int) -> str:
-        self.lease.disarmed(claim)
+        self.lease.note_disarmed(claim)
         trouble = self._plant.arm(False)
-        self.follow()
+        self.track_arming()
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
@@ -197,17 +197,17 @@ class LeaseServer:
         with self._plant.lock:
             self._plant.guard.set_reference(ReferenceSignal())
             self._plant.guard.release_law()
-        self.follow()
+        self.track_arming()
 
     def _look(self) -> None:
-        self.follow()
-        before, self._crowd = self._crowd, self.crowd()
-        if before and not self._crowd:
+        self.track_arming()
+        before, self._conflict = self._conflict, self.conflicts()
+        if before and not self._conflict:
             self._tell()  # corrects any false message about the lease
         if self._armed:
-            if self._crowd:
+            if self._conflict:
                 self._give_up(topics.STATE)
-        elif self.lease.lapse(self._plant.now()):
+        elif self.lease.expire(self._plant.now()):
             self._begin_anew(succeeds=False)
             self._node.get_logger().info("nobody commands this plant: its commander has stopped sending")
             self._tell()
@@ -215,11 +215,11 @@ class LeaseServer:
     def _give_up(self, topic: str) -> None:
         if not self._plant.guard.armed:
             return
-        why = self.crowd() or f"two nodes published {topic}"
+        why = self.conflicts() or f"two nodes published {topic}"
         with self._plant.lock:
             self._plant.guard.give_up(why)
         self._plant.send()
-        self.follow()
+        self.track_arming()
 
     def _tell(self) -> None:
         """Publish the holder, and the epoch that commands must carry now."""
@@ -353,7 +353,7 @@ class PlantNode(Node):
         changed, self._flags = flags ^ self._flags, flags
         if not self.side.real_time:
             if changed & (Flag.ARMED | Flag.TRIPPED):
-                self.leases.follow()
+                self.leases.track_arming()
             if sequence % SAMPLES_PER_STEP == 0:
                 self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
                 self._clock_publisher.publish(self._clock_message)
@@ -369,7 +369,7 @@ class PlantNode(Node):
         At the start, and whenever it may be another box.
         """
         with self.side.lock:
-            self.side.guard.offer(law)
+            self.side.guard.set_box_law(law)
         now = self.get_clock().now().to_msg()
         self._box_law_publisher.publish(law_to_message(law, now))
         self._box_publisher.publish(box_to_message(box, now))
@@ -407,7 +407,7 @@ class PlantNode(Node):
         self.side.pace.on_answer(message.node, sequence, message.window, message.commands)
 
     def _look_for_peers(self) -> None:
-        """Forget peers that were not in the graph at two looks: a new one may not have its name there yet."""
+        """Remove peers missing from the graph in two successive polls: a new one may not have its name there yet."""
         before, now = self._peers, self.get_publishers_info_by_topic(topics.ANSWERED)
         self._peers = {info.node_name for info in now}
         self.side.pace.retain_peers(before | self._peers)
@@ -430,7 +430,7 @@ class PlantNode(Node):
         before, self._beside_another = self._beside_another, self.count_publishers(topics.STATE) > 1
         if self._beside_another and not before:
             self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")
-        return with_publisher_conflicts(status, self.leases.crowd())
+        return with_publisher_conflicts(status, self.leases.conflicts())
 
     def _tell_events(self) -> None:
         with self.side.lock:

@@ -35,7 +35,7 @@ class PaceResponder:
         self._publisher.publish(message)
 
     def _look(self) -> None:
-        """Announce this node to a plant that it hears by now, and repeat once a second what it said last."""
+        """Announce this node once it receives the plant's samples, and repeat its last answer once a second."""
         met, self._met = self._met, self._states.get_publisher_count() > 0
         self._looks += 1
         if self._met and (not met or self._looks % _ALIVE == 0):

@@ -105,7 +105,7 @@ class Commander:
         """Whether this node commands the plant."""
         return bool(self._claim)
 
-    def seek(self, now: float) -> None:
+    def renew_lease(self, now: float) -> None:
         """Take or renew the lease; call several times a second, `now` by the monotonic clock [s]."""
         waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_WITHIN
         if waiting or now < self._asked + _RENEWAL_PERIOD or not self._claims.service_is_ready():
@@ -114,7 +114,7 @@ class Commander:
         self._answer = self._ask(Claim.Request.TAKE, then=self._on_taken)
 
     def check_wait(self, now: float) -> None:
-        """Warn once of each reason for which this node does not command a plant that is there; call as `seek`.
+        """Warn once of each reason for which this node does not command a plant that is there; call as `renew_lease`.
 
         Raises NotReadyError: the plant is silent for `LEASE_ANSWER_MAX`, or another node holds it for `within`.
         """
@@ -162,7 +162,7 @@ class Commander:
             self._publishers[topic].publish(message)
 
     def flush(self) -> int:
-        """Publish what has been collected; returns the number of commands under the present claim."""
+        """Publish the collected commands; returns the number of commands under the present claim."""
         collected, self._collected = self._collected, {}
         for topic, message in collected.items():
             if topic in self._publishers:
@@ -180,8 +180,8 @@ class Commander:
             return None
         return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM, then=then)
 
-    def give(self, heir: str = "") -> Future | None:
-        """Give the lease back, which disarms; returns the plant's answer, or None without the lease.
+    def release(self, heir: str = "") -> Future | None:
+        """Release the lease, which disarms; returns the plant's answer, or None without the lease.
 
         `heir`: name of the only node that may take it next, for 10 s; empty: the first to ask.
         """
@@ -192,11 +192,11 @@ class Commander:
         self._lose("")
         return answer
 
-    def give_back(self, heir: str = "") -> str:
-        """Give the lease back while nobody else spins the node; return what to say if no disarming is confirmed."""
+    def release_and_wait(self, heir: str = "") -> str:
+        """Release the lease, and spin the node until the answer; return a warning unless disarming is confirmed."""
         if not self.held:
             return ""
-        answer = self.give(heir)
+        answer = self.release(heir)
         if answer is not None:
             node_executor(self._node).spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
         return "" if answer is not None and answer.done() and answer.result().success else UNCONFIRMED

@@ -70,7 +70,7 @@ STATES, CORRECTIONS, LAW_STATES = Codec(msg.BenchState), Codec(msg.Correction), 
 
 
 def subscribe(node: Node, topic: str, codec: Codec, callback: Callable[[Any], None]) -> Subscription:
-    """Call `callback` with the record of each message of a topic of `GRAPH`; what is no such message is dropped."""
+    """Call `callback` with the record of each message of a topic of `GRAPH`; malformed messages are dropped."""
 
     def take(data: bytes) -> None:
         if (record := codec.unpack(data)) is not None:

@@ -12,7 +12,7 @@ import yaml
 
 from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_core.signals import SAMPLE_PERIOD
 
 NO_BOX = (
@@ -57,21 +57,21 @@ def known_box(
     digest; if the file has another, its numbers are unknown.
     """
     believed = details.bench_digest if details else ""
-    if bench is None or (believed and believed != bench_file.digest(bench)):
+    if bench is None or (believed and believed != bench_digest.digest(bench)):
         return KnownBox(info=info, plant=plant, bench_digest=believed)
     numbers = dict(bench)
     told = numbers.get("valve_current_max")
     if told is None or not isclose(info.valve_current_max, told, rel_tol=_FLOAT32):
         numbers["valve_current_max"] = info.valve_current_max
     text = yaml.safe_dump(numbers, sort_keys=False)
-    return KnownBox(info=info, plant=plant, bench_digest=bench_file.digest(numbers), bench=text)
+    return KnownBox(info=info, plant=plant, bench_digest=bench_digest.digest(numbers), bench=text)
 
 
 def bench_mismatches(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
     """Return where box and bench file differ, in one sentence with both values; empty if nowhere."""
     found, bench = [], bench or {}
     believed, told = details.bench_digest if details else "", bench.get("valve_current_max")
-    if believed and bench and believed != (digest := bench_file.digest(bench)):
+    if believed and bench and believed != (digest := bench_digest.digest(bench)):
         found.append(f"its force law believes the bench {believed}, the bench file is {digest}")
     if told is not None and not isclose(info.valve_current_max, told, rel_tol=_FLOAT32):
         found.append(f"its valve_current_max is {info.valve_current_max:g} A, the bench file says {told:g} A")

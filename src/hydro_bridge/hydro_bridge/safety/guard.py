@@ -186,8 +186,8 @@ class CommandGuard:
             )
         self._law_at = now
 
-    def offer(self, law: BoxLaw | None) -> None:
-        """Take a box's compensated law, None if it has none, and begin with the paper's.
+    def set_box_law(self, law: BoxLaw | None) -> None:
+        """Set the box's compensated law, None if it has none; the paper's law is commanded first.
 
         It is used if all numbers are finite, the limits in order, and the safe record is within them.
         """
@@ -338,7 +338,7 @@ class CommandGuard:
         return (self._law, gains) if fresh else (safe_command(self.offered or BoxLaw()), (0.0, 0.0))
 
     def take_events(self) -> dict[str, bool]:
-        """Return the log sentences since the last call, in order; True: a trouble, False: its end, or news."""
+        """Return the log sentences since the last call, in order; True: a warning, False: its end, or a notice."""
         events, self._events = self._events, {}
         return events
 

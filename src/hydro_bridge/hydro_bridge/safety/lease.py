@@ -7,7 +7,7 @@
              either it has lapsed, and the next to ask gets it, with a disarmed plant
     epoch    drawn again at each disarming, trip and change of holder: a command that carries another one is refused
     disarm   anybody may. What a person has disarmed the holder may not arm until a person has armed it
-    give     the holder returns the lease; handed over, only the heir may take it for `KEPT`
+    give     the holder returns the lease; handed over, only the heir may take it for `HANDOVER_TIME`
 
 All times are the plant's. The epoch of the next arming is issued in advance, so that the reference can be set before
 the plant is armed. It tells current commands from old and foreign ones. It is no secret: any reader of the graph can
@@ -24,7 +24,7 @@ from math import inf
 SILENCE = 3.0
 """s of the holder's silence after which its lease has lapsed."""
 
-KEPT = 10.0
+HANDOVER_TIME = 10.0
 """s for which a plant that was handed over is reserved for its heir."""
 
 BY_HAND = "a person disarmed the plant: arm it on the live page, or by `ros2 run hydro_bridge arm`"
@@ -54,37 +54,37 @@ class Lease:
         self._barred = 0  # claim under which a person disarmed; 0: no person has
 
     def held_by(self, claim: int) -> bool:
-        """Return whether it is held under this claim."""
+        """Return whether the lease is held under this claim."""
         return bool(claim) and claim == self.claim
 
     def take(self, name: str, claim: int, now: float) -> str:
-        """Grant it to `name`, or renew it for the holder of `claim`; returns the reason of a refusal, or nothing."""
+        """Grant the lease to `name`, or renew that of `claim`; returns the reason of a refusal, or nothing."""
         kept = self.held_by(claim)
         if self.holder and not kept and now - self._renewed <= SILENCE:
             return f"{self.holder} commands this plant: end it, or wait until it gives the lease back"
         if not self.holder and self._heir not in ("", name) and now < self._kept_until:
-            return f"this plant is handed over to {self._heir}, which may take it within {KEPT:g} s"
+            return f"this plant is handed over to {self._heir}, which may take it within {HANDOVER_TIME:g} s"
         if not kept:
             self._heir = ""
             self.holder, self.claim = name, self._draw()
-            self.end(now)
+            self.end_session(now)
         self._renewed = now
         return ""
 
-    def give(self, claim: int, now: float, heir: str = "") -> bool:
-        """Take it back from the holder of `claim`, reserve it for `heir` if named; return whether `claim` held it."""
+    def release(self, claim: int, now: float, heir: str = "") -> bool:
+        """Release the lease of `claim`, and reserve it for `heir` if named; returns whether `claim` held it."""
         if not self.held_by(claim):
             return False
         self.holder, self.claim = "", 0
-        self._heir, self._kept_until = heir, now + KEPT
-        self.end(now)
+        self._heir, self._kept_until = heir, now + HANDOVER_TIME
+        self.end_session(now)
         return True
 
-    def lapse(self, now: float) -> bool:
-        """Take it back from a holder silent for `SILENCE`, and return whether one was. Not while the plant is armed."""
-        return now - self._renewed > SILENCE and self.give(self.claim, now)
+    def expire(self, now: float) -> bool:
+        """Release the lease of a holder silent for `SILENCE`; returns whether there was one. Not while armed."""
+        return now - self._renewed > SILENCE and self.release(self.claim, now)
 
-    def end(self, now: float) -> None:
+    def end_session(self, now: float) -> None:
         """End the session, as the plant was disarmed or has tripped: its commands are refused from now on."""
         self._before, self._ended = self.epoch, now
         self.epoch = self._draw()
@@ -102,8 +102,8 @@ class Lease:
             self.refused[topic] += 1
         return False
 
-    def may_arm(self, claim: int, epoch: int, whom: str) -> str:
-        """Return why the plant may not be armed for this request, or nothing.
+    def arm_refusal(self, claim: int, epoch: int, whom: str) -> str:
+        """Return the reason to refuse a request to arm, or nothing.
 
         `claim`: 0 for a person, who arms for whoever holds the lease. `epoch`: of the session that was seen; 0: of any.
         `whom`: who must hold it; empty: whoever does.
@@ -117,12 +117,12 @@ class Lease:
             return "the plant was disarmed, tripped or changed hands since: look, and ask again"
         return BY_HAND if claim and claim == self._barred else ""
 
-    def armed(self) -> None:
-        """Lift a person's bar: the plant was armed on purpose since."""
+    def note_armed(self) -> None:
+        """Note that the plant was armed on purpose, which lifts the bar of a person's disarming."""
         self._barred = 0
 
-    def disarmed(self, claim: int) -> None:
-        """Bar the holder from arming until a person has, if a person asked for the disarming: with `claim` 0.
+    def note_disarmed(self, claim: int) -> None:
+        """Note a disarming by `claim`; by a person (0) it bars the holder from arming until a person has armed.
 
         A claim that is over is a node's, often the holder's own from before its silence, and bars nobody.
         """

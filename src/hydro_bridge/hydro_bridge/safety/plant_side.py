@@ -23,7 +23,7 @@ class PlantSide(ABC):
     wrong; `log` by default. `pace`: knows whose answers each sample waits for.
     """
 
-    absent = ""
+    absence_reason = ""
     """Why no plant is there; empty: it is."""
     no_sample_message = ""
     """Why no samples come of a plant that is there; empty: they do."""
@@ -71,15 +71,15 @@ class PlantSide(ABC):
     def arm(self, arm: bool, timeout: float = 0.5) -> str:
         """Arm or disarm, await the box's confirmation and return why it failed, or nothing. Not for `run`'s thread."""
         with self.lock:
-            if arm and self.absent:
-                return f"there is no box: {self.absent}"
+            if arm and self.absence_reason:
+                return f"there is no box: {self.absence_reason}"
             if arm and self.flags & Flag.TRIPPED:
                 return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
             before = self.samples
 
         def done() -> bool:
-            return bool(self.absent) or self._confirms(arm, before)
+            return bool(self.absence_reason) or self._confirms(arm, before)
 
         if self.paced:
             confirmed = self.pace.run_until(done)
@@ -88,7 +88,7 @@ class PlantSide(ABC):
                 self._asked = True  # each sample is news
                 confirmed = self._news.wait_for(done, timeout)
                 self._asked = False
-        if self.absent:
+        if self.absence_reason:
             return "the box has gone while it was to be armed: it is not armed" if arm else ""
         if confirmed:
             return ""

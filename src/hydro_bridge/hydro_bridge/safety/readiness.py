@@ -4,7 +4,7 @@
 ::
 
     requirements   the plant, the filter, the recorder, the learner ...   in order of their dependence
-    look           some twenty times a second: what is missing, and for how long
+    check          some twenty times a second: what is missing, and for how long
     after 8 s      reports what is awaited, why it may take long, and the time allowed
     after `within` the wait ends: in `NotReadyError`, or with a report that the run continues without it
 
@@ -47,11 +47,11 @@ class Requirement:
 class Readiness:
     """Tracks whether all requirements for arming are met.
 
-    `requirements`: requirements in order; names are unique. `say`: takes a sentence.
+    `requirements`: requirements in order; names are unique. `report`: takes a sentence.
     """
 
-    def __init__(self, requirements: Sequence[Requirement], say: Callable[[str], None]) -> None:
-        self.requirements, self._say = tuple(requirements), say
+    def __init__(self, requirements: Sequence[Requirement], report: Callable[[str], None]) -> None:
+        self.requirements, self._report = tuple(requirements), report
         self._missing = self.requirements  # not checked yet
         self._since: dict[str, float] = {}  # when the wait for it began, s
         self._told: set[str] = set()  # waits already reported
@@ -68,7 +68,7 @@ class Readiness:
         names = [requirement.name for requirement in self._missing]
         return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
-    def look(self, now: float) -> None:
+    def check(self, now: float) -> None:
         """Check all requirements; `now` by any one clock [s].
 
         Raises NotReadyError: an essential requirement was not met within its time, or never will be.
@@ -88,7 +88,7 @@ class Readiness:
             raise NotReadyError(first.missing)
         if waited > first.within:
             self._forgone.add(first.name)
-            self._say(first.missing)
+            self._report(first.missing)
         elif waited > HINT_DELAY and first.name not in self._told:
             self._told.add(first.name)
-            self._say(f"waiting for {self.missing_names}, {first.within:g} s at most: {first.hint}")
+            self._report(f"waiting for {self.missing_names}, {first.within:g} s at most: {first.hint}")

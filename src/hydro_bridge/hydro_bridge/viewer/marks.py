@@ -74,7 +74,7 @@ class MarkCollector:
         self._weights: int | None = None
         self._weights_changed, self._weight_changes = 0.0, 0
 
-    def cropped(self, begin: float, seconds: float) -> list[Mark]:
+    def crop(self, begin: float, seconds: float) -> list[Mark]:
         """Return the marks from `begin` [s] for `seconds` by time, relative to `begin`; the lease's holder is first."""
         marks = sorted(self._marks, key=lambda mark: mark.time)
         held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
@@ -127,7 +127,7 @@ class MarkCollector:
         self._phase, self._episode, self._learner = phase, episode, bool(message["learner_alive"])
 
     def steps(self, steps: npt.NDArray[np.void]) -> None:
-        """Add the changes of weights in PolicyStep records, with `time` [s]; told as in the trainer's diagnostics."""
+        """Add the changes of weights in PolicyStep records, with `time` [s], named as in the trainer's diagnostics."""
         if not len(steps):
             return
         times, weights = steps["time"], steps["weights"]

@@ -12,8 +12,8 @@ from hydro_diagnosis.estimation.fit import by_claim
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.significance import MATTERS
-from hydro_diagnosis.validation import Known, held_out
+from hydro_diagnosis.significance import PRACTICAL_SHARE
+from hydro_diagnosis.validation import Known, holdout_errors
 from hydro_sim.model.laws import Law
 
 if TYPE_CHECKING:
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Admitted:
+class AdmittedClosure:
     """An admitted closure."""
 
-    closed: ClosureFit
-    held: dict[str, Any]
+    closure_fit: ClosureFit
+    holdout_report: dict[str, Any]
     """`fit` of report.json, with the closure."""
     share: float
     """Share of the held-out gap that it closes."""
@@ -33,29 +33,28 @@ class Admitted:
     """By form that was tried: the share of the held-out gap that it closes; None: it made an error worse."""
 
 
-def admitted(
+def admit(
     problem: Problem,
     holdout: Problem,
     candidates: Iterable[ClosureFit],
     named: Mapping[str, Any],
     known: Known | None = None,
-) -> Admitted | None:
+) -> AdmittedClosure | None:
     """Return the first candidate that makes no held-out channel worse than the names alone do, or None.
 
-    `holdout`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
-    what has been simulated already.
+    `holdout`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`: simulations so far.
     """
     errors: dict[str, float | None] = {}
     for closed in candidates:
-        held = held_out(problem, holdout, closed.fit.claims, known)
+        held = holdout_errors(problem, holdout, closed.fit.claims, known)
         share = share_closed(named, held) if harmless(named, held) else None
         errors[closed.form] = share
-        if share is not None and share > MATTERS:
+        if share is not None and share > PRACTICAL_SHARE:
             named_alone = {
                 name: {**one, "rmse_named": named["holdout"][name]["rmse_after"]}
                 for name, one in held["holdout"].items()
             }
-            return Admitted(closed, {**held, "holdout": named_alone}, share, errors)
+            return AdmittedClosure(closed, {**held, "holdout": named_alone}, share, errors)
     return None
 
 
@@ -79,10 +78,10 @@ def harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
     return True
 
 
-def reports(found: Admitted, bounds: Sequence[Interval]) -> list[ClosureReport]:
-    """One entry per term; `bounds`: of the parameters of all claims, in their order."""
+def closure_reports(found: AdmittedClosure, bounds: Sequence[Interval]) -> list[ClosureReport]:
+    """Return one report per term; `bounds`: of the parameters of all claims, in their order."""
     entries = []
-    for claim, own in by_claim(found.closed.fit.claims, bounds):
+    for claim, own in by_claim(found.closure_fit.fit.claims, bounds):
         effect = claim.effect
         if not is_closure(effect):
             continue

@@ -17,7 +17,7 @@ from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import FORM_ERROR, Fit, fit, held_out_deviance, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
-from hydro_diagnosis.significance import ALIKE, DECISIVE, QUANTILE, VAGUE
+from hydro_diagnosis.significance import DECISIVE, QUANTILE, TIE_RATIO, UNIDENTIFIED_HALF_WIDTH
 
 
 def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
@@ -35,7 +35,7 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
         size = abs(value) if one.low > 0.0 else width
         edge = 1e-3 * min(size, width)
         inside = one.low + edge < value < one.high - edge
-        if one.smallest == 0.0 and not (inside and QUANTILE * deviation * one.span < VAGUE * size):
+        if one.smallest == 0.0 and not (inside and QUANTILE * deviation * one.span < UNIDENTIFIED_HALF_WIDTH * size):
             return False
     return True
 
@@ -58,10 +58,10 @@ def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
 
 
 def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
-    """Whether the signature of a cause that is ruled out (`Problem.ruled_out`) explains `ALIKE` of this claim's."""
+    """Return whether the signature of a ruled-out cause (`Problem.ruled_out`) explains `TIE_RATIO` of this claim's."""
     if not problem.ruled_out:
         return False
-    others = found.but(claim)
+    others = found.claims_without(claim)
     before = problem.residual(others)
     shown = found.residual - before
     standing = np.delete(found.jacobian, found.columns(claim), axis=1)
@@ -71,7 +71,7 @@ def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
         orthogonal(np.column_stack([standing, columns]), shown)
         for effect in problem.ruled_out for columns in _columns(problem, others, before, effect)
     )  # fmt: skip
-    return size > 0.0 and any(float(left @ left) < (1.0 - ALIKE) * size for left in lefts)
+    return size > 0.0 and any(float(left @ left) < (1.0 - TIE_RATIO) * size for left in lefts)
 
 
 def _columns(problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect) -> Iterator[FloatArray]:
@@ -96,7 +96,7 @@ def without_idle_terms(problem: Problem, found: Fit, names_stay: bool = False) -
     """
     while True:
         open_ = [one for one in found.removable if not (names_stay and one.effect.named)]
-        fewer = [(claim, fit(problem, found.but(claim))) for claim in open_]
+        fewer = [(claim, fit(problem, found.claims_without(claim))) for claim in open_]
         idle = [one for claim, one in fewer if not _pays(problem, one, found, claim)]
         if not idle:
             return found

@@ -4,8 +4,8 @@
 The residuals' responses to a smooth function (`grammar.CURVES`) are computed once, one for each of its splines. A
 textbook shape is a sum of these splines, wherever its threshold or level lies: so what a formula gains beside a fit, to
 first order, follows from products of the same responses. Laws that are no function of one signal at an instant
-(`grammar.BESIDE`), or are too steep for splines, have responses of their own. Gains are those of four-fold
-cross-validation (`fit.cross_validated`), of each term alone. Only the best few are fitted.
+(`grammar.MEMORY_LAWS`), or are too steep for splines, have responses of their own. Gains are those of four-fold
+cross-validation (`fit.cross_validated_deviance`), of each term alone. Only the best few are fitted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from hydro_diagnosis.curves import splines
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
-from hydro_diagnosis.estimation.fit import SHORTEST, Fit, cross_validated
+from hydro_diagnosis.estimation.fit import SHORTEST, Fit, cross_validated_deviance
 from hydro_diagnosis.estimation.problem import CHANNELS, COST, Problem
 from hydro_diagnosis.model.responses import Responses
 from hydro_diagnosis.significance import FOLDS
@@ -79,7 +79,7 @@ class Screen:
         self._terms = [one for one in self._looked_for() if not one.columns[0].effect.blocks & set(closed)]
         for term in self._terms:
             many = len(term.columns)
-            shown = problem.joined([way.of(term.columns) for way in ways], many)
+            shown = problem.join_responses([way.of(term.columns) for way in ways], many)
             problem.budget.spent += COST["column"] * problem.samples * many
             term.square = np.zeros((FOLDS, len(CHANNELS), many, many))
             for channel, responses in shown.items():
@@ -100,7 +100,7 @@ class Screen:
             low, high = np.percentile(argument, [0.1, 99.9]).tolist()  # but for what is rare at either end
             if high > low:
                 smooth = closure(table, problem.bench, (low, high))
-                nothing = smooth.nothing()[0]
+                nothing = smooth.start_values()[0]
                 columns = [Claim(smooth, {**nothing, name: table.typical}) for name in nothing]
                 shapes = [(law, start) for law in curve.laws if not law.is_step for start in self._starts(law)]
                 sums = [_as_splines(table, (low, high), law, start, problem.bench) for law, start in shapes]
@@ -126,7 +126,7 @@ class Screen:
             if not (high > low and probes):
                 return []
             effect = closure(law, problem.bench, (low, high), tuple(probes))
-        return [Claim(effect, values) for values in effect.nothing()]
+        return [Claim(effect, values) for values in effect.start_values()]
 
     def __len__(self) -> int:
         return sum(len(one.starts) for one in self._terms)
@@ -152,7 +152,7 @@ class Screen:
     def prospects(self, found: Fit, count: int, without: Collection[str] = ()) -> tuple[list[Prospect], float]:
         """The laws that gain most beside a fit, their further numbers paid, and what there is to gain at all."""
         own, size, weight, cross = self._products(found)
-        before = cross_validated(own[..., None], weight, self._count, size)[0]
+        before = cross_validated_deviance(own[..., None], weight, self._count, size)[0]
         price, by_law = float(np.log(len(found.residual))), list[tuple[float, float, list[Claim]]]()
         width = own.shape[-1]
         for term, across in zip(self._terms, cross, strict=True):
@@ -161,7 +161,7 @@ class Screen:
             whole[:, :, :width, :width] = own[..., None]
             whole[:, :, :width, width] = whole[:, :, width, :width] = across @ term.sums
             whole[:, :, width, width] = summed
-            gains = before - cross_validated(whole, weight, self._count, size)
+            gains = before - cross_validated_deviance(whole, weight, self._count, size)
             labels = np.array([one.effect.label for one in term.starts])
             for label in dict.fromkeys(labels.tolist()):
                 at = np.flatnonzero(labels == label)
@@ -171,20 +171,20 @@ class Screen:
                     by_law.append((float(paid), float(gains[best[0]]) * self._every, [term.starts[k] for k in best]))
         by_law.sort(key=lambda one: -one[0])
         there_is = (before - float(self._count.sum())) * self._every
-        return [Prospect(gain, _apart(starts)) for _, gain, starts in by_law[:count]], there_is
+        return [Prospect(gain, _distinct_starts(starts)) for _, gain, starts in by_law[:count]], there_is
 
     def smooth(self, found: Fit, without: Collection[str] = ()) -> tuple[Claim | None, float, float]:
         """The smooth function that gains most beside a fit, its gain, and what there is to gain at all."""
         own, size, weight, cross = self._products(found)
-        before = cross_validated(own[..., None], weight, self._count, size)[0]
+        before = cross_validated_deviance(own[..., None], weight, self._count, size)[0]
         best, gain = None, 0.0
         for term, across in zip(self._terms, cross, strict=True):
             effect = term.columns[0].effect
             if is_closure(effect) and isinstance(effect.law, Table) and effect.label not in without:
                 whole = np.block([[own, across], [across.swapaxes(-1, -2), term.square]])
-                gained = before - cross_validated(whole[..., None], weight, self._count, size)[0]
+                gained = before - cross_validated_deviance(whole[..., None], weight, self._count, size)[0]
                 if gained > gain:
-                    best, gain = Claim(effect, effect.nothing()[0]), gained
+                    best, gain = Claim(effect, effect.start_values()[0]), gained
         return best, gain * self._every, (before - float(self._count.sum())) * self._every
 
 
@@ -200,7 +200,7 @@ def _as_splines(table: Table, limits: tuple[float, float], law: Law, start: Clai
     return np.asarray(np.linalg.lstsq(splines(share), values, rcond=None)[0] / table.typical)
 
 
-def _apart(starts: Sequence[Claim]) -> tuple[Claim, ...]:
+def _distinct_starts(starts: Sequence[Claim]) -> tuple[Claim, ...]:
     """The best start, and of a law with several further numbers the best with each other value of the first."""
     names = [one.name for one in starts[0].effect.shapes]
     if len(names) < 2:
@@ -232,7 +232,7 @@ _CHANNELS = {
 def _visible(effect: Closure, problem: Problem) -> bool:
     """Whether its equation is judged, and all that it is made of was recorded."""
     have = set.intersection(*(set(model.channels) for model in problem.models))
-    if (effect.places or effect.uses_acceleration) and len(effect.blocks & set(problem.blocks)) < 2:
+    if (effect.is_position_error or effect.depends_on_acceleration) and len(effect.blocks & set(problem.blocks)) < 2:
         return False  # in one equation alone it cannot be told from a force
     needed = {_CHANNELS.get(one, one) for one in effect.law.uses} - {"time"}
     return bool(effect.blocks & set(problem.blocks)) and needed | ({effect.law.where} - {"", "edges", "across"}) <= have

@@ -29,13 +29,13 @@ from hydro_diagnosis.effects.closure import closure, is_closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.fit import screen as screen_names
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.significance import ALIKE, CLAIMED, ITERATIONS, MATTERS
+from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE, TIE_RATIO
 from hydro_sim.model.effects.catalogue import CLOSURES_MAX
 from hydro_sim.model.laws import REVERSAL_VELOCITY, REVERSING, SIGN_VELOCITY, Law, with_reversal_velocity
 
-LEAST = 0.02
+MIN_GAIN_SHARE = 0.02
 """Least share of the possible gain that a term must bring: less may be a form error of another."""
-TERMS = 3
+MAX_TERMS = 3
 """Largest number of terms."""
 
 
@@ -61,7 +61,7 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
     """
     screen = Screen(problem, base, barred_equations(problem, base))
     by_law = _by_law(problem, base, screen, names)
-    more = {one.effect.label for one in by_law.fit.judged if one.effect.named} - {
+    more = {one.effect.label for one in by_law.fit.cause_claims if one.effect.named} - {
         one.effect.label for one in base.claims
     }
     if more and by_law.problem.noticeable(by_law.fit.residual) and not problem.budget.exhausted:
@@ -72,7 +72,7 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
         return
     left = by_law.problem.noticeable(by_law.fit.residual)
     smooth = _by_curve(by_law if left else ClosureFit(base, "smooth", 0.0, problem, screen))
-    both = (by_law, smooth) if by_law.gain >= (1.0 - MATTERS) * smooth.gain else (smooth, by_law)
+    both = (by_law, smooth) if by_law.gain >= (1.0 - PRACTICAL_SHARE) * smooth.gain else (smooth, by_law)
     yield from (one for one in (both if left else (smooth,)) if one.gain > 0.0)
 
 
@@ -83,8 +83,8 @@ def _terms(found: Fit) -> int:
 def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]) -> ClosureFit:
     """Names that stand, laws, and names that pay beside these; what no longer pays is dropped."""
     weighed, current, tried = problem, base, set[str]()
-    room = min(TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(base))
-    for _ in range(room + (TERMS if names else 0)):
+    room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(base))
+    for _ in range(room + (MAX_TERMS if names else 0)):
         if not weighed.noticeable(current.residual) or problem.budget.exhausted:
             break
         fits = _with_law(weighed, current, screen, tried) if _terms(current) - _terms(base) < room else []
@@ -96,7 +96,7 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
         tried -= {one.claims[-1].effect.label for one in fits if one is not taken}
         current = taken
         if taken.claims[-1].effect.named:
-            weighed = weighed.weighed(taken.claims)
+            weighed = weighed.reweighted(taken.claims)
             current = fit(weighed, taken.claims)
     if _terms(current) == _terms(base):
         return ClosureFit(base, "law", 0.0, problem, screen)
@@ -107,12 +107,14 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
 def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
     """Fits with one more law that pays, of the best that are not `tried`, to which they are added."""
     prospects, there_is = screen.prospects(current, 5, tried)
-    toll = CLAIMED + 2.0 * float(np.log(max(len(screen), 1)))  # of so many columns chance reaches that much more
+    toll = CLAIM_THRESHOLD + 2.0 * float(
+        np.log(max(len(screen), 1))
+    )  # of so many columns chance reaches that much more
     fits: list[Fit] = []
     disguised, clean = 0.0, False
     for one in prospects:
-        enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - MATTERS) * disguised
-        if one.gain < max(toll, LEAST * there_is, enough) or problem.budget.exhausted:
+        enough = TIE_RATIO * prospects[0].gain if clean else 0.0 if fits else (1.0 - PRACTICAL_SHARE) * disguised
+        if one.gain < max(toll, MIN_GAIN_SHARE * there_is, enough) or problem.budget.exhausted:
             break
         better = _from_starts(problem, current, one.starts)
         if problem.noticeable(better.residual):
@@ -152,14 +154,14 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
     claims = list(found.claims)
     claims[place] = Claim(wider, {**claim.values, REVERSAL_VELOCITY.name: 2.0 * SIGN_VELOCITY})
     better = fit(problem, claims, iterations=3 * ITERATIONS)
-    pays = found.score - better.score >= CLAIMED
+    pays = found.score - better.score >= CLAIM_THRESHOLD
     return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
 
 
 def _with_name(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
     """Fits with one more name that pays."""
-    fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:TERMS]]
-    enough = current.score - CLAIMED
+    fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:MAX_TERMS]]
+    enough = current.score - CLAIM_THRESHOLD
     return [one for one in fits if one.score < enough and not within_form_error(problem, current, one)]
 
 
@@ -176,7 +178,7 @@ def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
             return 0, 0, one.score
         return len(effect.parameters), len(effect.law.uses), one.score
 
-    return min((one for one in fits if one.score <= best + CLAIMED), key=parts)
+    return min((one for one in fits if one.score <= best + CLAIM_THRESHOLD), key=parts)
 
 
 def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Effect]) -> Fit:
@@ -195,7 +197,9 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
         else:
             fits = [found, *_with_name(problem, others, names)]
             best = min(one.score for one in fits)
-            found = min((one for one in fits if one.score <= best + CLAIMED), key=lambda one: (one.free, one.score))
+            found = min(
+                (one for one in fits if one.score <= best + CLAIM_THRESHOLD), key=lambda one: (one.free, one.score)
+            )
     for place in range(len(found.claims)):  # also if nothing remains: it moves a simulated piston at each reversal
         found = _with_reversal_velocity(problem, found, place)
     return found
@@ -203,7 +207,7 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
 
 def _merged(problem: Problem, found: Fit, screen: Screen) -> Fit:
     """The fit with a law and another claim replaced by one law that does as well, if nothing remains."""
-    for first, second in combinations(found.judged if not problem.noticeable(found.residual) else (), 2):
+    for first, second in combinations(found.cause_claims if not problem.noticeable(found.residual) else (), 2):
         if (first.effect.named and second.effect.named) or problem.budget.exhausted:
             continue
         rest = fit(problem, tuple(one for one in found.claims if one is not first and one is not second))
@@ -222,10 +226,10 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
     """
     problem, current, screen, tried = below.problem, below.fit, below.screen, set[str]()
     assert screen is not None
-    room = min(TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(current))
+    room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(current))
     while room and problem.noticeable(current.residual) and not problem.budget.exhausted:
         start, gain, there_is = screen.smooth(current, tried)
-        if start is None or gain < max(THRESHOLD, LEAST * there_is):
+        if start is None or gain < max(THRESHOLD, MIN_GAIN_SHARE * there_is):
             break
         tried.add(start.effect.label)
         better = fit(problem, (*current.claims, start))

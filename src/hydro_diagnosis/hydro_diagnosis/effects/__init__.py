@@ -16,7 +16,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.base import fit, parameter
 from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
-from hydro_sim.model.effects.motion import FrictionStribeck
+from hydro_sim.model.effects.friction import FrictionStribeck
 from hydro_sim.model.effects.numbers import Correction
 
 NOMINAL = Bench.nominal()

@@ -29,7 +29,7 @@ FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
 """Of chamber A and of chamber B."""
 Values = Mapping[str, float]
-Kept = TypeVar("Kept")
+Result = TypeVar("Result")
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """The blocks of residuals that an effect can touch; only those are recomputed when its parameters change."""
 _BLOCKS = {"motion": {MOTION}, "load": {MOTION, LOAD}}
@@ -51,8 +51,8 @@ def blocks_of(equation: str, channel: str = "") -> frozenset[str]:
     return frozenset(_SENSED[channel] if equation == "sensor" else _BLOCKS.get(equation, {PRESSURE}))
 
 
-def changed(bench: Bench, **values: float | None) -> Bench:
-    """A bench with values replaced, kept within the ranges that `Bench` allows, and the tank below the supply."""
+def with_values(bench: Bench, **values: float | None) -> Bench:
+    """Return a bench with values replaced, within the ranges of `Bench` and with the tank below the supply."""
     limits = bench.quantities()
     inside: dict[str, Any] = {
         name: value if value is None else min(max(value, limits[name].low), limits[name].high)
@@ -121,10 +121,10 @@ class Effect:
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
     memoryless: ClassVar[bool] = False
     """Whether a reading depends on the present signal, on a path or on slow states alone."""
-    uses_acceleration: ClassVar[bool] = False
-    """Whether it depends on the acceleration."""
-    places: ClassVar[bool] = False
-    """Whether the recorded position differs from the piston's by this effect."""
+    depends_on_acceleration: ClassVar[bool] = False
+    """Whether its term depends on the piston's acceleration."""
+    is_position_error: ClassVar[bool] = False
+    """Whether it is an error of the position sensor: the recorded position differs from the piston's."""
     nonlinear_channel: ClassVar[str] = ""
     """Channel whose reading is a nonlinear function of its signal by this effect; empty if none."""
 
@@ -165,7 +165,7 @@ class Effect:
         return self.physics.balances or frozenset().union(*(blocks_of(one, channel) for one in self.equations))
 
     @property
-    def lagged(self) -> str:
+    def lagged_channel(self) -> str:
         """Channel whose readings it low-passes; empty if none."""
         return self.physics.channel if isinstance(self.physics, SensorLag) else ""
 
@@ -190,7 +190,7 @@ class Effect:
 
     def adapted(self, bench: Bench) -> Effect:
         """The effect relative to this bench."""
-        return replace(self, parameters=self.physics.fit_parameters(bench))
+        return replace(self, parameters=self.physics.fitted_parameters(bench))
 
     def acts_in(self, *hooks: str) -> bool:
         """Return whether the effect acts in any of these hooks."""
@@ -208,12 +208,12 @@ class Effect:
         """The bench with a number corrected."""
         numbers = _Corrected(bench)
         self._bound(values).correct(numbers)
-        return changed(bench, **{name: one for name, one in vars(numbers).items() if name != "bench"})
+        return with_values(bench, **{name: one for name, one in vars(numbers).items() if name != "bench"})
 
-    def settled(self, bench: Bench, values: Values) -> Bench:
-        """The bench file with this effect written into its numbers, exact where no earlier effect meets its hooks."""
+    def write_into_bench(self, bench: Bench, values: Values) -> Bench:
+        """Return the bench with this effect written into its numbers; exact if no earlier effect has its hooks."""
         if number := self.physics.scales:
-            return changed(bench, **{number: getattr(bench, number) * values["ratio"]})
+            return with_values(bench, **{number: getattr(bench, number) * values["ratio"]})
         return self.correct(bench, values)
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
@@ -268,13 +268,15 @@ class Effect:
         """Leave in a record's memory the states in which simulations begin at its samples, where hooks pass others."""
 
     def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
-        """Mass [kg] that the load drags along, where the acceleration is not known yet; `load` has its force, too."""
+        """Return the mass [kg] moved with the load, for an acceleration not known yet; `load` adds its force."""
         return np.zeros_like(motion.position)
 
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         """Reading of a sensor for its true signal."""
-        beside = {name: memory.beside.get(name, 0.0) for name in ("position", "velocity", "acceleration", "current")}
-        pressures = tuple(memory.beside.get(f"pressure_{chamber}", 0.0) for chamber in "ab")
+        beside = {
+            name: memory.other_signals.get(name, 0.0) for name in ("position", "velocity", "acceleration", "current")
+        }
+        pressures = tuple(memory.other_signals.get(f"pressure_{chamber}", 0.0) for chamber in "ab")
         bound = self._bound(values, memory, pressures=pressures, **beside)
         bound.held = beside["current"]
         return np.asarray(bound.read_sensor(channel, signal))
@@ -292,7 +294,7 @@ def _acts_in(kind: Any, effect: Any, hook: str) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """How large the machine is that was recorded: numbers of its claims are of that order."""
+    """Size of the recorded machine, which bounds the parameters of its claims."""
 
     force: float
     """Largest recorded force [N]."""
@@ -302,8 +304,8 @@ class Machine:
     """Distance [m]."""
 
 
-def sized(effect: Effect, machine: Machine) -> Effect:
-    """The effect with bounds that hold what the machine may show; never narrower than its own."""
+def scale_bounds(effect: Effect, machine: Machine) -> Effect:
+    """Return the effect with bounds wide enough for the machine, and never narrower than its own."""
     slow = 0.02 * machine.speed
     fading = 3.0**-0.5 * machine.speed  # of a rise towards standstill exp(-3), 5 %, are left at the top speed
     largest = {
@@ -340,23 +342,25 @@ class Claim:
 
 
 class BoundedCache:
-    """So many results at most, each for some claims; the least recently used go first."""
+    """Cache of at most `room` results, each for some claims; the least recently used is dropped."""
 
     def __init__(self, room: int) -> None:
         self._room, self._found = room, dict[tuple[object, ...], Any]()
 
-    def under(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
+    def get_or_compute(
+        self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Result]
+    ) -> Result:
         """Return a result for these claims, computed once as long as only others change."""
-        key = (what, *values_key(claims))
-        found: Kept = self._found.pop(key) if key in self._found else compute(claims)
+        key = (what, *claims_key(claims))
+        found: Result = self._found.pop(key) if key in self._found else compute(claims)
         self._found[key] = found
         if len(self._found) > self._room:
             self._found.pop(next(iter(self._found)))
         return found
 
 
-def values_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
-    """Key of claims with their values, for caches."""
+def claims_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
+    """Return a key of claims and their values, for caches."""
     return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 

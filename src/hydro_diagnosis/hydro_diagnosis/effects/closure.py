@@ -23,7 +23,7 @@ from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
 from hydro_sim.model.effects.closure import NamedLaw, closure_class
-from hydro_sim.model.laws import Element, Law, Signals, edge_losses, sensor_signals
+from hydro_sim.model.laws import Law, MemoryElement, Signals, edge_losses, sensor_signals
 from hydro_sim.model.tables import KNOTS, Table
 
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
@@ -37,15 +37,15 @@ _LAST = KNOTS - 3
 """Intervals between the peaks of the splines that a table's variable may lie in."""
 
 
-def splined(variable: FloatArray, low: float, high: float, values: FloatArray) -> FloatArray:
+def evaluate_spline(variable: FloatArray, low: float, high: float, values: FloatArray) -> FloatArray:
     """Sum of cubic B-splines of these `values` (KNOTS,) over a variable between `low` and `high`, constant beyond."""
     found = np.empty(variable.shape)
-    _splined(found.reshape(-1), np.ascontiguousarray(variable).reshape(-1), low, _LAST / (high - low), values)
+    _evaluate_spline(found.reshape(-1), np.ascontiguousarray(variable).reshape(-1), low, _LAST / (high - low), values)
     return found
 
 
 @njit
-def _splined(found, variable, low, scale, values):
+def _evaluate_spline(found, variable, low, scale, values):
     for k in range(len(variable)):
         along = (variable[k] - low) * scale
         if along != along:  # a simulation that has run away
@@ -107,16 +107,16 @@ class Closure(Effect):
 
     @property
     def memoryless(self) -> bool:  # type: ignore[override]
-        return self.element is None or self.element.kind in ("path", "slow")
+        return self.memory_element is None or self.memory_element.kind in ("path", "slow")
 
     @property
-    def uses_acceleration(self) -> bool:  # type: ignore[override]
+    def depends_on_acceleration(self) -> bool:  # type: ignore[override]
         return "acceleration" in self.law.uses
 
     @property
-    def element(self) -> Element | None:
+    def memory_element(self) -> MemoryElement | None:
         """Memory element of the term."""
-        return self.law.element
+        return self.law.memory_element
 
     def acts_in(self, *hooks: str) -> bool:
         acting = _HOOKS.get(self.law.equation, {"leaks"})
@@ -126,7 +126,7 @@ class Closure(Effect):
         return not (acting | own).isdisjoint(hooks)
 
     def adapted(self, bench: Bench) -> Closure:
-        parameters = self.physics.fit_parameters(None)
+        parameters = self.physics.fitted_parameters(None)
         if self.probes and isinstance(self.law, Law):  # thresholds, whose range the recordings say
             over = {one.name for one in self.law.numbers if one.over}
             about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "probes": self.probes}
@@ -134,8 +134,8 @@ class Closure(Effect):
             parameters = tuple(replace(one, **about) if one.name in over else one for one in parameters)
         return replace(self, numbers=bench, parameters=parameters)
 
-    def nothing(self) -> list[dict[str, float]]:
-        """Values at which the term vanishes: one set for each choice of start values of its further numbers."""
+    def start_values(self) -> list[dict[str, float]]:
+        """Return values at which the term vanishes: one set for each choice of start values of its further numbers."""
         still = {one.name: 0.0 for one in self.parameters}
         choices = product(*(one.probes for one in self.shapes))
         return [{**still, **dict(zip((one.name for one in self.shapes), chosen, strict=True))} for chosen in choices]
@@ -147,7 +147,7 @@ class Closure(Effect):
 
     def _remembering(self, at: Signals, memory: Memory, values: Values) -> Signals:
         """The signals with what the law remembers of them."""
-        element = self.element
+        element = self.memory_element
         if element is None:
             return at
         if element.signal == "time":
@@ -160,11 +160,11 @@ class Closure(Effect):
             return at.replace(memory=memory.lag(self.label, signal, values["time"]))
         return at.replace(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
 
-    def given(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
+    def term_value(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
         """Value of the term, in the unit of its equation."""
         if isinstance(self.law, Law):
             return np.asarray(self.law.value(at, bench or self.numbers, [*values.values()]))
-        given = splined(np.asarray(self.law.variable_value(at)), *self.limits, np.array([*values.values()]))
+        given = evaluate_spline(np.asarray(self.law.variable_value(at)), *self.limits, np.array([*values.values()]))
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
     def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
@@ -173,19 +173,19 @@ class Closure(Effect):
         bench = context.get("numbers")
 
         def value(at: Signals) -> FloatArray:
-            return self.given(self._remembering(at, memory, values) if memory else at, values, bench)
+            return self.term_value(self._remembering(at, memory, values) if memory else at, values, bench)
 
-        bound.__dict__ |= {"_value": value, "_past": lambda: 0.0, "_remembered": lambda signal: 0.0}
+        bound.__dict__ |= {"_value": value, "_memory_state": lambda: 0.0, "_final_memory_state": lambda signal: 0.0}
         return bound
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
         path = np.ascontiguousarray(spool).ravel()
         at = self._remembering(Signals(current=path), Memory(substep), values)
-        return spool + self.given(at, values).reshape(spool.shape)
+        return spool + self.term_value(at, values).reshape(spool.shape)
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
         """Flows are computed in the middle of each sample."""
-        if self.acts_in("leaks") and self.element is not None and self.element.kind == "path":
+        if self.acts_in("leaks") and self.memory_element is not None and self.memory_element.kind == "path":
             self._remembering(Signals(motion.position, motion.velocity), memory, values)
 
 
@@ -196,14 +196,14 @@ class EdgeClosure(Closure):
         opened, closed = (substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
         past = self._remembering(Signals(current=substep_mean(oil.spool)), memory, values).memory
         openings = bench.valve_gain * opened, bench.valve_gain * closed
-        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at.replace(memory=past), values))
+        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.term_value(at.replace(memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
         """What it remembers is the current's."""
 
 
-class DraggedClosure(Closure):
+class LoadMassClosure(Closure):
     """A mass that the load drags along."""
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
@@ -212,47 +212,49 @@ class DraggedClosure(Closure):
         return force + motion.acceleration * self.inertia(motion, bench, values)
 
     def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
-        return self.given(Signals(motion.position, motion.velocity, acceleration=1.0), values, bench)
+        return self.term_value(Signals(motion.position, motion.velocity, acceleration=1.0), values, bench)
 
 
-class GaugeClosure(Closure):
+class PressureSensorClosure(Closure):
     """Error of a pressure sensor, whose pressure the flows follow."""
 
     @property
     def nonlinear_channel(self) -> str:  # type: ignore[override]
-        along = self.element is not None and self.element.kind in ("path", "lag")
+        along = self.memory_element is not None and self.memory_element.kind in ("path", "lag")
         return self.law.where if self.law.where in (self.law.uses or self.law.where) and not along else ""
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:
             return reading
-        if self.element is None and self.nonlinear_channel and self.law.uses <= {channel}:  # a curve of it alone
+        if self.memory_element is None and self.nonlinear_channel and self.law.uses <= {channel}:  # a curve of it alone
             low, high = float(np.min(reading)), float(np.max(reading))
             beyond = 0.5 * max(high - low, 1.0)  # the signal may lie outside of what its reading spans
             curve = np.linspace(low - beyond, high + beyond, 2000)
-            rising = np.maximum.accumulate(curve + self.given(sensor_signals(channel, curve), values))
+            rising = np.maximum.accumulate(curve + self.term_value(sensor_signals(channel, curve), values))
             risen = np.concatenate([[True], np.diff(rising) > 0.0])  # where a reading stays: the least that shows it
             return np.asarray(np.interp(reading, rising[risen], curve[risen]))
         signal = reading
-        recalls = self.element is not None and self.element.signal == channel  # its own signal's past counts
+        recalls = (
+            self.memory_element is not None and self.memory_element.signal == channel
+        )  # its own signal's past counts
         for _ in range(ITERATIONS):
-            at, before = sensor_signals(channel, signal, memory.beside), signal
-            signal = reading - self.given(self._remembering(at, memory, values), values)
+            at, before = sensor_signals(channel, signal, memory.other_signals), signal
+            signal = reading - self.term_value(self._remembering(at, memory, values), values)
             if not (self.nonlinear_channel or recalls) or float(np.max(np.abs(signal - before))) < 1e-6:  # Pa
                 break
         return signal
 
 
-class PlaceClosure(Closure):
+class PositionSensorClosure(Closure):
     """Error of the position sensor, on whose position all equations depend."""
 
-    places = True
+    is_position_error = True
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
         for _ in range(ITERATIONS if channel == self.law.where else 0):
-            at = sensor_signals(channel, signal, memory.beside)
-            signal = reading - self.given(self._remembering(at, memory, values), values)
+            at = sensor_signals(channel, signal, memory.other_signals)
+            signal = reading - self.term_value(self._remembering(at, memory, values), values)
             if "position" not in self.law.uses:
                 break
         return signal
@@ -280,9 +282,9 @@ def grown_cause(named: NamedLaw) -> Closure:
 
 def _class(law: Law | Table) -> type[Closure]:
     if law.where.startswith("pressure"):
-        return GaugeClosure
-    dragged = DraggedClosure if law.equation == "load" and "acceleration" in law.uses else Closure
-    return {"edges": EdgeClosure, "piston_position": PlaceClosure}.get(law.where, dragged)
+        return PressureSensorClosure
+    dragged = LoadMassClosure if law.equation == "load" and "acceleration" in law.uses else Closure
+    return {"edges": EdgeClosure, "piston_position": PositionSensorClosure}.get(law.where, dragged)
 
 
 def from_mapping(entry: Mapping[str, Any], bench: Bench) -> tuple[Closure, dict[str, float]]:

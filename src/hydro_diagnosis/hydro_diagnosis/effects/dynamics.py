@@ -20,7 +20,7 @@ from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import base as physics
-from hydro_sim.model.effects import motion, oil, sensing, valve
+from hydro_sim.model.effects import friction, motion, oil, sensing, valve
 
 
 class DeadTime(Effect):
@@ -167,12 +167,12 @@ class Amplifier(Effect):
     """A sensor's low-pass."""
 
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel != self.lagged:
+        if channel != self.lagged_channel:
             return signal
         return memory.low_pass(channel, signal, values["bandwidth"], values["damping"])
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel != self.lagged:
+        if channel != self.lagged_channel:
             return reading
         omega = 2.0 * np.pi * values["bandwidth"]
         smoothed = gaussian_filter1d(reading, 4.0, mode="nearest")  # over some 10 samples: noise stays below its own
@@ -189,8 +189,8 @@ CLASSES: dict[type[physics.Effect], type[Effect]] = {
     valve.ValveDeadbandLopsided: Overlap,
     valve.ValveDeadbandSoft: SoftOverlap,
     oil.SupplyDroop: Droop,
-    motion.FrictionStribeck: Stribeck,
-    motion.FrictionPresliding: Bristles,
+    friction.FrictionStribeck: Stribeck,
+    friction.FrictionPresliding: Bristles,
     motion.BacklashPlay: Play,
     sensing.LoadCellGain: Calibration,
     sensing.LoadCellBias: Calibration,

@@ -19,8 +19,8 @@ from hydro_sim.jit import njit
 
 
 @njit
-def along(position, stiffness, limit):
-    """Force at each of the positions, shape (n,), at rest at the first; `limit`: shape (n,), where it yields.
+def bristle_force(position, stiffness, limit):
+    """Return the force of a bristle at each position, shape (n,), unloaded at the first; `limit`: yield force, (n,).
 
     Within a sample the solution of dF/dx = stiffness (1 - F sign(dx)/limit) is exact. Source: Dahl 1968.
     """
@@ -43,12 +43,13 @@ def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tupl
 class Memory:
     """Memory over a record that is sampled every `step` seconds; it starts in equilibrium with the first sample.
 
-    `beside`: signals that a reading may depend on besides its own, by the names of `hydro_sim.model.laws.Signals`.
+    `other_signals`: signals on which a reading may depend besides its own, by the names of
+    `hydro_sim.model.laws.Signals`.
     """
 
-    def __init__(self, step: float, beside: Mapping[str, FloatArray] | None = None) -> None:
+    def __init__(self, step: float, other_signals: Mapping[str, FloatArray] | None = None) -> None:
         self.step = step
-        self.beside = beside or {}
+        self.other_signals = other_signals or {}
         self.traces: dict[str, FloatArray] = {}
         """The states that were passed, for simulations that start along the record."""
 
@@ -75,7 +76,7 @@ class Memory:
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
-        self.traces[key] = along(np.ascontiguousarray(position), stiffness, np.ascontiguousarray(limit))
+        self.traces[key] = bristle_force(np.ascontiguousarray(position), stiffness, np.ascontiguousarray(limit))
         self.traces[key + ".x"] = position
         return self.traces[key]
 
@@ -170,9 +171,9 @@ class ColumnMemory(Memory):
 class WindowMemory(ColumnMemory):
     """A column memory of windows that begin along a record, in the states in which it left what remembers."""
 
-    def __init__(self, step: float, beside: Mapping[str, FloatArray], traces: dict[str, FloatArray],
+    def __init__(self, step: float, other_signals: Mapping[str, FloatArray], traces: dict[str, FloatArray],
                  at: Indices) -> None:  # fmt: skip
-        super().__init__(step, beside)
+        super().__init__(step, other_signals)
         self._along, self._at = traces, at
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:

@@ -85,17 +85,17 @@ class Fit:
     """-2 log likelihood up to a constant."""
 
     @property
-    def judged(self) -> tuple[Claim, ...]:
-        """Claims, without the numbers that are estimated in any case."""
+    def cause_claims(self) -> tuple[Claim, ...]:
+        """Claims of causes: all but the bench numbers that every fit estimates."""
         return tuple(claim for claim in self.claims if not claim.effect.estimated)
 
     @property
     def removable(self) -> tuple[Claim, ...]:
-        """Judged claims that no other needs."""
+        """Claims of causes that no other claim needs."""
         needed = {name for claim in self.claims for name in claim.effect.needs}
-        return tuple(claim for claim in self.judged if claim.effect.id not in needed)
+        return tuple(claim for claim in self.cause_claims if claim.effect.id not in needed)
 
-    def but(self, claim: Claim) -> tuple[Claim, ...]:
+    def claims_without(self, claim: Claim) -> tuple[Claim, ...]:
         """All claims but this one."""
         return tuple(one for one in self.claims if one is not claim)
 
@@ -181,8 +181,10 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
     return None
 
 
-def cross_validated(products: FloatArray, weight: FloatArray, count: FloatArray, size: float = 1.0) -> FloatArray:
-    """-2 log likelihood, up to a constant, of blocks that columns were not fitted to, shape (sets,).
+def cross_validated_deviance(
+    products: FloatArray, weight: FloatArray, count: FloatArray, size: float = 1.0
+) -> FloatArray:
+    """Return -2 log likelihood, up to a constant, of blocks to which the columns were not fitted, shape (sets,).
 
     Residuals are linear in a term's parameters to first order. So cross-validation of any set of columns needs no
     further residual: each fold's products of all columns are summed once, by channel, and every set is solved from
@@ -194,7 +196,7 @@ def cross_validated(products: FloatArray, weight: FloatArray, count: FloatArray,
         Of a residual (the first) and columns with each other, by fold and channel, for sets of columns: shape
         (folds, channels, columns, columns, sets).
     weight, count
-        Of each channel: over its variance, and its residuals.
+        Of each channel: inverse variance and number of residuals.
     size
         Factor of all products.
     """
@@ -219,7 +221,7 @@ def held_out_deviance(problem: Problem, found: Fit) -> float:
     parts = np.split(sorted_rows, np.cumsum(np.bincount(group, minlength=channels * FOLDS))[:-1])
     products = np.stack([one.T @ one for one in parts]).reshape(channels, FOLDS, *[everything.shape[1]] * 2)
     weight = 1.0 / problem.variances(found.residual)
-    return float(cross_validated(products.swapaxes(0, 1)[..., None], weight, layout.count)[0])
+    return float(cross_validated_deviance(products.swapaxes(0, 1)[..., None], weight, layout.count)[0])
 
 
 def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
@@ -262,8 +264,8 @@ class Prospect:
     gain: float
 
 
-def allowed(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence[str]) -> Iterator[Effect]:
-    """Candidates that may join the claims: another cause, its prerequisites claimed, visible in these channels."""
+def eligible_effects(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence[str]) -> Iterator[Effect]:
+    """Yield the effects that may join the claims: another cause, its needs claimed, visible in these blocks."""
     taken = {cause(claim.effect) for claim in claims}
     ids = {claim.effect.id for claim in claims}
     for effect in library:
@@ -296,7 +298,7 @@ def screen(
     left = left - basis @ (basis.T @ left)
     known = {} if signatures is None else signatures
     prospects = []
-    for effect in allowed(library, found.claims, problem.blocks):
+    for effect in eligible_effects(library, found.claims, problem.blocks):
         names, looks = [parameter.name for parameter in effect.parameters], []
         for values in product(*(parameter.probes for parameter in effect.parameters)):
             claim, key = Claim(effect, dict(zip(names, values, strict=True))), (effect.label, *values)
@@ -306,12 +308,14 @@ def screen(
                 signature = problem.residual((*found.claims, claim)) - found.residual
                 known[key] = (signature * problem.deviations).astype(np.float32)
             direction = signature * weight
-            looks.append(_look(problem, claim, direction - basis @ (basis.T @ direction), weight, left))
+            looks.append(_start_values(problem, claim, direction - basis @ (basis.T @ direction), weight, left))
         prospects.append(max(looks, key=lambda prospect: prospect.gain))
     return sorted(prospects, key=lambda prospect: -prospect.gain)
 
 
-def _look(problem: Problem, claim: Claim, direction: FloatArray, weight: FloatArray, left: FloatArray) -> Prospect:
+def _start_values(
+    problem: Problem, claim: Claim, direction: FloatArray, weight: FloatArray, left: FloatArray
+) -> Prospect:
     """Start values: amplitudes as suggested to first order, off a bound by 2 % of the way or more; shapes as probed."""
     effect, power = claim.effect, float(direction @ direction)
     if power <= 1e-12:

@@ -23,7 +23,15 @@ from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, pack, unpack
 from hydro_diagnosis.estimation.problem import FOLD_SECONDS, Problem
 from hydro_diagnosis.report_json import ParameterEstimate
-from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, FOLDS, ITERATIONS, MATTERS, QUANTILE, SURE
+from hydro_diagnosis.significance import (
+    CONFIDENCE,
+    COVERAGE_FACTOR,
+    DECISIVE,
+    FOLDS,
+    ITERATIONS,
+    PRACTICAL_SHARE,
+    QUANTILE,
+)
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
@@ -56,22 +64,23 @@ def is_significant(claim: Claim) -> bool:
             return False
     if not amplitudes:
         return any(
-            abs(claim.values[one.name] - one.neutral) > MATTERS * abs(one.neutral) for one in claim.effect.parameters
+            abs(claim.values[one.name] - one.neutral) > PRACTICAL_SHARE * abs(one.neutral)
+            for one in claim.effect.parameters
         )
     return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
 
 
 def all_significant(problem: Problem, found: Fit) -> bool:
     """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
-    for claim in found.judged:
-        least, values = SURE * problem.attenuation.get(claim.effect.id, 0.0), claim.values
+    for claim in found.cause_claims:
+        least, values = COVERAGE_FACTOR * problem.attenuation.get(claim.effect.id, 0.0), claim.values
         beyond = not least or any(abs(values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
         if not is_significant(claim) or not beyond:
             return False
     for claim, shift in zip(found.claims, shifts(problem, found), strict=True):
         pairs = list(zip(claim.effect.parameters, shift, strict=True))
         telling = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
-        beyond = any(abs(claim.values[one.name] - one.neutral) >= SURE * moved for one, moved in telling)
+        beyond = any(abs(claim.values[one.name] - one.neutral) >= COVERAGE_FACTOR * moved for one, moved in telling)
         if not claim.effect.estimated and not beyond:
             return False
     return True

@@ -38,8 +38,6 @@ if TYPE_CHECKING:
 
 VELOCITY_UNCERTAINTY = 1e-3
 """Uncertainty [m/s] of the velocity's zero."""
-TIMING_UNCERTAINTY = 3e-6
-"""Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
 
 
 def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
@@ -133,7 +131,7 @@ class SegmentNoise:
         beyond = model.dry_friction_level(claims, np.full_like(model.v, 1.0))  # m/s: there it is that of sliding
         if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self._kink(claims), beyond))
-        late = [claim for claim in claims if claim.effect.lagged == "hydraulic_force"]
+        late = [claim for claim in claims if claim.effect.lagged_channel == "hydraulic_force"]
         return model.kept(model.smooth(np.abs(model.reading("hydraulic_force", doubt, late))))
 
     def _kink(self, claims: Sequence[Claim]) -> FloatArray:
@@ -189,7 +187,8 @@ class SegmentNoise:
         """
         model = self._model
         bench = model.base
-        timing = self._stiffest(0) * bench.piston_area * TIMING_UNCERTAINTY * model.smooth(np.abs(model.v))
+        uncertainty = 3e-6  # s, between the equations, integrated sample by sample, and the sensors
+        timing = self._stiffest(0) * bench.piston_area * uncertainty * model.smooth(np.abs(model.v))
         a, b = (
             model.kept(np.hypot(timing, self._flow_uncertainty(chamber, noise["pressure_" + chamber])))
             for chamber in "ab"

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.bench_numbers import connected, refuse_unconnected
+from hydro_diagnosis.bench_numbers import available_connections, refuse_unconnected
 from hydro_diagnosis.effects.base import (
     HYDRAULIC,
     LOAD,
@@ -109,21 +109,21 @@ class Budget:
     """Evaluations of all residuals: the measure of a search's effort."""
 
     def allow(self, samples: int) -> None:
-        """Set what search and laws may take for so many samples, unless it was chosen: 24 s for up to 60 s at 1 kHz.
+        """Set the budget for a number of samples, unless it was chosen: 24 s of CPU up to 60 s at 1 kHz.
 
-        What follows takes a quarter of it at most.
+        Search and laws may take it; what follows takes a quarter of it at most.
         """
         if self.seconds is None:
             self.seconds = 24.0 * max(1.0, samples / 6e4)
 
-    def beyond(self, share: float) -> bool:
+    def exceeds(self, share: float) -> bool:
         """Whether more than a share of it is spent."""
         return self.seconds is not None and self.spent > share * self.seconds
 
     @property
     def exhausted(self) -> bool:
         """Whether no further search may begin."""
-        return self.beyond(1.0)
+        return self.exceeds(1.0)
 
 
 ResidualParts = dict[tuple[str, int], FloatArray]
@@ -178,7 +178,7 @@ class Problem:
         self.samples = sum(len(model.time) for model in self.models)
         have = set.intersection(*(set(model.channels) for model in self.models))
         refuse_unconnected(have, bench)
-        present = {one.block for one in connected(have, bench)}
+        present = {one.block for one in available_connections(have, bench)}
         self.blocks = tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
         self.layout = Layout.of(self.blocks, self.models)
         self.sensor_noise = noise or sensor_noise(self.models)
@@ -211,7 +211,7 @@ class Problem:
 
     # -- deviations ----------------------------------------------------------------------------------------------------
 
-    def weighed(self, claims: Sequence[Claim]) -> Problem:
+    def reweighted(self, claims: Sequence[Claim]) -> Problem:
         """Return the problem with residuals weighed down where these claims leave the sign of friction uncertain.
 
         Missing rows weigh residuals down, too. All else is shared, caches and the count of work among them.
@@ -220,12 +220,12 @@ class Problem:
         other._weigh(claims)
         return other
 
-    def on(self, segments: Sequence[Segment]) -> Problem:
+    def for_segments(self, segments: Sequence[Segment]) -> Problem:
         """Return the same problem for other segments, with the sensors' noise as it was measured here."""
         return Problem(segments, self.bench, self.baseline, noise=self.sensor_noise, estimated=self.estimated,
                        budget=self.budget)  # fmt: skip
 
-    def estimating(self, numbers: Sequence[Claim]) -> Problem:
+    def with_estimated(self, numbers: Sequence[Claim]) -> Problem:
         """Return the problem with these start values of the numbers that every fit estimates; all else is shared."""
         other = copy(self)
         other.estimated = tuple(numbers)
@@ -275,8 +275,8 @@ class Problem:
         self.budget.spent += COST["evaluation"]
         return np.concatenate([*self.parts(claims).values()]) / self.deviations
 
-    def joined(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
-        """By channel: responses of its residuals, over their deviation, to so many terms; shape (terms, residuals).
+    def join_responses(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
+        """Return the responses of the residuals over their deviations, by channel index, shape (terms, residuals).
 
         `shown`: of each segment (`model.responses`), physical unit; 0 where no term acts in a channel.
         """
@@ -299,7 +299,7 @@ class Problem:
             parts |= {(name, k): one[name] for name in BLOCKS[block] for k, one in enumerate(shown)}
             arcs = arcs or [one["arc"] for one in shown if "arc" in one]
         if arcs and MOTION in self.blocks:
-            rounded = any(claim.effect.lagged == "hydraulic_force" for claim in everything)
+            rounded = any(claim.effect.lagged_channel == "hydraulic_force" for claim in everything)
             for k, arc in enumerate(arcs if not rounded else ()):
                 parts["motion", k] = parts["motion", k] + arc
         return parts
@@ -308,12 +308,12 @@ class Problem:
         there = tuple(claim for claim in claims if block in claim.effect.blocks)
 
         def computed(some: Sequence[Claim]) -> list[dict[str, FloatArray]]:
-            late = block == PRESSURE and any(claim.effect.lagged for claim in some)
+            late = block == PRESSURE and any(claim.effect.lagged_channel for claim in some)
             times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "invert_reading"))
             self.budget.spent += times * (COST[block] * self.samples + COST["segment"] * len(self.models))
             return [one.residuals(block, some) for one in self.models]
 
-        return self._cache.under(block, there, computed)
+        return self._cache.get_or_compute(block, there, computed)
 
     # -- what residuals hold -------------------------------------------------------------------------------------------
 

@@ -14,17 +14,17 @@ from functools import cache
 
 import numpy as np
 
-from hydro_diagnosis.bench_numbers import lacks, numbers, told
+from hydro_diagnosis.bench_numbers import lacks, numbers, with_known
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import Claim, Effect, changed
+from hydro_diagnosis.effects.base import Claim, Effect, with_values
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import InputError, Segment
 from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.model.bench import Bench
 
-BESIDE = ("friction_coulomb", "friction_viscous", "force_offset", "leakage_internal", "valve_offset")
-"""Causes that may be there too: without them an unknown number takes their place."""
+JOINT_EFFECTS = ("friction_coulomb", "friction_viscous", "force_offset", "leakage_internal", "valve_offset")
+"""Causes that are fitted jointly with unknown numbers: without them a number would take their place."""
 
 
 @cache
@@ -34,7 +34,7 @@ def estimable() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
     for effect in LIBRARY:
         adapted = effect.adapted(bench)
-        settled = adapted.settled(bench, {one.name: one.probes[0] for one in adapted.parameters})
+        settled = adapted.write_into_bench(bench, {one.name: one.probes[0] for one in adapted.parameters})
         moved = [name for name in numbers() if getattr(settled, name) != getattr(bench, name)]
         if len(moved) == 1:
             found.setdefault(moved[0], effect)
@@ -70,26 +70,26 @@ def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence
     short = [one.cut(0, max(round(share * len(one)), min(len(one), round(2.0 / one.step)))) for one in segments]
     tried = []
     for size in (1.0, 0.1, 10.0):  # multiples of the stand-in at which a number that was not given begins
-        tried.append(_settled(short, _start(bench, names, size, short), baseline, names))
+        tried.append(_iterate_bench(short, _start(bench, names, size, short), baseline, names))
         if not tried[-1][1].noticeable(tried[-1][2].residual):
             break
-    return min(tried, key=lambda one: _left(one[1], one[2]))[0]
+    return min(tried, key=lambda one: _physical_deviance(one[1], one[2]))[0]
 
 
-def _settled(
+def _iterate_bench(
     segments: Sequence[Segment], bench: Bench, baseline: Sequence[Claim], names: Sequence[str]
 ) -> tuple[Bench, Problem, Fit]:
-    """The bench, problem and fit once the numbers stand still, within 1 %."""
+    """Return bench, problem and fit once the numbers are steady within 1 %."""
     taken = {estimable()[name].id for name in names}
     for _ in range(ITERATIONS):
         problem = Problem(segments, bench, baseline, estimated=estimated_claims(bench, names))
-        others = [one.adapted(bench) for one in LIBRARY if one.label in BESIDE and one.id not in taken]
+        others = [one.adapted(bench) for one in LIBRARY if one.label in JOINT_EFFECTS and one.id not in taken]
         others = [one for one in others if one.blocks & set(problem.blocks)]
         found = fit(problem, [Claim(one, {each.name: each.neutral for each in one.parameters}) for one in others])
         before = np.array([getattr(bench, name) for name in names])
         for claim in found.claims:
             if claim.effect.estimated:
-                bench = claim.effect.settled(bench, claim.values)
+                bench = claim.effect.write_into_bench(bench, claim.values)
         after = np.array([getattr(bench, name) for name in names])
         if np.all(np.abs(after - before) <= 0.01 * np.maximum(np.abs(before), 1e-12)):
             break
@@ -109,11 +109,11 @@ def _start(bench: Bench, names: Collection[str], size: float, segments: Sequence
         values["area_ratio"] = bench.area_ratio
     if "spring_rest_position" in values and lacks(bench, "spring_rest_position"):
         values["spring_rest_position"] = float(np.mean([np.mean(one.channels["piston_position"]) for one in segments]))
-    inside = changed(bench, **values)
-    return told(inside, **{name: getattr(inside, name) for name in names})
+    inside = with_values(bench, **values)
+    return with_known(inside, **{name: getattr(inside, name) for name in names})
 
 
-def _left(problem: Problem, found: Fit) -> float:
+def _physical_deviance(problem: Problem, found: Fit) -> float:
     """-2 log likelihood of what remains in physical units: comparable between benches, whose noise floors differ."""
     parts: dict[str, list[float]] = {}
     for (channel, _), part in problem.parts(found.claims).items():

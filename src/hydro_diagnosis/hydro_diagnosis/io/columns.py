@@ -77,7 +77,7 @@ def median_step(times: FloatArray) -> float:
 
 
 def means(values: FloatArray, samples: int) -> FloatArray:
-    """Means over so many samples each; what is left at the end is not used."""
+    """Return block means of `values`, shape (n,), over `samples` each; an incomplete last block is dropped."""
     averaged: FloatArray = values[: len(values) // samples * samples].reshape(-1, samples).mean(axis=1)
     return averaged
 
@@ -119,11 +119,10 @@ def stated_step(properties: Iterable[tuple[str, object]]) -> tuple[float, float]
     return (start, step) if 0.0 < step < 1e3 else (0.0, 0.0)
 
 
-def merged(parts: Iterable[Columns]) -> Columns:
-    """Parts of a recording as one: those of the same columns are joined while their times go on, and a note says so.
+def merge_parts(parts: Iterable[Columns]) -> Columns:
+    """Return the parts of a recording as one: parts with the same columns are joined while their times go on.
 
-    Parts whose time begins again, and other columns, stand beside each other, with a number behind a name that comes
-    again.
+    A note says so. Parts whose time begins again, and other columns, are kept apart; a repeated name gets a number.
     """
     found, last, joined, again = Columns(), Columns(), 0, 0
     names: dict[str, str] = {}
@@ -164,7 +163,7 @@ def _goes_on(above: Columns, below: Columns) -> bool:
     return all(len(a) and len(b) and runs_forward(a, ticks=True) and b[0] >= a[-1] for a, b in ends)
 
 
-def tell_days(found: Columns) -> None:
+def set_day_units(found: Columns) -> None:
     """State the unit of times that spreadsheets and MATLAB count in days: date and clock as one number.
 
     Read as seconds, rows would follow each other by less than 10 us.

@@ -35,7 +35,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.io.columns import Columns, counts_rows, is_time, merged, stated_step, tell_days, unique
+from hydro_diagnosis.io.columns import Columns, counts_rows, is_time, merge_parts, set_day_units, stated_step, unique
 from hydro_diagnosis.io.units import UNITS, known, split_unit, stated
 
 NAME_KEYS = (
@@ -65,7 +65,7 @@ class Style(NamedTuple):
 
     separator: str
     decimal: str
-    sure: bool
+    certain: bool
     """Whether some cell can be read by this decimal sign only."""
 
 
@@ -73,7 +73,7 @@ class Style(NamedTuple):
 class Header:
     """Header above a block of numbers."""
 
-    length: int
+    n_lines: int
     """Lines before the first row of numbers."""
     lead: int
     """Cells before the first number of a row: 1 where the rows begin with a key."""
@@ -97,8 +97,8 @@ def delimited_columns(path: Path) -> Columns:
         raise ValueError("it is a web page or XML, not a table")
     encoding = _encoding(head)
     lines = head.decode(encoding, errors="replace").splitlines()
-    found = merged(_blocks(path, encoding, style_of(lines[:-1] if len(head) == inspected else lines)))
-    tell_days(found)
+    found = merge_parts(_blocks(path, encoding, style_of(lines[:-1] if len(head) == inspected else lines)))
+    set_day_units(found)
     if len({len(values) for values in found.series.values()}) == 1 and len(set(found.clocks.values())) <= 1:
         found.clocks.clear()
     return found
@@ -123,7 +123,7 @@ def _encoding(head: bytes) -> str:
 def style_of(lines: list[str]) -> Style:
     """Separator and decimal sign by which the most cells of the last lines are numbers and the fewest are none."""
     last = [line for line in lines[-200:] if line.strip()]
-    best, most = Style(",", ".", sure=False), -1
+    best, most = Style(",", ".", certain=False), -1
     for decimal, other in (".,", ",."):
         plain = re.compile(_PLAIN[decimal], re.IGNORECASE)
         for separator in (";", "\t", BLANKS, ",", "|"):
@@ -132,8 +132,10 @@ def style_of(lines: list[str]) -> Style:
             numbers = [cell for cell in cells if _is_number(cell, decimal)]
             score = sum(3 if plain.fullmatch(cell) else 1 if " " in cell else 2 for cell in numbers) - len(cells)
             if numbers and score > most:
-                sure = any(not _NUMBER[other].fullmatch(cell) for cell in numbers if _NUMBER[decimal].fullmatch(cell))
-                best, most = Style(separator, decimal, sure), score
+                certain = any(
+                    not _NUMBER[other].fullmatch(cell) for cell in numbers if _NUMBER[decimal].fullmatch(cell)
+                )
+                best, most = Style(separator, decimal, certain), score
     return best
 
 
@@ -266,7 +268,7 @@ def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
     except (ValueError, pd.errors.ParserError):
         whole = None
     if whole is not None and not _holds_headers(whole, style):
-        yield _columns(header, whole, style, lambda: islice(text(), header.length, None), header.length)
+        yield _columns(header, whole, style, lambda: islice(text(), header.n_lines, None), header.n_lines)
         return
     rest, at, above = list(text()), 0, header
     while at < len(rest):
@@ -277,8 +279,8 @@ def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
                 return  # words below the last number
             raise
         if header.names == tuple(_numbered([], len(above.names))):  # words, no header
-            header = replace(above, length=header.length)
-        begin = at + header.length
+            header = replace(above, n_lines=header.n_lines)
+        begin = at + header.n_lines
         words = (k for k in range(begin + 1, len(rest)) if _TEXT.match(rest[k]))
         end = next(
             (k for k in words if not _mostly_numbers(_cells(rest[k], style.separator), style.decimal)), len(rest)
@@ -305,8 +307,8 @@ def _read(source: object, header: Header, style: Style) -> pd.DataFrame:
     width = len(header.names) + header.lead
     frame = pd.read_csv(
         source, sep=style.separator, decimal=style.decimal, header=None, names=range(width),
-        usecols=range(header.lead, width), index_col=False, skiprows=header.length, skipinitialspace=True,
-        skip_blank_lines=True, low_memory=False, dtype=None if style.sure else str,
+        usecols=range(header.lead, width), index_col=False, skiprows=header.n_lines, skipinitialspace=True,
+        skip_blank_lines=True, low_memory=False, dtype=None if style.certain else str,
         na_values=["-", "--", "---", "?", "NaN.", "1.#R"],  # beside those that pandas knows
         float_precision="round_trip" if style.decimal == "." else "high",
     )  # fmt: skip
@@ -330,7 +332,7 @@ def _columns(
                 "its place, or separate the columns by another sign"
             )
     for k, name in enumerate(header.names):
-        values, bad = numbers_of(frame[k], style.decimal, sure=style.sure)
+        values, bad = numbers_of(frame[k], style.decimal, certain=style.certain)
         if bad is not None:
             line = next(islice(((begin + i + 1) for i, one in enumerate(lines()) if one.strip()), bad, None), 0)
             found.broken[name] = (
@@ -339,7 +341,7 @@ def _columns(
                 "measured"
             )
         numbers.append(values)
-        if style.sure or bad is not None or frame[k].dtype != object or found.notes:
+        if style.certain or bad is not None or frame[k].dtype != object or found.notes:
             continue
         given = frame[k].dropna()
         if len(given) and given.str.fullmatch(_GROUPED["," if style.decimal == "." else "."]).all():
@@ -351,11 +353,11 @@ def _columns(
     return found
 
 
-def numbers_of(cells: pd.Series, decimal: str = ".", *, sure: bool = True) -> tuple[FloatArray, int | None]:
+def numbers_of(cells: pd.Series, decimal: str = ".", *, certain: bool = True) -> tuple[FloatArray, int | None]:
     """Numbers of a column, and the first cell that is none where others are; NaN throughout where none is.
 
     Signs are decided by all cells together: `decimal` with thousands, the other decimal sign, times of day. Unless it
-    is `sure`, a column is not read in which some cells have a sign before three digits, the others none.
+    is `certain`, a column is not read in which some cells have a sign before three digits, the others none.
     """
     if cells.dtype != object:
         return cells.to_numpy(dtype=np.float64), None
@@ -370,7 +372,7 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, sure: bool = True) -> tu
     (fits, values), (others_fit, others) = read
     if fits[given].all():
         unlike = others_fit & given & ~np.isclose(values, others, equal_nan=True)
-        if not sure and unlike.any() and not unlike[given].all() and others_fit[given].all():
+        if not certain and unlike.any() and not unlike[given].all() and others_fit[given].all():
             return np.full(len(text), np.nan), int(np.argmax(unlike))
         return values, None
     if others_fit[given].all():

@@ -27,9 +27,9 @@ from hydro_diagnosis.io.columns import (
     Columns,
     assign_clocks_of_equal_length,
     is_time,
-    merged,
+    merge_parts,
+    set_day_units,
     stated_step,
-    tell_days,
     unique,
 )
 from hydro_diagnosis.io.units import known
@@ -88,7 +88,7 @@ def leaves_as_columns(leaves: Iterator[Leaf], objects: list[str]) -> Columns:
             if step:
                 times = start + step * np.arange(len(found.series[names[0]]), dtype=np.float64)
                 found.clocks.update(dict.fromkeys(names, found.clock(times)))
-    tell_days(found)
+    set_day_units(found)
     assign_clocks_of_equal_length(found)
     if objects:
         found.notes.append(
@@ -241,7 +241,7 @@ def mdf_columns(path: Path) -> Columns:
                 part.notes.append(
                     f"{int(invalid.sum())} of {len(values)} samples of {name!r} are marked as invalid: left out"
                 )
-        found = merged(parts.values())
+        found = merge_parts(parts.values())
     first: dict[bytes, str] = {}  # groups sampled together share a clock
     same = {clock: first.setdefault(found.series[clock].tobytes(), clock) for clock in found.clocks.values()}
     found.clocks.update({name: same[clock] for name, clock in found.clocks.items()})

@@ -25,7 +25,7 @@ from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
-from hydro_diagnosis.io.columns import Columns, median_step, tell_days
+from hydro_diagnosis.io.columns import Columns, median_step, set_day_units
 from hydro_diagnosis.io.delimited import delimited_columns, numbers_of
 from hydro_diagnosis.io.measurement_files import hdf5_columns, matlab_columns, mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
@@ -216,7 +216,7 @@ def _parquet(path: Path) -> Columns:
             found.add(name, values, unit)
         else:
             found.other.append(name)
-    tell_days(found)
+    set_day_units(found)
     return found
 
 

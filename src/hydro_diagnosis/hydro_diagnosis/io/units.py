@@ -40,16 +40,21 @@ _WORD = re.compile(r"(?:1/)?[A-Za-zµμΩ°%$/*·^(][\w µμΩ°%/*·^().²³⁻
 
 
 @cache
+def _registry() -> Any:
+    """A registry of its own, complete before it is used: that of the program may have other units, and fills late."""
+    import pint
+
+    return pint.UnitRegistry()
+
+
+@cache
 def _measured(text: str) -> tuple[str, float] | None:
     """Quantity of a unit and its factor to SI, or None where pint or the bench has none."""
     if text in _COMMON:
         return _COMMON[text]
     if not _WORD.fullmatch(text):
         return None
-    import pint
-
-    units: Any = pint.get_application_registry()
-    powers = re.sub(r"(?<=[A-Za-z])(-?[1-4])(?![\w])", r"**\1", text)
+    units, powers = _registry(), re.sub(r"(?<=[A-Za-z])(-?[1-4])(?![\w])", r"**\1", text)
     try:
         parsed = units.parse_units(powers)
         dimensions = parsed.dimensionality

@@ -28,13 +28,13 @@ Shown = dict[str, FloatArray]
 
 
 class Responses:
-    """Ways of one segment, under the claims that stand, to the residuals of these blocks."""
+    """Linear responses of a segment's residuals to hidden inputs, given the retained claims."""
 
     def __init__(self, model: SegmentModel, blocks: Collection[str], claims: Sequence[Claim]) -> None:
-        self.model, self.claims = model.placed(claims), claims
+        self.model, self.claims = model.with_true_position(claims), claims
         self.bench = self.model.bench(claims)
         self._channels = {name for block in blocks for name in BLOCKS[block]}
-        self._memory = Memory(model.step, self.model.beside)
+        self._memory = Memory(model.step, self.model.other_signals)
         self._gain = model.step / chambers.OBSERVER_MEMORY
         self._nothing = np.zeros_like(model.time)
 
@@ -77,7 +77,7 @@ class Responses:
             still = nothing, nothing
             flows = [one.effect.leaks(still, self._oil, self.bench, self._memory, one.values) for one in terms]
             return self.to_flows(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
-        if effect.places:
+        if effect.is_position_error:
             return self._displaced(terms)
         if effect.acts_in("invert_reading"):
             return self._misread(terms, effect.law.where)
@@ -87,17 +87,20 @@ class Responses:
         """`SegmentModel.kept_smooth` of each, shape (terms, judged rows)."""
         return np.stack([self.model.kept_smooth(one) for one in signals])
 
-    def present(self, shown: Mapping[str, FloatArray]) -> Shown:
-        """What shows in the blocks that are looked at."""
+    def restrict_to_blocks(self, shown: Mapping[str, FloatArray]) -> Shown:
+        """Return the responses in the channels of the chosen blocks."""
         return {name: one for name, one in shown.items() if name in self._channels}
 
     def to_force(self, force: FloatArray) -> Shown:
         """Responses to forces against the motion [N], shape (terms, n)."""
-        return self.present({"motion": -np.stack([self.model.kept_finish(one) for one in force])})
+        return self.restrict_to_blocks({"motion": -np.stack([self.model.kept_finish(one) for one in force])})
 
     def to_load(self, moved: FloatArray, recorded: FloatArray) -> Shown:
-        """Responses to forces of the load [N], shape (terms, n): at the smoothed motion, and at that recorded."""
-        shown = self.present({"load": recorded})
+        """Return the residuals' responses, by channel, shape (terms, rows), to load forces [N], shape (terms, n).
+
+        The forces are given at the smoothed (`moved`) and at the recorded (`recorded`) motion.
+        """
+        shown = self.restrict_to_blocks({"load": recorded})
         return {**self.to_force(moved), **{name: -self.smooth(self._in_cell(one)) for name, one in shown.items()}}
 
     def to_spool(self, shift: FloatArray) -> Shown:
@@ -111,11 +114,11 @@ class Responses:
         for name, flow, stiff in zip(_PRESSURES, (into_a, into_b), self._stiff, strict=True):
             if flow.any():
                 built = flow * stiff * self.model.step
-                shown[name] = self.smooth(np.stack([self.seen_by_observer(self._nothing, one) for one in built]))
-        return self.present(shown)
+                shown[name] = self.smooth(np.stack([self.observer_innovations(self._nothing, one) for one in built]))
+        return self.restrict_to_blocks(shown)
 
-    def seen_by_observer(self, off: FloatArray, built: FloatArray) -> FloatArray:
-        """Innovations [Pa], shape (n,), for a reading that is `off` and what each sample has `built`."""
+    def observer_innovations(self, off: FloatArray, built: FloatArray) -> FloatArray:
+        """Return innovations [Pa], shape (n,), of a reading's error `off` and of the pressure `built` per sample."""
         return np.asarray(chambers.innovations(off, built, self._gain))
 
     def _read(self, terms: Sequence[Claim], channel: str) -> Shown:
@@ -124,10 +127,10 @@ class Responses:
 
         if channel == "load_force":
             force = self.model.spring_force(self.bench, [], self.model.recorded)
-            return self.present({"load": -self.smooth(read(force))})
+            return self.restrict_to_blocks({"load": -self.smooth(read(force))})
         means = np.stack([self.model.means(one) for one in read(self.model.channels[channel])])
         force = self.model.finish(self.model.required_force(self.claims))
-        return self.present({"motion": -read(force, True)[:, self.model.rows], "hydraulic": -means})
+        return self.restrict_to_blocks({"motion": -read(force, True)[:, self.model.rows], "hydraulic": -means})
 
     def _displaced(self, terms: Sequence[Claim]) -> Shown:
         """Return the responses to an error of the position, but not by friction near standstill and the oil."""
@@ -162,9 +165,9 @@ class Responses:
                     more = more + built * (model.reading_slope(channel, signal, [one]) - 1.0)
                 elif name == channel:
                     off = -error
-                shown[name].append(model.kept_smooth(self.seen_by_observer(off, more)))
+                shown[name].append(model.kept_smooth(self.observer_innovations(off, more)))
             shown["hydraulic"].append(model.means(area * error))
-        return self.present({name: np.stack(rows) for name, rows in shown.items()})
+        return self.restrict_to_blocks({name: np.stack(rows) for name, rows in shown.items()})
 
     @cached_property
     def _built(self) -> Pair:

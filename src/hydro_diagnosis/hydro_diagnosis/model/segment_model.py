@@ -55,8 +55,6 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
-SLIP_VELOCITY = 3e-4
-"""Velocity [m/s] over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
 LAG_ITERATIONS = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
 SLOPE_STEP = 1e3
@@ -91,7 +89,7 @@ class SegmentModel:
         end = len(segment) - 20 * self.spacing  # the last rows are not judged
         margin = round(4.0 * TOTAL_WIDTH)  # what the test function sees on either side of a row that is missing
         self.rows: npt.NDArray[np.int64] | slice = (
-            like.rows if like else segment.judged(self.settle, end, STRIDE, margin)
+            like.rows if like else segment.evaluated_rows(self.settle, end, STRIDE, margin)
         )
         """Samples that are judged."""
         self._judged = np.arange(len(segment))[self.rows]
@@ -101,16 +99,16 @@ class SegmentModel:
             self.kinematics = Kinematics(self.time, self.x, self.v, pressures, self.a)
             bent = second_derivative(channels["piston_position"], self.step)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
-        self.beside = {name: channels[name] for name in ("pressure_a", "pressure_b") if name in channels}
+        self.other_signals = {name: channels[name] for name in ("pressure_a", "pressure_b") if name in channels}
         """Signals that a sensor's reading may depend on besides its own, shape (n,) each."""
         if self.has_position:
-            self.beside |= {"position": channels["piston_position"], "velocity": self.v, "acceleration": self.a}
+            self.other_signals |= {"position": channels["piston_position"], "velocity": self.v, "acceleration": self.a}
         if "valve_current" in channels:  # a reading is taken under the current that was held until then
             current = channels["valve_current"]
-            self.beside["current"] = np.concatenate([current[:1], current[:-1]])
-        self.memory = Memory(segment.step, self.beside)
+            self.other_signals["current"] = np.concatenate([current[:1], current[:-1]])
+        self.memory = Memory(segment.step, self.other_signals)
         self._cache = BoundedCache(10)  # intermediate results
-        self._placed = BoundedCache(4)  # models with corrected positions
+        self._corrected_models = BoundedCache(4)  # models with corrected positions
 
     def bench(self, claims: Sequence[Claim]) -> Bench:
         """The bench with the values that the claims replace."""
@@ -139,21 +137,24 @@ class SegmentModel:
 
     def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim], smoothed: bool = False) -> FloatArray:
         """Return the reading of a channel's sensor for a true signal; `smoothed`: through the test function."""
-        self.memory.beside = self._smooth_beside if smoothed else self.beside
+        self.memory.other_signals = self._smoothed_signals if smoothed else self.other_signals
         for claim in acting(claims, "read_sensor"):
             signal = claim.effect.read_sensor(channel, signal, self.memory, claim.values)
-        self.memory.beside = self.beside
+        self.memory.other_signals = self.other_signals
         return signal
 
     def behind_cell(self, force: FloatArray, bench: Bench) -> FloatArray:
-        """Load's force [N] behind the amplifier of its cell, if the bench states one."""
+        """Return the load force [N], shape (n,), as the load cell measures it: low-pass filtered by the amplifier.
+
+        Unfiltered if the bench gives no bandwidth.
+        """
         if bench.load_cell_bandwidth is None:
             return force
         return self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
 
     @cached_property
-    def _smooth_beside(self) -> dict[str, FloatArray]:
-        smoothed = {name: self.smooth(signal) for name, signal in self.beside.items() if name != "acceleration"}
+    def _smoothed_signals(self) -> dict[str, FloatArray]:
+        smoothed = {name: self.smooth(signal) for name, signal in self.other_signals.items() if name != "acceleration"}
         return smoothed | ({"acceleration": self.finish(self.a)} if self.has_position else {})
 
     def kept(self, signal: FloatArray) -> FloatArray:
@@ -177,7 +178,7 @@ class SegmentModel:
         return finish_at(signal, self._judged, self.spacing)
 
     def means(self, signal: FloatArray) -> FloatArray:
-        """Means over blocks of `BLOCK` of a settled signal."""
+        """Return the block means over `BLOCK` of a signal, from where it has settled."""
         length, settled = round(BLOCK / self.step), signal[self.settle :]
         return settled[: len(settled) // length * length].reshape(-1, length).mean(axis=1)
 
@@ -194,12 +195,17 @@ class SegmentModel:
     # -- chambers, from recorded current, position and pressures -------------------------------------------------------
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
-        """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
+        """Return position, velocity, chamber pressures and spool at the middle of each sample interval, shape (n,).
+
+        The last value is repeated. The spool has shape (n, substeps).
+        """
         moving = sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage)
-        spool = self._cache.under("spool", moving, self._spool)
-        p_a, p_b = self._cache.under("pressures", acting(claims, "invert_reading"), self._middle_pressures)
-        position = self._cache.under("position", (), lambda claims: chambers.middle(self.channels["piston_position"]))
-        velocity = self._cache.under("velocity", (), lambda claims: chambers.middle(self.v))
+        spool = self._cache.get_or_compute("spool", moving, self._spool)
+        p_a, p_b = self._cache.get_or_compute("pressures", acting(claims, "invert_reading"), self._middle_pressures)
+        position = self._cache.get_or_compute(
+            "position", (), lambda claims: chambers.middle(self.channels["piston_position"])
+        )
+        velocity = self._cache.get_or_compute("velocity", (), lambda claims: chambers.middle(self.v))
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
@@ -208,7 +214,7 @@ class SegmentModel:
         Each claim's spool is kept back, so that what comes later in the command's path begins there.
         """
         if len(claims) > 1:
-            spool = self._cache.under("spool", claims[:-1], self._spool)
+            spool = self._cache.get_or_compute("spool", claims[:-1], self._spool)
         else:
             spool = np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS if claims else 1, axis=1)
         for claim in claims[-1:]:
@@ -224,7 +230,7 @@ class SegmentModel:
         bench = self.bench(claims)
         oil = self.oil(claims)
         stiff, (built_a, built_b) = self.built(bench, oil, claims)
-        lagging = any(claim.effect.lagged.startswith("pressure") for claim in claims)
+        lagging = any(claim.effect.lagged_channel.startswith("pressure") for claim in claims)
         for _ in range(LAG_ITERATIONS if lagging else 0):
             oil = self._ahead_of_lag(oil, (built_a, built_b), claims)
             stiff, (built_a, built_b) = self.built(bench, oil, claims)
@@ -245,10 +251,10 @@ class SegmentModel:
 
     def _ahead_of_lag(self, oil: Oil, built: Pair, claims: Sequence[Claim]) -> Oil:
         """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
-        others = [claim for claim in claims if not claim.effect.lagged.startswith("pressure")]
+        others = [claim for claim in claims if not claim.effect.lagged_channel.startswith("pressure")]
         pressures = list(oil.pressures)
         for index, channel in enumerate(("pressure_a", "pressure_b")):
-            late = [claim for claim in claims if claim.effect.lagged == channel]
+            late = [claim for claim in claims if claim.effect.lagged_channel == channel]
             if late:
                 integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
                 swallowed = integral - self.reading(channel, integral, late)
@@ -313,7 +319,8 @@ class SegmentModel:
             (weight, self.v + node * width * self.a)
             for node, weight in zip(_NODES, _WEIGHTS / _WEIGHTS.sum(), strict=True)
         )
-        return tuple((weight, velocity, np.tanh(velocity / SLIP_VELOCITY)) for weight, velocity in nodes)
+        slip = 3e-4  # m/s over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder
+        return tuple((weight, velocity, np.tanh(velocity / slip)) for weight, velocity in nodes)
 
     def required_force(self, claims: Sequence[Claim]) -> FloatArray:
         """Hydraulic force [N] that the recorded motion needs, as the first Gaussian sees it."""
@@ -336,9 +343,9 @@ class SegmentModel:
         signal: FloatArray = getattr(self, attribute) if attribute else self.smooth(self.channels[name])
         return signal
 
-    def placed(self, claims: Sequence[Claim]) -> SegmentModel:
-        """The same segment with the position that is the piston's under these claims; itself, if it is the recorded."""
-        moving = [claim for claim in claims if claim.effect.places]
+    def with_true_position(self, claims: Sequence[Claim]) -> SegmentModel:
+        """Return the segment with the piston's position under these claims; itself if no claim is a position error."""
+        moving = [claim for claim in claims if claim.effect.is_position_error]
         if not moving or not self.has_position:
             return self
 
@@ -346,7 +353,7 @@ class SegmentModel:
             channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
             return SegmentModel(replace(self.segment, channels=channels), self.base, self)
 
-        return self._placed.under("position", moving, moved)
+        return self._corrected_models.get_or_compute("position", moving, moved)
 
     def residuals(self, block: str, claims: Sequence[Claim]) -> dict[str, FloatArray]:
         """Residuals of a block under its claims by channel, decimated: Pa or N.
@@ -354,7 +361,7 @@ class SegmentModel:
         Beside those of the pressures `arc` [N]: by how much the mean of f_h around each sample exceeds it. Straight
         lines between the samples (second differences over 12), and the arcs upon them.
         """
-        model = self.placed(claims)
+        model = self.with_true_position(claims)
         if block == MOTION:
             return {"motion": model.motion_residual(claims)}
         if block == LOAD:
@@ -410,13 +417,13 @@ class SegmentModel:
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
         bench = self.bench(claims)
-        late = [one for one in claims if one.effect.lagged.startswith("pressure")]
+        late = [one for one in claims if one.effect.lagged_channel.startswith("pressure")]
         others = [claim for claim in claims if claim not in late]
 
         def delayed(signal: FloatArray, but: str) -> FloatArray:
             for claim in late:
-                if claim.effect.lagged != but:
-                    signal = claim.effect.read_sensor(claim.effect.lagged, signal, self.memory, claim.values)
+                if claim.effect.lagged_channel != but:
+                    signal = claim.effect.read_sensor(claim.effect.lagged_channel, signal, self.memory, claim.values)
             return signal
 
         channels = ("pressure_a", "pressure_b")

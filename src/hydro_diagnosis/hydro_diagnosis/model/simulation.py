@@ -30,19 +30,21 @@ def measurements(plant: Plant, states: FloatArray, begins: Indices) -> dict[str,
     samples = np.tile(begins, lanes // len(begins))
     at = samples[None, :] + np.arange(length)[:, None]
     x, v, p_a, p_b = states.transpose(1, 0, 2)
-    bench, shaken = plant.bench, _accelerations(plant, states, samples)
+    bench, acceleration = plant.bench, _accelerations(plant, states, samples)
     true = {
         "piston_position": x,
         "pressure_a": p_a,
         "pressure_b": p_b,
         "hydraulic_force": eq.hydraulic_force(bench, p_a, p_b),
-        "load_force": _load(plant, Kinematics(at * plant.model.step, x, v, None, shaken), samples),
+        "load_force": _load(plant, Kinematics(at * plant.model.step, x, v, None, acceleration), samples),
     }
-    simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b, "acceleration": shaken}
-    beside = plant.model.beside
-    aside = {name: simulated[name] - beside[name][at] for name in simulated if name in beside}
+    simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b, "acceleration": acceleration}
+    recorded = plant.model.other_signals
+    differences = {name: simulated[name] - recorded[name][at] for name in simulated if name in recorded}
     return {
-        name: _shown(plant, name, signal, at, aside) for name, signal in true.items() if name in plant.model.channels
+        name: _shown(plant, name, signal, at, differences)
+        for name, signal in true.items()
+        if name in plant.model.channels
     }
 
 
@@ -50,7 +52,7 @@ def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatA
     """Acceleration [m/s2] along windows, shape (length, windows), if any claim depends on it; else 0."""
     found = np.zeros_like(states[:, 1])
     memory = plant.memory(samples, plant.model.step)
-    for k in range(len(states) if any(claim.effect.uses_acceleration for claim in plant.claims) else 0):
+    for k in range(len(states) if any(claim.effect.depends_on_acceleration for claim in plant.claims) else 0):
         time = np.asarray(plant.model.segment.start + (samples + k) * plant.model.step)
         spool = plant.spool[np.minimum(samples + k, len(plant.spool) - 1), 0][:, None]
         motion = Kinematics(time, states[k, 0], states[k, 1])
@@ -61,12 +63,12 @@ def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatA
 
 
 def _load(plant: Plant, motions: Kinematics, samples: Indices) -> FloatArray:
-    position, shaken = motions.position, motions.acceleration
+    position, acceleration = motions.position, motions.acceleration
     force: FloatArray = eq.spring_force(plant.bench, position)
     acting = plant.acting["load"]
     memory = plant.memory(samples, plant.model.step)
     for k in range(len(position) if acting else 0):
-        now = None if shaken is None else shaken[k]
+        now = None if acceleration is None else acceleration[k]
         motion = Kinematics(motions.time[k], position[k], motions.velocity[k], None, now)
         for claim in acting:
             force[k] = claim.effect.load(force[k], motion, plant.bench, memory, claim.values)
@@ -74,18 +76,18 @@ def _load(plant: Plant, motions: Kinematics, samples: Indices) -> FloatArray:
     return force
 
 
-def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, aside: dict[str, FloatArray]) -> FloatArray:
+def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, differences: dict[str, FloatArray]) -> FloatArray:
     """The sensor's response to the recording's own signal plus its response to the difference from it.
 
     A reading that depends on the instant alone, or on a path, is taken where the signal is: it may be curved.
 
-    `aside`: that difference of what stands beside the sensor.
+    `differences`: simulated less recorded signals on which the reading may depend besides its own.
     """
     proxy, record = _proxy(plant, name), plant.model.memory
     apart = signal - proxy[at]
     nothing = np.zeros_like(apart)
-    still = ColumnMemory(plant.model.step, dict.fromkeys(aside, nothing))
-    memory = ColumnMemory(plant.model.step, aside)
+    still = ColumnMemory(plant.model.step, dict.fromkeys(differences, nothing))
+    memory = ColumnMemory(plant.model.step, differences)
     if name == "load_force" and plant.bench.load_cell_bandwidth is not None:
         cell = plant.bench.load_cell_bandwidth, LOAD_CELL_DAMPING
         proxy, apart = record.low_pass(name, proxy, *cell), memory.low_pass(name, apart, *cell)
@@ -94,7 +96,9 @@ def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, aside: dict
         if shown is proxy:
             continue
         if claim.effect.memoryless:
-            both = {key: plant.model.beside[key][at] + aside.get(key, 0.0) for key in plant.model.beside}
+            both = {
+                key: plant.model.other_signals[key][at] + differences.get(key, 0.0) for key in plant.model.other_signals
+            }
             there = WindowMemory(plant.model.step, both, record.traces, at)
             apart = claim.effect.read_sensor(name, proxy[at] + apart, there, claim.values) - shown[at]
         else:
@@ -122,15 +126,15 @@ def _proxy(plant: Plant, name: str) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Grip:
-    """Effect of dry friction within one step, per lane."""
+class StictionStep:
+    """Stiction within one integration step, per lane."""
 
-    holding: FloatArray
-    """N, that brings the mass to rest."""
+    holding_force: FloatArray
+    """Force [N] that brings the mass to rest within the step."""
     direction: FloatArray
-    """Sign of the motion that it opposes."""
-    stuck: npt.NDArray[np.bool_]
-    """Whether it reaches."""
+    """Sign of the motion that dry friction opposes."""
+    sticks: npt.NDArray[np.bool_]
+    """Whether dry friction reaches the holding force."""
 
     def toward(self, motion: Kinematics) -> Kinematics:
         """The motion with a sign, also at standstill."""
@@ -159,12 +163,12 @@ class Plant:
         """Prepare a recording."""
         sticks = bool(acting(claims, "dry_level")) and not any(claim.effect.bristles for claim in claims)
         substeps = chambers.SUBSTEPS * (2 if sticks else 1)
-        channels, model = model.channels, model.placed(claims)
-        claims = [claim for claim in claims if not claim.effect.places]
+        channels, model = model.channels, model.with_true_position(claims)
+        claims = [claim for claim in claims if not claim.effect.is_position_error]
         spool = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         for claim in sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage):
             spool = claim.effect.command(spool, model.step / substeps, claim.values)
-        memory = model.memory = Memory(model.step, model.beside)
+        memory = model.memory = Memory(model.step, model.other_signals)
         model.chamber_run(claims)
         model.required_force(claims)
         for claim in claims:
@@ -174,16 +178,21 @@ class Plant:
         return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces), channels, sticks)
 
     def rates(
-        self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, grip: Grip | None = None
+        self,
+        state: FloatArray,
+        time: FloatArray,
+        spool: FloatArray,
+        memory: StepMemory,
+        stiction: StictionStep | None = None,
     ) -> FloatArray:
-        """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `grip`: what dry friction does in this step."""
+        """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `stiction`: what dry friction does in this step."""
         x, v, p_a, p_b = state
         bench = self.bench
         oil = Oil(time, x, (p_a, p_b), spool, v)
         into_a, into_b = chambers.net_flows(bench, oil, self.acting["hydraulic"], memory)
         stiff_a, stiff_b = chambers.compliances(bench, oil, self.acting["hydraulic"])
         motion = Kinematics(time, x, v, (p_a, p_b))
-        against = self._dry(motion, grip)
+        against = self._dry(motion, stiction)
         level = self.level(motion) if self.acting["opposing_force"] else against
         for claim in self.acting["opposing_force"]:
             against = claim.effect.opposing_force(against, level, motion, memory, claim.values)
@@ -215,14 +224,16 @@ class Plant:
         numbers: np.void = self.bench.constants()[0]
         return numbers
 
-    def _dry(self, motion: Kinematics, grip: Grip | None) -> FloatArray:
+    def _dry(self, motion: Kinematics, stiction: StictionStep | None) -> FloatArray:
         """Force [N] of dry friction without bristles."""
-        if grip is None:
+        if stiction is None:
             return np.zeros_like(motion.position)
-        return np.where(grip.stuck, grip.holding, self.level(grip.toward(motion)) * grip.direction)
+        return np.where(
+            stiction.sticks, stiction.holding_force, self.level(stiction.toward(motion)) * stiction.direction
+        )
 
     def level(self, motion: Kinematics) -> FloatArray:
-        """Force [N] that dry friction may have at most."""
+        """Return the largest force [N] of dry friction, shape (windows,)."""
         level = np.zeros_like(motion.position)
         for claim in self.acting["dry_level"]:
             level = claim.effect.dry_level(level, motion, claim.values)
@@ -266,18 +277,18 @@ class Plant:
         self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, step: float
     ) -> FloatArray:
         first = self.rates(state, time, spool, memory)
-        grip = None
+        stiction = None
         if self.sticks:  # dry friction brings the mass to rest within a step, as far as it reaches
             motion = Kinematics(time, state[0], state[1])
             holding = np.asarray(self.mass(motion) * (state[1] / step + first[1]))
-            grip = Grip(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
-            grip = replace(grip, stuck=np.abs(holding) <= self.level(grip.toward(motion)))
-            first[1] -= self._dry(motion, grip) / self.mass(motion)
-        second = self.rates(state + 0.5 * step * first, time, spool, memory, grip)
-        third = self.rates(state + 0.5 * step * second, time, spool, memory, grip)
-        fourth = self.rates(state + step * third, time, spool, memory, grip)
+            stiction = StictionStep(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
+            stiction = replace(stiction, sticks=np.abs(holding) <= self.level(stiction.toward(motion)))
+            first[1] -= self._dry(motion, stiction) / self.mass(motion)
+        second = self.rates(state + 0.5 * step * first, time, spool, memory, stiction)
+        third = self.rates(state + 0.5 * step * second, time, spool, memory, stiction)
+        fourth = self.rates(state + step * third, time, spool, memory, stiction)
         memory.tick()
         after = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
-        if grip is not None:
-            after[1] = np.where(grip.stuck, 0.0, after[1])
+        if stiction is not None:
+            after[1] = np.where(stiction.sticks, 0.0, after[1])
         return after

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.recording import MEASURED, Segment
-from hydro_diagnosis.significance import MATTERS
+from hydro_diagnosis.significance import PRACTICAL_SHARE
 
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
@@ -25,13 +25,13 @@ BETWEEN = 10
 
 
 def on_box_clock(
-    name: str, start: float, step: float, rows: Rows, columns: Mapping[str, FloatArray], *, shaken: bool = False
+    name: str, start: float, step: float, rows: Rows, columns: Mapping[str, FloatArray], *, resampled: bool = False
 ) -> Segment:
     """One stretch without a long gap.
 
     `name`, `start`, `step`: the recording, s since its start, and s between the logger's rows. `rows`: number of each
     recorded row by the logger's even count, ascending, shape (m,). `columns`: what was recorded there, by BenchState
-    field, each of shape (m,). `shaken`: whether the samples were taken unevenly and placed on an even grid since.
+    field, each of shape (m,). `resampled`: whether they are interpolated from uneven stamps.
     """
     rows, skipped = rows - rows[0], round(SAMPLE_PERIOD / step)
     if skipped > 1:  # the current changes at the box's milliseconds, and is held until the next
@@ -42,9 +42,9 @@ def on_box_clock(
         rows, step, start = (rows[at] - begin) // skipped, step * skipped, start + begin * step
         columns = {key: values[at] for key, values in columns.items()}
         start, rows = start + rows[0] * step, rows - rows[0]
-    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < MATTERS * SAMPLE_PERIOD else step
+    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < PRACTICAL_SHARE * SAMPLE_PERIOD else step
     spacing, count = min(max(round(step / SAMPLE_PERIOD), 1), BETWEEN), int(rows[-1]) + 1
-    even = step == SAMPLE_PERIOD and not shaken
+    even = step == SAMPLE_PERIOD and not resampled
     if even and len(rows) == count:
         return Segment(name, start, step, {key: np.asarray(one, np.float64) for key, one in columns.items()})
     length = (count - 1) * spacing + 1

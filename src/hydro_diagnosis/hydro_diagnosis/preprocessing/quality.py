@@ -15,6 +15,7 @@ follows a stop for a moment (the load cell's amplifier rings, the velocity's fil
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -23,12 +24,14 @@ from scipy.ndimage import uniform_filter1d
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.bench_numbers import has_spring, knows
 from hydro_diagnosis.io.columns import means, median_step
-from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.box_clock import Mask, Rows, on_box_clock
 from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import MEASURED, Recording, Segment, UnusableRecordingError
-from hydro_diagnosis.significance import MATTERS, OUTLYING
+from hydro_diagnosis.significance import OUTLYING, PRACTICAL_SHARE
 from hydro_sim.model.bench import Bench
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.io.table import RawTable
 
 
 def uneven(time: FloatArray) -> bool:
@@ -40,8 +43,8 @@ def uneven(time: FloatArray) -> bool:
     return bool(np.mean(np.abs(steps - np.rint(steps)) > 0.02) > 0.05)
 
 
-def counted(time: FloatArray) -> tuple[float, Rows]:
-    """Sampling time [s] and the row of each stamp; rows that are missing leave gaps in the count."""
+def sampling_grid(time: FloatArray) -> tuple[float, Rows]:
+    """Return the sampling time [s] and the row number of each stamp; missing rows leave gaps in the numbers."""
     step = median_step(time)  # lost rows have lengthened it
     for count, reach in ((32, 0.03), (512, 3e-3), (8192, 2e-4)):  # finer as more of the stamps are in step
         length = min(count, len(time))
@@ -68,7 +71,7 @@ def _stamped(
 
     The valve current is then left out: it is held for a millisecond, and which one a row has caught is not known.
     """
-    step, rows = counted(time)
+    step, rows = sampling_grid(time)
     off = time - step * rows
     even, distinct = float(np.median(off)) + step * rows, np.concatenate([[True], np.diff(time) > 0.0])
     names = [name for name in MEASURED if name in columns and np.all(np.isfinite(columns[name]))]
@@ -95,7 +98,7 @@ AVERAGED = 20
 """Samples over which the load's force is averaged."""
 
 
-def repeats(values: FloatArray) -> Mask:
+def repeated_values(values: FloatArray) -> Mask:
     """Samples in which a sensor has stopped: at least 40 equal values, and what comes after is far from them.
 
     One that reads in coarse steps may stand at its zero, and goes on by a step or two.
@@ -172,7 +175,7 @@ REMEDY = (
 """Remedy for a bench that cannot be driven: the velocity term is then compensated only in part."""
 
 
-def checked(table: RawTable, bench: Bench) -> Recording:
+def check_recording(table: RawTable, bench: Bench) -> Recording:
     """Check a recording, and cut it into segments that can be diagnosed.
 
     Raises UnusableRecordingError: too short, clock broken, nothing moves, or saturated throughout.
@@ -187,9 +190,9 @@ def checked(table: RawTable, bench: Bench) -> Recording:
             columns[name] = values
         elif np.any(finite != 0.0):
             notes.append(f"{name} is frozen throughout and was left out")
-    shaken = False
+    resampled = False
     if table.sample is None and uneven(table.time):
-        columns, step, index, shaken = _stamped(columns, table.time, notes)
+        columns, step, index, resampled = _stamped(columns, table.time, notes)
     else:
         step, index = _grid(table, notes)
     if not any(name in columns for name in MEASURED):
@@ -197,7 +200,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     _refuse_useless(table.name, columns, bench)
     bad = _bad_samples(columns, table.time, step, bench, notes)
     outside = _outside_equations(columns, bench, notes)
-    segments = _segments(table.name, step, index, columns, bad | outside, notes, shaken)
+    segments = _segments(table.name, step, index, columns, bad | outside, notes, resampled)
     if not segments:
         position = columns.get("piston_position", np.zeros(0))
         stands = len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MOVING  # as after a trip
@@ -219,7 +222,7 @@ def _grid(table: RawTable, notes: list[str]) -> tuple[float, Rows]:
     if len(forward) < 0.5 * len(steps):
         raise UnusableRecordingError(f"{table.name}: the time does not run forward")
     step = float(np.median(forward))
-    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < MATTERS * SAMPLE_PERIOD else step
+    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < PRACTICAL_SHARE * SAMPLE_PERIOD else step
     counts = np.diff(table.sample) if table.sample is not None else steps / step
     whole = np.rint(np.where(np.isfinite(counts), counts, gap)).astype(np.int64)
     off = np.abs(steps - whole * step) > max(5e-3, 2.0 * step)
@@ -285,7 +288,7 @@ def _bad_samples(columns: dict[str, FloatArray], time: FloatArray, step: float, 
             empty.setdefault(f"{samples}{where}", []).append(channel)
         if channel == "valve_current":
             continue  # a command: it may stay what it is
-        frozen = frozen_encoder(columns, step, bench) if channel == "piston_position" else repeats(values)
+        frozen = frozen_encoder(columns, step, bench) if channel == "piston_position" else repeated_values(values)
         bad |= frozen
         if frozen.any():
             notes.append(f"{channel} is frozen in {int(frozen.sum())} samples; the recording is cut there")
@@ -321,7 +324,7 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
 
 
 def _segments(
-    name: str, step: float, index: Rows, columns: dict[str, FloatArray], bad: Mask, notes: list[str], shaken: bool
+    name: str, step: float, index: Rows, columns: dict[str, FloatArray], bad: Mask, notes: list[str], resampled: bool
 ) -> list[Segment]:
     """Cut where more than five rows are missing."""
     good = np.flatnonzero(~bad)
@@ -344,10 +347,10 @@ def _segments(
         else:
             bridged += length - len(at)
             start = float(min(at[0] - unique[0], 10**5) * step)
-            segments.append(on_box_clock(name, start, step, at, found, shaken=shaken))
+            segments.append(on_box_clock(name, start, step, at, found, resampled=resampled))
     if bridged:
         notes.append(f"{bridged} missing samples were bridged by splines; they and their neighbours are not judged")
-    if segments and abs(step - SAMPLE_PERIOD) > MATTERS * SAMPLE_PERIOD:
+    if segments and abs(step - SAMPLE_PERIOD) > PRACTICAL_SHARE * SAMPLE_PERIOD:
         rate = f"recorded at {1.0 / step:.4g} Hz"
         notes.append(
             f"{rate}: of every {round(SAMPLE_PERIOD / step)} rows that at the box's millisecond was taken"

@@ -20,7 +20,7 @@ from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArr
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import median_step
 from hydro_diagnosis.io.table import RawTable, mapped
-from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.preprocessing.smoothing import STRIDE, kinematics
 from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRecordingError
 from hydro_sim.model.bench import Bench
@@ -109,10 +109,10 @@ def read_bag_within(
             numbers = [table.sample for table in head if table.sample is not None]
             samples = np.concatenate(numbers) if len(numbers) == len(head) else None
             time, said = np.concatenate([table.time for table in head]), (*notes, *head[0].notes)
-            return checked(inspected(RawTable(path.name, time, samples, whole, said, head[0].units)), bench)
+            return check_recording(inspected(RawTable(path.name, time, samples, whole, said, head[0].units)), bench)
         inspected(head[0])
         del head, stretches
-        found = _telling(path.name, bench, lambda: _stretches(path, columns, notes))
+        found = _informative(path.name, bench, lambda: _stretches(path, columns, notes))
         return replace(found, quality=(*(f"{path.name}: {note}" for note in dict.fromkeys(notes)), *found.quality))
     except RecordingError as error:
         raise InputError(str(error)) from None
@@ -125,7 +125,7 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
     """
     rows = max(round(STRETCH * SAMPLE_PERIOD / median_step(table.time)), STRETCH)
     if len(table.time) <= WHOLE * rows:
-        return checked(table, bench)
+        return check_recording(table, bench)
 
     def stretches() -> Iterator[RawTable]:
         """Yield views of the table; its notes come with the first."""
@@ -135,7 +135,7 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
             sample = None if table.sample is None else table.sample[part]
             yield RawTable(table.name, table.time[part], sample, columns, table.notes if begin == 0 else ())
 
-    return _telling(table.name, bench, stretches)
+    return _informative(table.name, bench, stretches)
 
 
 def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Iterator[RawTable]:
@@ -164,7 +164,7 @@ def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
         yield np.concatenate(parts)
 
 
-def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
+def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
     """The informative windows, found in a first pass and read again in a second; all other samples are released."""
     windows: list[tuple[int, int, int, float]] = []  # stretch, segment in it, first sample, s since the start
     visits, notes, idle, origin, seconds = Visits(bench), list[str](), list[UnusableRecordingError](), 0.0, 0.0
@@ -172,7 +172,7 @@ def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawT
         origin = origin if number else float(table.time[0])
         start, seconds = (float(table.time[at]) - origin for at in (0, -1))
         try:
-            found = checked(table, bench)
+            found = check_recording(table, bench)
         except UnusableRecordingError as error:
             idle.append(error)
             continue
@@ -194,7 +194,7 @@ def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawT
     segments = []
     for number, table in enumerate(stretches()):
         here = [windows[k] for k in chosen if windows[k][0] == number]
-        checked_again = checked(table, bench).segments if here else ()
+        checked_again = check_recording(table, bench).segments if here else ()
         for _, index, begin, start in here:
             segment = checked_again[index]
             kept = segment.cut(begin, begin + round(WINDOW / segment.step))

@@ -40,7 +40,7 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
             bench = replace(bench, closures=(*bench.closures, claim.effect.to_closure(claim.values)))
             continue
         hooks = [hook for hook in ("modulus", "openings") if claim.effect.acts_in(hook)]
-        changed = bench if acting(before, *hooks) else claim.effect.settled(bench, claim.values)
+        changed = bench if acting(before, *hooks) else claim.effect.write_into_bench(bench, claim.values)
         if changed == bench or claim.effect.id == "sensor_lag":
             effects.append(claim.to_mapping())
             before.append(claim)

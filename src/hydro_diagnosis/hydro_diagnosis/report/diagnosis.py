@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from hydro_diagnosis.estimation.problem import Problem
     from hydro_diagnosis.judge import Assessment
     from hydro_diagnosis.model.segment_model import SegmentModel
-    from hydro_diagnosis.selection.search import Outcome
+    from hydro_diagnosis.selection.search import SearchOutcome
 
 
 def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
@@ -54,7 +54,7 @@ class Diagnosis:
     bench: Bench
     problem: Problem
     assessment: Assessment
-    outcome: Outcome
+    outcome: SearchOutcome
     holdout: list[SegmentModel] = field(default_factory=list)
 
     def __str__(self) -> str:

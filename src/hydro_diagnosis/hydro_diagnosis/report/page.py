@@ -19,7 +19,7 @@ from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
-from hydro_diagnosis.significance import SURE
+from hydro_diagnosis.significance import COVERAGE_FACTOR
 from hydro_diagnosis.twin import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, PURPLE, RED, SKY, UNITS
@@ -70,7 +70,7 @@ def _causes(
 ) -> list[tuple[float, float, str]]:
     """Where the residuals without a cause stand out most from those with it, per interval."""
     problem = found.problem
-    unseen = problem.on([model.segment])
+    unseen = problem.for_segments([model.segment])
     whole = unseen.residual(claims)
     parts = {one.effect.label: unseen.residual(tuple(k for k in claims if k is not one)) - whole for one in claims}
     shaded = []
@@ -79,7 +79,7 @@ def _causes(
         inside = (unseen.layout.time >= at) & (unseen.layout.time < at + interval)
         sizes = {label: float(np.sqrt(np.mean(np.square(part[inside])))) for label, part in parts.items()}
         label = max(sizes, key=lambda name: sizes[name], default=None) if inside.any() else None
-        if label is not None and sizes[label] > SURE:
+        if label is not None and sizes[label] > COVERAGE_FACTOR:
             shaded.append((float(at), float(min(at + interval, end)), label))
     return shaded
 

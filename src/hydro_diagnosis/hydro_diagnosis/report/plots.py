@@ -106,7 +106,7 @@ def effect_plot(found: Diagnosis, effect: EffectReport) -> str:
     problem, layout = found.problem, found.problem.layout
     fit, place = found.assessment.fit, (effect.id, effect.options)
     claim = next(one for one in fit.claims if (one.effect.id, dict(one.effect.options)) == place)
-    without = problem.residual(fit.but(claim))
+    without = problem.residual(fit.claims_without(claim))
     signature = without - fit.residual
     power = np.bincount(layout.channel, np.square(signature), len(CHANNELS))
     channel = int(np.argmax(power))

@@ -74,7 +74,7 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
         for equation, sensor, size in inputs:
             shown = [_response(way, equation, sensor, size * own) for way, own in zip(ways, hats, strict=True)]
             inputs_shown = np.zeros((len(left), len(hats[0])))
-            for channel, responses in problem.joined(shown, len(hats[0])).items():
+            for channel, responses in problem.join_responses(shown, len(hats[0])).items():
                 inputs_shown[problem.layout.channel == channel] = responses.T
             columns = np.column_stack([inputs_shown * weight[:, None], named])
             lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -105,13 +105,13 @@ def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) ->
     if equation != "sensor":
         return way.to_flows(*((hidden, nothing) if equation == "pressure_a" else (nothing, hidden)))
     if sensor == "load_force":
-        return way.present({"load": way.smooth(hidden)})
+        return way.restrict_to_blocks({"load": way.smooth(hidden)})
     means = np.stack([model.means(one) for one in hidden])
     if sensor == "hydraulic_force":
-        return way.present({"motion": way.smooth(hidden), "hydraulic": means})
-    passed = np.stack([way.seen_by_observer(one, nothing[0]) for one in hidden])
+        return way.restrict_to_blocks({"motion": way.smooth(hidden), "hydraulic": means})
+    passed = np.stack([way.observer_innovations(one, nothing[0]) for one in hidden])
     area = -way.bench.piston_area * (1.0 if sensor == "pressure_a" else -way.bench.area_ratio)
-    return way.present({sensor: way.smooth(passed), "hydraulic": area * means})
+    return way.restrict_to_blocks({sensor: way.smooth(passed), "hydraulic": area * means})
 
 
 def _hats(problem: Problem, variable: str) -> tuple[FloatArray, list[FloatArray]]:
@@ -169,8 +169,8 @@ def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Pla
     """Return the places where the claimed effects act, by the size of their signatures in the residuals."""
     layout = problem.layout
     power: dict[tuple[str, str], float] = {}
-    for claim in found.judged:
-        without = problem.residual(found.but(claim))
+    for claim in found.cause_claims:
+        without = problem.residual(found.claims_without(claim))
         signature = np.bincount(layout.channel, np.square(without - found.residual), len(CHANNELS))
         shown = {name: float(signature[k]) for k, name in enumerate(CHANNELS)}
         several, most = len(claim.effect.equations) > 1, max(shown, key=lambda name: shown[name])

@@ -27,19 +27,19 @@ from hydro_diagnosis.estimation.fit import (
 )
 from hydro_diagnosis.estimation.intervals import all_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
-from hydro_diagnosis.significance import CLAIMED, DECISIVE, ITERATIONS, MINOR, SURE
+from hydro_diagnosis.significance import CLAIM_THRESHOLD, COVERAGE_FACTOR, DECISIVE, ITERATIONS, PRACTICAL_SHARE
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:
     """Effort of a search, and its thresholds of a claim."""
 
-    threshold: float = CLAIMED
+    threshold: float = CLAIM_THRESHOLD
     """Evidence in units of BIC that a claim needs beyond its parameters' price."""
     most: int = 12
     """Claims at most."""
     patience: int = 2
-    """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
+    """Successive claims that may each remove less than twice `PRACTICAL_SHARE` of the remainder where they act."""
     effort: int = 9000
     """Evaluations of all residuals after which no further claim is looked for: some 3 ms each for 60 s of data."""
 
@@ -54,8 +54,8 @@ class Step:
 
 
 @dataclass
-class Outcome:
-    """Outcome of a search."""
+class SearchOutcome:
+    """Result of a search."""
 
     problem: Problem
     """The problem with the weights of the fit."""
@@ -76,7 +76,7 @@ SAME_UNCERTAINTY = 1e-3
 
 @dataclass
 class _Screened:
-    """Candidates beside a base that was looked at."""
+    """Screened candidates for a further claim on one base fit."""
 
     doubt: tuple[float, ...]
     """`Problem.uncertainty` at that time."""
@@ -93,7 +93,7 @@ def _labels(base: Fit) -> frozenset[str]:
 
 
 class Shortlists:
-    """Candidates beside every base that a search has looked at."""
+    """Candidates for a further claim, by the base fit that they extend."""
 
     def __init__(self, library: Sequence[Effect], settings: SearchSettings) -> None:
         self._library, self._settings = library, settings
@@ -102,10 +102,11 @@ class Shortlists:
         self.signatures: Signatures = {}
         """Emptied, so that what candidates do to the residuals is computed again, at each further claim."""
 
-    def beside(self, problem: Problem, base: Fit, promised: float, but: str = "") -> list[Fit]:
-        """Fits with one claim more, the best first, by secants from the slopes of the base, as far as not polished.
+    def extensions(self, problem: Problem, base: Fit, promised: float, but: str = "") -> list[Fit]:
+        """Return the fits with one claim more than a base, the best first: polished, or by secants from its slopes.
 
-        `promised`: gain to first order from which on candidates are fitted, all `but` one; the others wait.
+        `promised`: first-order gain from which candidates are fitted now; the others wait. `but`: label that is left
+        out.
         """
         screened = self._screened.get(_labels(base))
         if screened is None:
@@ -166,26 +167,26 @@ class Search:
         self._begun = problem.budget.evaluations
         self._shortlists = Shortlists(self.library, self.settings)
 
-    def run(self) -> Outcome:
+    def run(self) -> SearchOutcome:
         """Search."""
         if self.problem.estimated and self.given:
-            if beside := self._beside_given():
+            if beside := self._with_given_numbers():
                 return beside
             self._begun = self.problem.budget.evaluations
         return self._from(fit(self.problem, ()))
 
-    def nothing(self) -> Outcome:
-        """The outcome without a search."""
-        problem = self.problem.weighed(())
-        return Outcome(problem, fit(problem, ()), fit(problem, ()))
+    def nothing(self) -> SearchOutcome:
+        """Return the outcome without claims."""
+        problem = self.problem.reweighted(())
+        return SearchOutcome(problem, fit(problem, ()), fit(problem, ()))
 
-    def _beside_given(self) -> Outcome | None:
-        """Return the outcome with the estimated numbers held where they begin, and estimated beside its claims.
+    def _with_given_numbers(self) -> SearchOutcome | None:
+        """Return the outcome of a search at the given numbers, which are then estimated jointly with its claims.
 
-        None where something remains. Beside causes that are not found yet a number would leave what it was given as.
+        None where something remains: jointly with causes that are not found yet, a number would leave its given value.
         """
-        outcome = Search(self.problem.estimating(()), self.library, self.settings, self.progress).run()
-        if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.beyond(SEARCH):
+        outcome = Search(self.problem.with_estimated(()), self.library, self.settings, self.progress).run()
+        if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.exceeds(SEARCH):
             return None
         most = outcome.fit.score + DECISIVE * self.settings.threshold
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
@@ -200,11 +201,11 @@ class Search:
         self.steps[:] = outcome.steps
         return outcome
 
-    def _from(self, nothing: Fit) -> Outcome:
+    def _from(self, nothing: Fit) -> SearchOutcome:
         """Add what pays most, exchange what others do better, until nothing pays."""
         self.steps.clear()
         self._shortlists.signatures.clear()
-        outcome = Outcome(self.problem.weighed(()), nothing, nothing)
+        outcome = SearchOutcome(self.problem.reweighted(()), nothing, nothing)
         ranked, idle = self._ranked(self.problem, nothing), 0
         for _ in range(2 * self.settings.most):
             if ranked:
@@ -218,15 +219,15 @@ class Search:
             ranked = [] if idle >= self.settings.patience else self._further(outcome)
         return outcome
 
-    def _further(self, outcome: Outcome) -> list[Fit]:
+    def _further(self, outcome: SearchOutcome) -> list[Fit]:
         """Return candidates for a further claim; none if the search must end, for the reason in `Outcome.cut_short`."""
         if self._exhausted:
             effort = f"its effort of {self.settings.effort} evaluations"
-            spent = self.problem.budget.beyond(SEARCH)
+            spent = self.problem.budget.exceeds(SEARCH)
             outcome.cut_short = f"{'its part of the budget of work' if spent else effort} was spent"
             return []
         ranked = self._ranked(outcome.problem, outcome.fit)
-        if ranked and len(outcome.fit.judged) >= self.settings.most:
+        if ranked and len(outcome.fit.cause_claims) >= self.settings.most:
             outcome.cut_short = f"it looks for {self.settings.most} causes at most"
             return []
         outcome.cut_short = ""
@@ -235,7 +236,7 @@ class Search:
     @property
     def _exhausted(self) -> bool:
         spent = self.problem.budget.evaluations - self._begun
-        return spent > self.settings.effort or self.problem.budget.beyond(SEARCH)
+        return spent > self.settings.effort or self.problem.budget.exceeds(SEARCH)
 
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
         """Fits with one claim more that pay, the best first.
@@ -244,11 +245,11 @@ class Search:
         """
         enough = base.score - self.settings.threshold
         self._shortlists.signatures.clear()
-        fits = self._shortlists.beside(problem, base, 0.0)
+        fits = self._shortlists.extensions(problem, base, 0.0)
         if fits:
             best = fits[0].score
             self._shortlists.polish(problem, base, best + CONTENDING * (base.score - best), POLISHED)
-        better = [one for one in self._shortlists.beside(problem, base, 0.0) if one.score <= enough]
+        better = [one for one in self._shortlists.extensions(problem, base, 0.0) if one.score <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
         if evidence and form_error(problem, base, evidence[0]) and not self._completed(problem, base, evidence[0]):
             evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
@@ -257,42 +258,42 @@ class Search:
     def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
         """Whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
         enough = found.score - self.settings.threshold
-        self._shortlists.beside(problem, found, 0.0)
+        self._shortlists.extensions(problem, found, 0.0)
         self._shortlists.polish(problem, found, enough, POLISHED)
-        for pair in self._shortlists.beside(problem, found, 0.0)[:POLISHED]:
+        for pair in self._shortlists.extensions(problem, found, 0.0)[:POLISHED]:
             clean = problem.remaining(base.residual).keys() - problem.remaining(pair.residual).keys()
             if clean and clean & problem.remaining(fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
                 return True
         return False
 
-    def _swap(self, outcome: Outcome, promising: float) -> bool:
+    def _swap(self, outcome: SearchOutcome, promising: float) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
 
         `promising`: share of a claim's worth that a candidate must promise to be tried.
         """
         changed = False
-        for claim in outcome.fit.judged:
+        for claim in outcome.fit.cause_claims:
             problem = outcome.problem
             if claim not in outcome.fit.removable:
                 continue
             label, base = claim.effect.label, without_one(problem, outcome.fit, claim)
             present = outcome.fit.score
             evidence = max(base.score - present, 0.0)
-            self._shortlists.beside(problem, base, promising * evidence, label)
+            self._shortlists.extensions(problem, base, promising * evidence, label)
             self._shortlists.polish(problem, base, present + CONTENDING * evidence, kin=claim.effect.family)
-            fits = self._shortlists.beside(problem, base, promising * evidence, label)
+            fits = self._shortlists.extensions(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
             better = []
             for one in fits:  # each parameter more than the claim has must be worth the threshold
                 more = len(one.claims[-1].effect.parameters) - len(claim.effect.parameters)
-                if one.score + self.settings.threshold * max(more, 0) < present - SURE * SCREEN_TOLERANCE:
+                if one.score + self.settings.threshold * max(more, 0) < present - COVERAGE_FACTOR * SCREEN_TOLERANCE:
                     better.append(one)
             if better and all_significant(problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
 
-    def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
+    def _accept(self, outcome: SearchOutcome, found: Fit, action: str, label: str) -> None:
         outcome.problem, outcome.fit = self._weighed(found)
         outcome.nothing = fit(outcome.problem, ())
         gained = outcome.fit.score - outcome.nothing.score
@@ -304,7 +305,7 @@ class Search:
         """Weights and fit under the uncertainty that the fit's own claims bring, iterated until they stand still."""
         for _ in range(ITERATIONS):
             before = pack(found.claims)[1]
-            problem = self.problem.weighed(found.claims)
+            problem = self.problem.reweighted(found.claims)
             found = fit(problem, found.claims)
             stands = np.allclose(pack(found.claims)[1], before, rtol=SAME_UNCERTAINTY, atol=0.0)
             if stands or not any(problem.uncertainty):
@@ -320,7 +321,7 @@ def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
     if problem.noticeable(base.residual) and not problem.noticeable(found.residual):
         return False
     newest = found.claims[-1].effect
-    kin = [claim for claim in base.judged if newest.family and claim.effect.family == newest.family]
+    kin = [claim for claim in base.cause_claims if newest.family and claim.effect.family == newest.family]
     for claim in kin:
         if claim.effect.id in newest.needs:
             continue
@@ -333,14 +334,15 @@ def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
 
 
 def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
-    """Whether nearly all that the newest claim of `other` removes is in channels that of `mended` leaves alone."""
+    """Return whether the newest claim of `other` acts in channels in which that of `mended` removes next to nothing."""
     before, one, two = (problem.mean_squares(each.residual) for each in (base, mended, other))
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}
+    little = 2.0 * PRACTICAL_SHARE
     shared = sum(
-        part for name, part in removed.items() if before[name] - one[name] > MINOR * (before[name] - two[name])
+        part for name, part in removed.items() if before[name] - one[name] > little * (before[name] - two[name])
     )
-    return shared < MINOR * sum(removed.values())
+    return shared < little * sum(removed.values())
 
 
 def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
@@ -349,4 +351,4 @@ def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
     excess = problem.remaining(found.residual).get(channel, 1.0) - 1.0
-    return before[channel] - after[channel] < MINOR * excess
+    return before[channel] - after[channel] < 2.0 * PRACTICAL_SHARE * excess

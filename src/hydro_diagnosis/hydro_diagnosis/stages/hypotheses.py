@@ -3,7 +3,7 @@
 
 Nothing is refused, and a correlation between two channels decides nothing: in a closed loop the current follows the
 force as much as the flow. Where a mistake is suspected, causes are searched for in the recordings as they are and as
-repaired, with the same small effort, and what is left on fitted and held-out recordings together is compared.
+repaired, with the same small effort, and the residuals of fitted and held-out recordings together are compared.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ from hydro_diagnosis.wiring import Doubt, Inspection, Repair, in_other_units, re
 if TYPE_CHECKING:
     from hydro_diagnosis.stages.naming import StageResult
 
-CLEAR = float(np.log(10.0))
-"""Log of the factor, over all channels, by which a repair must reduce what is left: more than any chance."""
-ALIKE = float(np.log(1.1))
-"""Log of the factor within which two readings leave the same."""
+DECISIVE_LOG_RATIO = float(np.log(10.0))
+"""Log of the factor, over all channels, by which a repair must reduce the mean squared residuals: more than any chance.
+"""
+TIE_LOG_RATIO = float(np.log(1.1))
+"""Log of the factor within which the mean squared residuals of two readings tie."""
 PHYSICS = {
     "valve_current": (-0.02, 0.0), "piston_position": (-0.01, 0.02), "load_force": (-0.01, 0.06),
     "hydraulic_force": (-0.02, 0.02), "pressure_a": (-0.02, 0.02), "pressure_b": (-0.02, 0.02),
@@ -47,19 +48,19 @@ Repaired = tuple[tuple[Repair, ...], Case]
 """Repairs, and the recordings after them."""
 
 
-def left(problem: Problem, claims: Sequence[Claim]) -> FloatArray:
-    """Squares of the residuals under claims, over the noise's, and how many they are, shape (2, channels)."""
+def residual_sums(problem: Problem, claims: Sequence[Claim]) -> FloatArray:
+    """Return sums of squared residuals over the noise variance, and counts, shape (2, channels)."""
     with np.errstate(all="ignore"):
         squares = problem.layout.squares(problem.residual(claims))
     counts = problem.layout.count
     return np.array([np.where(counts, np.nan_to_num(squares, nan=1e30, posinf=1e30), 0.0), counts], dtype=np.float64)
 
 
-def gain(before: FloatArray, after: FloatArray) -> float:
-    """Log of the factor by which less is left after than before, over all channels.
+def log_gain(before: FloatArray, after: FloatArray) -> float:
+    """Return the log of the factor by which mean squared residuals fall, summed over the channels.
 
-    A tenth of the samples may be missing for nothing; any further one that a hypothesis does not judge has the price of
-    100 noise variances: it is left if it is not known better.
+    `before`, `after`: of `residual_sums`. A tenth of the samples may be lost at no cost; each further sample that is
+    not evaluated costs 100 noise variances.
     """
     judged = np.maximum(before[1], after[1]) > 0.0
     most = 0.9 * np.maximum(before[1], after[1])[judged]
@@ -71,27 +72,27 @@ def gain(before: FloatArray, after: FloatArray) -> float:
     return float(np.sum(here - there))
 
 
-def suspected(
+def suspected_repairs(
     problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = (), units: Mapping[str, str] | None = None
 ) -> tuple[Repair, ...]:
-    """The repairs, four at most, that together leave much less under these claims, the most telling first.
+    """Return at most four repairs that each gain `DECISIVE_LOG_RATIO` or more under these claims, in order of gain.
 
-    `held`: recordings that are judged besides those of the problem; `units`: by field, where it was not taken as SI.
+    `held`: recordings that are evaluated together with the problem's; `units`: by field, where it was not taken as SI.
     """
     segments = [replace(one, thinner=None) for one in (*(model.segment for model in problem.models), *held)]
     found: list[Repair] = []
     while len(found) < 4:
         trial = _Trial(problem, claims, segments)
-        better = max(trial.repairs(units or {}), key=trial.gain, default=None)
-        if better is None or trial.gain(better) < CLEAR:
+        better = max(trial.repairs(units or {}), key=trial.log_gain, default=None)
+        if better is None or trial.log_gain(better) < DECISIVE_LOG_RATIO:
             break
-        found.append(trial.timed(better) if better.delay else better)
+        found.append(trial.refine_delay(better) if better.delay else better)
         segments = trial.segments(found[-1])
     return tuple(found)
 
 
 class _Trial:
-    """Segments to which single repairs are done."""
+    """Trial of single repairs on segments."""
 
     def __init__(self, problem: Problem, claims: Sequence[Claim], segments: list[Segment]) -> None:
         self._problem, self._claims, self._segments = problem, claims, segments
@@ -105,18 +106,18 @@ class _Trial:
         margins = [int(np.ceil(abs(repair.delay) / one.step)) for one in moved]
         return [one.cut(margin, len(one) - margin) for one, margin in zip(moved, margins, strict=True)]
 
-    def left(self, repair: Repair | None = None) -> FloatArray:
-        """Squares and counts of the residuals after a repair."""
+    def residual_sums(self, repair: Repair | None = None) -> FloatArray:
+        """Return `residual_sums` after a repair."""
         if repair not in self._known:
             problem, segments = self._problem, self.segments(repair)
             with np.errstate(all="ignore"):
                 built = Problem(segments, problem.bench, problem.baseline, estimated=problem.estimated)
-            self._known[repair] = left(built, self._claims)
+            self._known[repair] = residual_sums(built, self._claims)
         return self._known[repair]
 
-    def gain(self, repair: Repair) -> float:
-        """Log of the factor by which less is left after a repair."""
-        return gain(self.left(), self.left(repair))
+    def log_gain(self, repair: Repair) -> float:
+        """Return `log_gain` of a repair."""
+        return log_gain(self.residual_sums(), self.residual_sums(repair))
 
     def repairs(self, units: Mapping[str, str]) -> Iterator[Repair]:
         """Yield the repairs that are possible for channels whose numbers have the right size."""
@@ -138,10 +139,10 @@ class _Trial:
                 yield advance(name, late)
 
     def delay(self, field: str) -> float:
-        """The delay that leaves least, about: downhill by parabolas through three delays."""
+        """Return about the delay [s] of the smallest residuals: downhill by parabolas through three delays."""
 
         def squares(delay: float) -> float:
-            found, before = self.left(advance(field, delay)), self.left()
+            found, before = self.residual_sums(advance(field, delay)), self.residual_sums()
             there = found[1] > 0.0
             return float(np.sum(found[0, there] / found[1, there] / before[0, there]))
 
@@ -157,16 +158,16 @@ class _Trial:
                 break
         return at
 
-    def timed(self, repair: Repair) -> Repair:
-        """The repair with the delay that leaves least; that of whole rows, if it leaves no more."""
+    def refine_delay(self, repair: Repair) -> Repair:
+        """Return the repair with the delay of the smallest residuals; with whole rows, if they leave no more."""
         row = max(one.step * one.spacing for one in self._segments)
         width = max(0.3 * abs(repair.delay), 2.0 * row)
         found = minimize_scalar(
-            lambda delay: -self.gain(advance(repair.field, delay)),
+            lambda delay: -self.log_gain(advance(repair.field, delay)),
             bounds=(repair.delay - width, repair.delay + width), method="bounded", options={"xatol": 1e-5},
         )  # fmt: skip
         best, whole = (advance(repair.field, float(at)) for at in (round(found.x, 5), row * round(found.x / row)))
-        return whole if self.gain(whole) > self.gain(best) - ALIKE else best
+        return whole if self.log_gain(whole) > self.log_gain(best) - TIE_LOG_RATIO else best
 
 
 def advance(field: str, delay: float) -> Repair:
@@ -180,7 +181,9 @@ class SearchResult:
     """Residuals that the best causes leave, for one reading of the recordings."""
 
     fitted: FloatArray
+    """`residual_sums` of the fitted recordings."""
     held: FloatArray
+    """`residual_sums` of the held-out recordings."""
     claims: tuple[Claim, ...]
     numbers: int
     """Parameters of the causes."""
@@ -208,7 +211,7 @@ def read_repaired(question: Question, progress: Progress) -> Case:
     if case is None or inspection.doubts:
         readings = _plausible(question, inspection, progress)
     for k, (repairs, one) in enumerate(readings):
-        if further := suspected(one.problem, (), one.held, one.units):  # beside the mistakes that numbers show
+        if further := suspected_repairs(one.problem, (), one.held, one.units):  # beside the mistakes that numbers show
             repairs = (*repairs, *further)
             with suppress(InputError):
                 readings[k] = repairs, read(_repaired(question, repairs, inspection.units), progress)
@@ -218,14 +221,14 @@ def read_repaired(question: Question, progress: Progress) -> Case:
     if len(readings) > 1:
         explained = [_searched(one, progress) for _, one in readings]
         repairs, other = readings[
-            max(range(len(readings)), key=lambda k: gain(explained[0].fitted, explained[k].fitted))
+            max(range(len(readings)), key=lambda k: log_gain(explained[0].fitted, explained[k].fitted))
         ]
     if not repairs:
         return other
     if any(repair.becomes == "" for repair in repairs):
         refusal = "no two sensors have the same noise"
     if case is None or refusal:
-        return replace(other, wiring=_told(repairs, other.question, f"as recorded: {refusal.split(' (')[0]}"))
+        return replace(other, wiring=_repair_note(repairs, other.question, f"as recorded: {refusal.split(' (')[0]}"))
     return _choose(case, _searched(case, progress), repairs, other, progress)
 
 
@@ -235,7 +238,7 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
     left_over = found.assessment.remainder or found.holdout.noticeable(found.holdout.residual(claims))
     if case.question.as_wired or found.by_curve is not None:
         return case  # what rough recordings leave says nothing of their wiring
-    repairs = suspected(found.problem, claims, case.held, case.units) if left_over else ()
+    repairs = suspected_repairs(found.problem, claims, case.held, case.units) if left_over else ()
     values = {claim.effect.id: claim.values for claim in claims}
     if not repairs and values.keys() >= {"spring_rest", "dead_volume"}:
         offset = found.problem.bench.spring_rest_position - values["spring_rest"]["position"]
@@ -247,7 +250,7 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
         other = read(_repaired(case.question, repairs, case.units), progress)
     except InputError:
         return case
-    return _choose(case, _left(found.problem, found.holdout, claims), repairs, other, progress)
+    return _choose(case, _search_result(found.problem, found.holdout, claims), repairs, other, progress)
 
 
 def _plausible(question: Question, inspection: Inspection, progress: Progress) -> list[Repaired]:
@@ -267,7 +270,7 @@ def _plausible(question: Question, inspection: Inspection, progress: Progress) -
         except InputError:
             continue
         key = frozenset(case.problem.models[0].channels)
-        if key not in best or gain(left(best[key][1].problem, ()), left(case.problem, ())) > 0.0:
+        if key not in best or log_gain(residual_sums(best[key][1].problem, ()), residual_sums(case.problem, ())) > 0.0:
             best[key] = repairs, case
     return list(best.values())
 
@@ -302,13 +305,13 @@ def _searched(case: Case, progress: Progress) -> SearchResult:
     """Return the residuals after a small search for causes."""
     with threadpool_limits(1, "blas"):
         found = Search(case.problem, case.candidates, TRIAL, progress).run()
-    holdout = found.problem.on(case.held).weighed(found.fit.claims)
-    return _left(found.problem, holdout, found.fit.claims)
+    holdout = found.problem.for_segments(case.held).reweighted(found.fit.claims)
+    return _search_result(found.problem, holdout, found.fit.claims)
 
 
-def _left(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> SearchResult:
+def _search_result(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> SearchResult:
     numbers = sum(len(claim.effect.parameters) for claim in claims)
-    return SearchResult(left(problem, claims), left(holdout, claims), tuple(claims), numbers)
+    return SearchResult(residual_sums(problem, claims), residual_sums(holdout, claims), tuple(claims), numbers)
 
 
 def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
@@ -318,17 +321,19 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
     claims = [claim for claim in there.claims if claim.effect.id not in lags]
     trial = _Trial(other.problem, claims, [replace(model.segment, thinner=None) for model in other.problem.models])
     again = [
-        advance(one.field, round(one.delay + trial.timed(advance(one.field, 0.0)).delay, 5)) if one.delay else one
+        advance(one.field, round(one.delay + trial.refine_delay(advance(one.field, 0.0)).delay, 5))
+        if one.delay
+        else one
         for one in repairs
     ]
     if again != list(repairs):
         with suppress(InputError):
             nearer = read(_repaired(case.question, again, case.units), progress)
             closer = _searched(nearer, progress)
-            gained = gain(there.fitted, closer.fitted)
-            if gained > ALIKE or (gained > -ALIKE and closer.numbers <= there.numbers):
+            gained = log_gain(there.fitted, closer.fitted)
+            if gained > TIE_LOG_RATIO or (gained > -TIE_LOG_RATIO and closer.numbers <= there.numbers):
                 repairs, other, there = again, nearer, closer
-    clearer = min(gain(here.fitted, there.fitted), gain(here.held, there.held))
+    clearer = min(log_gain(here.fitted, there.fitted), log_gain(here.held, there.held))
     estimated = sum(bool(repair.delay or repair.offset) for repair in repairs)
     simpler = there.numbers + estimated < here.numbers
     recorded, repaired = (float(np.sqrt(sum(squares) / sum(counts))) for squares, counts in (here.held, there.held))
@@ -336,8 +341,8 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
         f"in a trial of both, {recorded:.3g} times the noise was left on what was held out as recorded, "
         f"{repaired:.3g} times as repaired"
     )
-    if clearer >= CLEAR or (clearer > -ALIKE and simpler):
-        return replace(other, wiring=_told(repairs, other.question, both))
+    if clearer >= DECISIVE_LOG_RATIO or (clearer > -TIE_LOG_RATIO and simpler):
+        return replace(other, wiring=_repair_note(repairs, other.question, both))
     note = (
         f"the recordings look as if {_words(repairs)}, but were diagnosed as recorded ({both}); if it is a mistake of "
         f'wiring all the same, diagnose with --columns "{other.question.columns}"'
@@ -345,7 +350,7 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
     return replace(case, wiring=note)
 
 
-def _told(repairs: Sequence[Repair], question: Question, beside: str) -> str:
+def _repair_note(repairs: Sequence[Repair], question: Question, beside: str) -> str:
     return (
         f'{_words(repairs)}: the recordings were diagnosed as repaired by --columns "{question.columns}" ({beside}); '
         "correct it at the rig or in the logger, or keep that map; --as-wired takes them as recorded"

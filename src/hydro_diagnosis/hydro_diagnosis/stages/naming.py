@@ -9,35 +9,37 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_numbers import can_simulate
-from hydro_diagnosis.closure.admission import admitted, reports
+from hydro_diagnosis.closure.admission import admit, closure_reports
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.curve_claims import CurveClaims, read_off
+from hydro_diagnosis.curve_claims import CurveClaims, claims_from_curve
 from hydro_diagnosis.curves import ForceCurve, Motion, motions
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim, Effect
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
-from hydro_diagnosis.judge import Accounted, Assessment, assessed, judged, shares
+from hydro_diagnosis.judge import Accounted, Assessment, accounted_shares, assess, retain_claims
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.selection.search import Outcome, Search
-from hydro_diagnosis.stages.reading import Case, Progress
-from hydro_diagnosis.validation import Known, equation_errors, held_out
+from hydro_diagnosis.selection.search import Search, SearchOutcome
+from hydro_diagnosis.validation import Known, equation_errors, holdout_errors
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.stages.reading import Case, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """What stands, and its validation."""
+    """Retained claims and their validation."""
 
     problem: Problem
-    outcome: Outcome
+    outcome: SearchOutcome
     assessment: Assessment
     bounds: list[Interval]
     """Intervals of the claims' parameters."""
@@ -63,10 +65,10 @@ class StageResult:
 
 
 def name_causes(case: Case, search: Search) -> StageResult:
-    """The names that stand."""
+    """Return the retained names and their validation."""
     problem, progress = search.problem, search.progress
     progress(stage_bar.CURVES)
-    moving = moving_in(problem) if MOTION in problem.blocks else []
+    moving = moving_motions(problem) if MOTION in problem.blocks else []
     curve = ForceCurve.over_speed(moving) if moving else None
     if curve is not None and PRESSURE not in problem.blocks and curve.rough:
         return _by_curve(problem, search.nothing(), case.held, ForceCurve(curve.motions), search, ())
@@ -74,14 +76,14 @@ def name_causes(case: Case, search: Search) -> StageResult:
     outcome = search.run()
     problem = outcome.problem
     progress(stage_bar.JUDGING)
-    holdout = problem.on(case.held)
-    kept, bounds = judged(problem, holdout, outcome.fit, outcome.nothing)
+    holdout = problem.for_segments(case.held)
+    kept, bounds = retain_claims(problem, holdout, outcome.fit, outcome.nothing)
     progress(stage_bar.CHECKING)
-    holdout = holdout.weighed(kept.claims)
+    holdout = holdout.reweighted(kept.claims)
     simulated: Known = {}
-    proof = held_out(problem, holdout, kept.claims, simulated)
-    accounted = shares(proof["equations"], proof["equations"])
-    assessment = assessed(problem, outcome.fit, kept, outcome.nothing, holdout, accounted)
+    proof = holdout_errors(problem, holdout, kept.claims, simulated)
+    accounted = accounted_shares(proof["equations"], proof["equations"])
+    assessment = assess(problem, outcome.fit, kept, outcome.nothing, holdout, accounted)
     known = can_simulate(problem.bench)  # well enough to rehearse a recording
     return StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated=simulated,
@@ -90,7 +92,7 @@ def name_causes(case: Case, search: Search) -> StageResult:
     )  # fmt: skip
 
 
-def moving_in(problem: Problem) -> list[Motion]:
+def moving_motions(problem: Problem) -> list[Motion]:
     """The motions of its recordings in which the piston moves at all."""
     return [one for one in motions(problem.models, problem.baseline) if float(np.ptp(one.position)) > 0.0]
 
@@ -118,20 +120,20 @@ def model_remainder(found: StageResult, case: Case, search: Search) -> StageResu
 
 
 def _by_curve(
-    problem: Problem, outcome: Outcome, held: Sequence[Segment], curve: ForceCurve, search: Search,
+    problem: Problem, outcome: SearchOutcome, held: Sequence[Segment], curve: ForceCurve, search: Search,
     others: Sequence[Claim],
 ) -> StageResult:  # fmt: skip
-    """Names read off the curve of the force, beside claims of other equations."""
+    """Return names read off the curve of the force, together with claims of other equations."""
     search.progress(stage_bar.JUDGING)
-    holdout = problem.on(held)
-    read = read_off(curve, moving_in(holdout), problem, search.library)
-    beside = fit(problem, others)
-    kept = fit(problem, (*beside.claims, *read.claims), iterations=0)
-    holdout = holdout.weighed(kept.claims)
-    proof = held_out(problem, holdout, kept.claims)
-    accounted = shares(proof["equations"], proof["equations"]) | {MOTION: dict(read.accounted)}
-    bounds = [*intervals(problem, beside), *read.bounds]
-    assessment = assessed(problem, kept, kept, outcome.nothing, holdout, accounted)
+    holdout = problem.for_segments(held)
+    read = claims_from_curve(curve, moving_motions(holdout), problem, search.library)
+    others_fit = fit(problem, others)
+    kept = fit(problem, (*others_fit.claims, *read.claims), iterations=0)
+    holdout = holdout.reweighted(kept.claims)
+    proof = holdout_errors(problem, holdout, kept.claims)
+    accounted = accounted_shares(proof["equations"], proof["equations"]) | {MOTION: dict(read.accounted)}
+    bounds = [*intervals(problem, others_fit), *read.bounds]
+    assessment = assess(problem, kept, kept, outcome.nothing, holdout, accounted)
     return StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated={},
         proof=proof, accounted=accounted, curve=curve, by_curve=read, closures=list(read.closures),
@@ -142,22 +144,22 @@ def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress
     """Names and the first model without a name that is admitted; None where none is."""
     problem, holdout = names.problem, names.holdout
     candidates = closures(problem, names.assessment.fit, library)
-    found = admitted(problem, holdout, candidates, names.proof, names.simulated)
-    bounds = intervals(found.closed.problem, found.closed.fit) if found else []
-    if not found or not all_exclude_neutral(found.closed.fit.claims, bounds):
+    found = admit(problem, holdout, candidates, names.proof, names.simulated)
+    bounds = intervals(found.closure_fit.problem, found.closure_fit.fit) if found else []
+    if not found or not all_exclude_neutral(found.closure_fit.fit.claims, bounds):
         return None
-    closed, problem = found.closed.fit, found.closed.problem
-    holdout = holdout.weighed(closed.claims)
-    named = tuple(one for one in closed.claims if one.effect.named)
-    everything = equation_errors(holdout, closed.claims)
-    accounted = shares(everything, equation_errors(holdout, named))
+    joint_fit, problem = found.closure_fit.fit, found.closure_fit.problem
+    holdout = holdout.reweighted(joint_fit.claims)
+    named = tuple(one for one in joint_fit.claims if one.effect.named)
+    everything = equation_errors(holdout, joint_fit.claims)
+    accounted = accounted_shares(everything, equation_errors(holdout, named))
     nothing = names.outcome.nothing
-    beside = replace(
-        names, problem=problem, holdout=holdout, bounds=bounds, closures=reports(found, bounds), accounted=accounted,
-        assessment=assessed(problem, names.outcome.fit, closed, nothing, holdout, accounted),
-        proof={**found.held, "equations": everything},
+    result = replace(
+        names, problem=problem, holdout=holdout, bounds=bounds, closures=closure_reports(found, bounds),
+        accounted=accounted, assessment=assess(problem, names.outcome.fit, joint_fit, nothing, holdout, accounted),
+        proof={**found.holdout_report, "equations": everything},
     )  # fmt: skip
-    ahead = names.next_recording if beside.names == names.names else None  # it would tell apart what is not claimed
+    ahead = names.next_recording if result.names == names.names else None  # it would tell apart what is not claimed
     if ahead is None and can_simulate(problem.bench):
-        ahead = next_for_law(problem, closed, found.closed.screen)
-    return replace(beside, next_recording=ahead)
+        ahead = next_for_law(problem, joint_fit, found.closure_fit.screen)
+    return replace(result, next_recording=ahead)

@@ -22,9 +22,17 @@ from threadpoolctl import threadpool_limits
 from hydro_bridge.bags.location import is_bag
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.bench_numbers import applies, completed, hiding, lacks, left_out, read_bench, refuse_missing
+from hydro_diagnosis.bench_numbers import (
+    applies,
+    lacks,
+    omission_notes,
+    parse_bench,
+    read_bench,
+    refuse_missing,
+    with_unknown,
+)
 from hydro_diagnosis.effects import CANDIDATES
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, Machine, sized
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, Machine, scale_bounds
 from hydro_diagnosis.estimation.problem import Budget, Problem
 from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
@@ -69,7 +77,7 @@ def baseline(
         if bench is None or isinstance(bench, Bench):
             return bench or Bench.nominal(), "analytic"
         if isinstance(bench, Mapping):
-            return completed(bench, frozenset(estimated)), "analytic"
+            return parse_bench(bench, frozenset(estimated)), "analytic"
         return read_bench(bench, frozenset(estimated)), "analytic"
     except ValueError as error:
         raise InputError(str(error)) from None
@@ -130,7 +138,8 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     progress(stage_bar.READING)
     inspection = Inspection() if inspection is None else inspection
     fitted, held, quality = load_dataset(
-        question.recordings, question.holdout, hiding(given, estimate), ColumnMap.load(question.columns), inspection
+        question.recordings, question.holdout, with_unknown(given, estimate), ColumnMap.load(question.columns),
+        inspection,
     )  # fmt: skip
     channels = set.intersection(*(set(segment.channels) for segment in fitted))
     refuse_missing(channels, given, estimate)
@@ -152,11 +161,11 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
         )
     candidates = [effect.adapted(believed) for effect in candidates if applies(effect, believed)]
     if machine := _machine(problem):
-        candidates = [sized(effect, machine) for effect in candidates]
+        candidates = [scale_bounds(effect, machine) for effect in candidates]
     limits = [f"--without {' '.join(question.without)}: these causes were not tried"] if question.without else []
-    limits += [*left_out(channels, believed), *quality]
+    limits += [*omission_notes(channels, believed), *quality]
     if rings := problem.unseen_ringing:  # which the load cell hardly shows
-        candidates = [one for one in candidates if one.id not in RINGING or one.lagged == "load_force"]
+        candidates = [one for one in candidates if one.id not in RINGING or one.lagged_channel == "load_force"]
         limits.append(
             f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no cause "
             "is sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is given no "

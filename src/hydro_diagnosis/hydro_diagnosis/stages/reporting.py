@@ -22,13 +22,13 @@ from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
 from hydro_diagnosis.selection.localisation import Place
-from hydro_diagnosis.selection.search import Outcome, Search
+from hydro_diagnosis.selection.search import Search, SearchOutcome
 from hydro_diagnosis.significance import DECISIVE
-from hydro_diagnosis.stages.reading import Case
 from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
 
 if TYPE_CHECKING:
     from hydro_diagnosis.stages.naming import StageResult
+    from hydro_diagnosis.stages.reading import Case
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def describe(findings: StageResult) -> list[EffectReport]:
             rivals = [one for one in read.rivals if (effect.id in OPERATORS) != (one.id == "force_offset")]
             rivals = rivals if effect.id in (*OPERATORS, "friction_coulomb") else []
         else:
-            without = fit(problem, found.but(claim))
+            without = fit(problem, found.claims_without(claim))
             rivals, look_alikes = _rivals(findings.outcome, found, claim)
             if effect.id == "force_offset" and HYDRAULIC not in problem.blocks:
                 why = "a bias of the force cell explains these recordings as well: record the pressures beside it"
@@ -124,7 +124,7 @@ def describe(findings: StageResult) -> list[EffectReport]:
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
-def _rivals(outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
+def _rivals(outcome: SearchOutcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
     """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
     rivals, look_alikes = [], []
     if any(is_closure(one.effect) for one in found.claims):
@@ -213,7 +213,7 @@ def _notes(
                 "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
                 "the same; if this one does, move that column down by one row and diagnose again"
             )
-    if budget.exhausted or (budget.beyond(SEARCH) and found.outcome.cut_short):
+    if budget.exhausted or (budget.exceeds(SEARCH) and found.outcome.cut_short):
         cut_short = (
             f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: this is the best answer until "
             "then; --seconds sets another"

@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, display_unit
-from hydro_diagnosis.estimation.fit import Fit, allowed, cause, orthogonal
+from hydro_diagnosis.estimation.fit import Fit, cause, eligible_effects, orthogonal
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.report_json import NumberEstimate
-from hydro_diagnosis.significance import MATTERS, QUANTILE, VAGUE
+from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE, UNIDENTIFIED_HALF_WIDTH
 from hydro_sim.model.bench import Bench
 
 
@@ -36,11 +36,11 @@ def number_estimates(
         name, parameter = names[claim.effect.label], claim.effect.parameters[0].name
         number = Bench.quantities()[name]
         value, low, high = (
-            float(getattr(claim.effect.settled(problem.bench, {parameter: one}), name))
+            float(getattr(claim.effect.write_into_bench(problem.bench, {parameter: one}), name))
             for one in (bound.value, bound.low, bound.high)
         )
         mixed = _mixed(columns, k, [names.get(one.effect.label, one.effect.id) for one in owners])
-        vague = number.low > 0.0 and high - low > 2.0 * VAGUE * abs(value)
+        vague = number.low > 0.0 and high - low > 2.0 * UNIDENTIFIED_HALF_WIDTH * abs(value)
         sure = not mixed and bound.identifiable and not vague
         others = [one for one in mixed or _alike(problem, found, columns, k, weight, library) if one != name]
         alike = " and ".join(others)
@@ -81,7 +81,7 @@ def _alike(
     others = np.delete(columns, k, axis=1)
     own = orthogonal(others, columns[:, k])
     alike = []
-    for effect in allowed(library, found.claims, problem.blocks):
+    for effect in eligible_effects(library, found.claims, problem.blocks):
         if not effect.named or effect.needs or len(effect.parameters) > 1:
             continue
         probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
@@ -109,7 +109,7 @@ def confirmed(
     weight = problem.weight(found.residual)
     columns, left = found.jacobian * weight[:, None], found.residual * weight
     inflation, said = max((one.inflation for one in bounds), default=1.0), []
-    for effect in allowed(library, found.claims, problem.blocks):
+    for effect in eligible_effects(library, found.claims, problem.blocks):
         name = _plain(effect)
         if effect.id not in NUMBERS or f"{name} within" in hidden:
             continue
@@ -118,7 +118,7 @@ def confirmed(
         own = orthogonal(columns, signature)
         power = max(float(own @ own), 1e-300)
         off = 0.01 * (abs(float(own @ left)) / power + QUANTILE * inflation / power**0.5)
-        if off < MATTERS:
+        if off < PRACTICAL_SHARE:
             said.append(f"{name} within {100.0 * max(off, ratio.smallest):.2g} %")
     return f"confirmed of the bench file, each if the others hold: {', '.join(said)}" if said else ""
 
@@ -134,7 +134,7 @@ def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect],
     change = problem.change(found.claims) * weight
     limits: dict[str, tuple[float, str]] = {}
     absent = set(MEASURED).difference(*(model.channels for model in problem.models))
-    for effect in allowed(library, found.claims, problem.blocks):
+    for effect in eligible_effects(library, found.claims, problem.blocks):
         if not effect.named or effect.needs or absent & set(effect.options.values()):
             continue
         name = _plain(effect)

@@ -127,7 +127,7 @@ class FilterChoice:
 
     @cached_property
     def _statements(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
-        """Statements beside the metric by whether they are of the compensated law; names of those of another bench.
+        """Statements stored with the metric, True: of the compensated law; and file names of those of another bench.
 
         Raises ValueError: a file is no statement.
         """
@@ -144,7 +144,7 @@ class FilterChoice:
         return proved, foreign
 
     def make_region_monitor(self, filtering: LoopFilter) -> RegionMonitor | None:
-        """Return a monitor of the certified regions stored beside the metric; None: none is for this model and bench.
+        """Return a monitor of the regions stored with the metric; None: none is certified for this model and bench.
 
         Raises ValueError: a file is no statement.
         """

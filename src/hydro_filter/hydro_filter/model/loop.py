@@ -127,12 +127,12 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     on_their_way = ceil(delay / SAMPLE_PERIOD - WHOLE_SAMPLE)
     lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
     for i, one in enumerate(sensors):
-        lagging[i] = one.signal, one.rate, one.chamber, one.delay
+        lagging[i] = one.signal_index, one.rate_index, one.chamber, one.delay
     if count := len(sensors):
         observer[: count + 1, : 3 * count] = terms.pressure_observer(linear, sensors, size)
     scale = coordinate_scales(believed)
     pressure, currents = float(scale[Q_HYDRAULIC]) / truth.piston_area, TEXTBOOK + len(linear_states)
-    kept = [index for one in sensors for index in (one.linear_signal, one.linear_rate)]
+    kept = [index for one in sensors for index in (one.linear_signal_index, one.linear_rate_index)]
     kept += range(currents, currents + on_their_way)
     added = [unit for one in sensors for unit in (pressure, one.omega * pressure)]
     added += [float(scale[Q_SPOOL])] * on_their_way

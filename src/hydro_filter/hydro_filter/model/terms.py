@@ -157,12 +157,12 @@ class LaggingSensor(NamedTuple):
 
     chamber: int
     """0: p_a, 1: p_b."""
-    signal: int
+    signal_index: int
     """Index of what it shows, in the whole model."""
-    rate: int
-    linear_signal: int
+    rate_index: int
+    linear_signal_index: int
     """The same, in the loop's model."""
-    linear_rate: int
+    linear_rate_index: int
     omega: float
     """rad/s."""
     delay: float
@@ -187,9 +187,9 @@ def lagging_sensors(
 def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size: Size) -> FloatArray:
     """Return the gains of the observer of pressures behind lagging sensors.
 
-    It corrects pressure, what the sensor shows and its rate, of each lagging sensor, twice a sample. By the position's
-    error: the box's velocity is late, and what a wrong velocity has done to them goes with what it has done to the
-    position. By the readings' errors: the steady Kalman gain of the still bench. Both by the model's exact Jacobian;
+    It corrects pressure, sensor output and its rate, of each lagging sensor, twice a sample. The position's error
+    counts because the box's velocity is late: a velocity error changes these states in proportion to the position. The
+    readings' errors enter by the steady Kalman gain of the bench at rest. Both by the model's exact Jacobian;
     the model's pressure is uncertain by `UNCERTAINTY` a sample, a reading by its noise.
 
     Parameters
@@ -209,7 +209,7 @@ def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size:
     count = len(sensors)
     k, rest, _ = model.begin(model.values)
     slopes = model.jacobian(k, rest, 0.0)[1]
-    states = [index for one in sensors for index in (one.chamber, one.linear_signal, one.linear_rate)]
+    states = [index for one in sensors for index in (one.chamber, one.linear_signal_index, one.linear_rate_index)]
     by_position = slopes[states, VELOCITY_STATE] / slopes[POSITION_STATE, VELOCITY_STATE]
     # a wrong pressure moves the position, too, and is corrected as if by a velocity
     moves = slopes[np.ix_(states, states)] - np.outer(by_position, slopes[POSITION_STATE, states])

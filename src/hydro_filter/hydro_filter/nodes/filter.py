@@ -113,8 +113,8 @@ class FilterStatistics:
     """From a sample's stamp to the publication of its correction."""
 
 
-class Loaded(NamedTuple):
-    """A choice of files, with the filter and the certified regions that they give."""
+class LoadedFilter(NamedTuple):
+    """A choice of files, with the filter and the region monitor made from them."""
 
     choice: FilterChoice
     description: dict[str, str]
@@ -123,7 +123,7 @@ class Loaded(NamedTuple):
     region: RegionMonitor | None
 
     @classmethod
-    def load(cls, choice: FilterChoice, settings: LoopFilterSettings) -> Loaded:
+    def load(cls, choice: FilterChoice, settings: LoopFilterSettings) -> LoadedFilter:
         """Make the filter of a choice, which compiles its models at first use; raises as `FilterChoice.make`."""
         made = choice.make(settings)
         return cls(choice, choice.describe(), made, choice.make_region_monitor(made))
@@ -133,15 +133,15 @@ class Loaded(NamedTuple):
 
 
 class FileWatch:
-    """Reads a choice's files again, in a thread, once they have changed and been left alone for a poll."""
+    """Reads a choice's files again, in a thread, once they have changed and then stayed unchanged for a poll."""
 
     def __init__(self, choice: FilterChoice, settings: LoopFilterSettings) -> None:
         self._choice, self._settings = choice, settings
         self._read = self._seen = choice.modification_times
         """When the files were written: those that were read, or refused, and those of the last poll."""
-        self._reading: concurrent.futures.Future[Loaded] | None = None
+        self._reading: concurrent.futures.Future[LoadedFilter] | None = None
 
-    def poll(self, *, armed: bool) -> Loaded | None:
+    def poll(self, *, armed: bool) -> LoadedFilter | None:
         """Return new files once they are read; None: there are none, or the plant is armed.
 
         Raises ValueError, OSError, UserError: one cannot be read, or they do not belong together (PairingError).
@@ -158,12 +158,12 @@ class FileWatch:
             threading.Thread(target=self._load, args=[self._reading], daemon=True).start()
         return None
 
-    def _load(self, reading: concurrent.futures.Future[Loaded]) -> None:
+    def _load(self, reading: concurrent.futures.Future[LoadedFilter]) -> None:
         try:
             file = self._choice.bench_file
             choice = replace(self._choice, bench=Bench.load(file) if file else self._choice.bench)
             raise_if_mismatched(choice.pairing_error())
-            reading.set_result(Loaded.load(choice, self._settings))
+            reading.set_result(LoadedFilter.load(choice, self._settings))
         except Exception as error:
             reading.set_exception(error)
 
@@ -194,7 +194,7 @@ class FilterNode(Node):
         self._mismatch = ""
         """Why every answer is MISMATCH; empty: the model fits."""
         self._left: set[str] = set()
-        """What has left the region since the plant was armed, and was told."""
+        """Names of the quantities outside of the region that were logged since the plant was armed."""
         self._outside = False
         self._law: Any = None  # record of the last one, while another law than the paper's acts
         self._waiting: Any = None  # record of a state that waits for its law
@@ -224,7 +224,7 @@ class FilterNode(Node):
         if self._publisher is not None:
             self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
 
-    def _load(self, choice: FilterChoice) -> Loaded:
+    def _load(self, choice: FilterChoice) -> LoadedFilter:
         """Compile now, not at the first sample, and report it: until then nothing is corrected."""
         log, begin = self.get_logger().info, time.monotonic()
         notice = "compiling the filter: once, for up to a minute; until then there are no corrections"
@@ -233,7 +233,7 @@ class FilterNode(Node):
         late.start()
         before = endings.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
-            loaded = Loaded.load(choice, self.settings)
+            loaded = LoadedFilter.load(choice, self.settings)
         finally:
             endings.restore_handlers(before)
             late.cancel()
@@ -259,9 +259,9 @@ class FilterNode(Node):
 
         A plant that is silent is not gone: its samples may wait for this process, which a busy machine holds up.
         """
-        self._armed &= self._states is None or self._states.get_publisher_count() > 0
+        gone = self._states is not None and self._states.get_publisher_count() == 0
         try:
-            if (loaded := self._files.poll(armed=self._armed)) is None:
+            if (loaded := self._files.poll(armed=self._armed and not gone)) is None:
                 return
         except (ValueError, OSError, UserError) as error:
             self.get_logger().warning(f"the new files are not taken over: {error}")
@@ -297,7 +297,7 @@ class FilterNode(Node):
             return
         if self._waiting is not None:  # its law never came
             self._answer(self._waiting)
-        law = self._law_near(message.sequence)
+        law = self._recent_law(message.sequence)
         if law is None or law.sequence == message.sequence or not self._armed or self._bypass_reason(law):
             self._answer(message)
         else:
@@ -321,7 +321,7 @@ class FilterNode(Node):
             return f"law {law.law} is unknown"
         return self._loaded.filter.missing_certificate(compensated=True)
 
-    def _law_near(self, sequence: int) -> Any:
+    def _recent_law(self, sequence: int) -> Any:
         """Return the last law that is not the paper's; None if the paper's acts: the filter starts again with it."""
         law = self._law
         if law is None or (sequence - law.sequence + LAW_VALID_SAMPLES) & 0xFFFFFFFF < 2 * LAW_VALID_SAMPLES:
@@ -339,7 +339,7 @@ class FilterNode(Node):
             self._statistics.missing += gap if 0 < gap < 0x80000000 else 0  # a restarted source counts from zero
             if gap:
                 made.reset_history()
-            age, law, armed = self._age(message), self._law_near(message.sequence), message.flags & Flag.ARMED
+            age, law, armed = self._age(message), self._recent_law(message.sequence), message.flags & Flag.ARMED
             if law is not None and self._bypass_reason(law):
                 result = Result.uncorrected(CorrectionStatus.BYPASSED)
             elif law is not None and law.sequence != message.sequence and armed:
@@ -372,7 +372,7 @@ class FilterNode(Node):
         return 0.0 if state.flags & Flag.PACED else 1e-9 * (time.time_ns() - state.stamp)
 
     def _check_region(self, sample: Sample) -> None:
-        """Check whether the loop is within what is proved; what leaves first is told, once while the plant is armed."""
+        """Check whether the loop is within its certified region; log each quantity outside, once while armed."""
         region, memory = self._loaded.region, self._loaded.filter.memory[0]  # before it moves on by this sample
         if region is None:
             return

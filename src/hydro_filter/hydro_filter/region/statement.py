@@ -46,8 +46,8 @@ def region_path(metric: Path, *, compensated: bool) -> Path:
     return metric.with_suffix(".compensated.region.json" if compensated else ".region.json")
 
 
-def started_samples(dead_time: float) -> int:
-    """Return the number of samples that a dead time [s] begins."""
+def delay_samples(dead_time: float) -> int:
+    """Return the number of samples of a dead time [s], rounded up."""
     return math.ceil(dead_time / SAMPLE_PERIOD - 1e-9)
 
 
@@ -98,7 +98,7 @@ class CertifiedRegion:
     @property
     def coordinates(self) -> int:
         """Number of coordinates: eight, and one for each started millisecond of dead time."""
-        return 8 + started_samples(self.tolerances["dead_time"][1])
+        return 8 + delay_samples(self.tolerances["dead_time"][1])
 
     @property
     def directions(self) -> list[int]:

@@ -31,8 +31,8 @@ from hydro_filter.region.statement import (
     Bounds,
     CertifiedRegion,
     ToleranceCell,
+    delay_samples,
     region_path,
-    started_samples,
 )
 from hydro_filter.training.region_metric import solve_cell
 from hydro_sim.box.box import BoxConfig
@@ -137,7 +137,7 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget) -> Certifie
             velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
             gain_rate=wanted.gain_rate, disturbances=noise, weights=weights, contraction_rate=wanted.rate,
             tube_rate=wanted.rate, tube=math.inf,
-            scale=(*unit, *[unit[1]] * started_samples(tolerances["dead_time"][1])),
+            scale=(*unit, *[unit[1]] * delay_samples(tolerances["dead_time"][1])),
         )  # fmt: skip
         cells: list[ToleranceCell] = []
         for part in _parts(tolerances, wanted.split):

@@ -229,7 +229,7 @@ class Task:
 
     @property
     def believed(self) -> Bench:
-        """What box and filter believe."""
+        """Bench that box and filter assume."""
         return Bench.load(self.bench) if self.bench else Bench.nominal()
 
 

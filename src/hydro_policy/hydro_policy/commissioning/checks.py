@@ -24,7 +24,7 @@ _LONGEST_GAP = 1000  # samples missing in a row beyond which the recording was i
 
 
 def sample_loss(states: StateArray, seconds: float) -> tuple[float, float]:
-    """Return rate [1/s] and share of lost samples of a recording of so many seconds at rest."""
+    """Return sample rate [1/s] and share of lost samples of a recording of `seconds` s at rest; raises GateError."""
     steps = np.diff(states["sequence"].astype(np.int64))
     lost = float(np.mean(steps - 1)) if len(steps) else 1.0
     if lost > LOST_MAX or len(steps) < 0.3 * seconds / SAMPLE_PERIOD:
@@ -65,7 +65,7 @@ def creep(states: StateArray) -> float:
 
 
 def drift_warning(states: StateArray, amplitude: float) -> str:
-    """Return what to say of a piston that does not stay where it can be moved by `amplitude` [N]; empty: it does."""
+    """Return a warning if the piston, at rest, drifts out of reach of forces of `amplitude` [N]; empty: it does not."""
     force, rate = float(np.median(states["load_force"])), creep(states)
     if abs(force) <= amplitude and _MINUTE * abs(rate) <= amplitude:
         return ""
@@ -114,8 +114,8 @@ def require_tracking(states: StateArray, frequency: float) -> None:
         )
 
 
-def held_back(states: StateArray) -> bool:
-    """Return whether overlap and dry friction hold the load force back in a motion at `SLOW` Hz: try a larger one."""
+def is_motion_blocked(states: StateArray) -> bool:
+    """Return whether overlap and dry friction block a motion at `SLOW` Hz, so that a larger one is needed."""
     return not np.ptp(states["piston_position"]) or 0.0 < _follows(states, SLOW) <= FOLLOWS
 
 
@@ -128,8 +128,8 @@ def unusable_share(armed: StateArray) -> float:
 
 def disturbed_share(scores: Sequence[Score]) -> float:
     """Return the share of an evaluation's samples that were lost or in which base gains were held."""
-    spoilt = sum(score.lost + score.held for score in scores)
-    return float(spoilt / max(sum(score.samples for score in scores), 1))
+    disturbed = sum(score.lost + score.held for score in scores)
+    return float(disturbed / max(sum(score.samples for score in scores), 1))
 
 
 def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None:

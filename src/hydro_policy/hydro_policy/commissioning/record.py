@@ -51,7 +51,7 @@ class GateResult:
 
 @dataclass(kw_only=True)
 class Record:
-    """What is known of a site; the fields are the keys of commission.json."""
+    """Record of a site's commissioning; the fields are the keys of commission.json."""
 
     plant: str = ""  # the port, or `emulator`
     gates: list[GateResult] = field(default_factory=list)
@@ -85,10 +85,10 @@ class Record:
             raise UserError(f"{file} has other gates than this version: name another folder")
         return found
 
-    def hold(self, folder: Path, first: int) -> int:
-        """Return how many gates from the beginning hold, at most `first`, and forget what the others found.
+    def reset_invalid_gates(self, folder: Path, first: int) -> int:
+        """Return the number of leading gates that are still valid, at most `first`, and reset all gates after them.
 
-        Nothing stays adopted if one does not hold.
+        A gate is valid if it passed or was skipped, and its files are unchanged. A reset also clears `adopted`.
         """
         count = 0
         for gate in self.gates[:first]:
@@ -153,8 +153,8 @@ def digests(folder: Path, names: Sequence[str] | Mapping[str, str]) -> dict[str,
     return found
 
 
-def scored(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
-    """Return the controllers of an evaluation by name: `name`, `rmse` [N] by reference, `trips`.
+def controller_scores(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
+    """Return per controller of an evaluation its `name`, its `rmse` [N] by reference, and its number of `trips`.
 
     A stopped run has no RMSE: its reference is None. Repeats count by their mean.
     """

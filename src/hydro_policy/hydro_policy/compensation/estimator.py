@@ -28,7 +28,7 @@ All channels run through one filter: a derivative half a sample beside the rest 
 The box is told `BOX_SHARE` of a_2. The rest of a_2 f_r'' goes out within a_3, smoothed: where f_r itself depends on f,
 as in a hybrid simulation, the whole a_2 takes the damping of a resonance above the reference's frequencies.
 
-Where the fit misses F_c by more than `surprise` the bench has changed: what was before is forgotten sooner.
+A residual of the fit above `residual_threshold` shows that the bench has changed, and raises the forgetting rate.
 
 A step does not count whose force no bench shows: a load cell that is stuck or jumps, a load out of contact.
 
@@ -101,10 +101,10 @@ class CompensatorSettings:
     """Usual amplitude of the force."""
     good_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 0.1
     """Excitation above which forgetting is at its fastest; `force_scale` at 1 Hz gives 1, at 0.5 Hz 0.25."""
-    surprise: Annotated[float, quantity("-", 1e-3, 100.0)] = 0.03
-    """Residual of the fit over `force_scale` at which forgetting is twice as fast."""
-    haste: Annotated[float, quantity("-", 1.0, 100.0)] = 8.0
-    """Forgetting is never faster than so many times."""
+    residual_threshold: Annotated[float, quantity("-", 1e-3, 100.0)] = 0.03
+    """Residual of the fit over `force_scale` at which the forgetting rate doubles."""
+    forgetting_ratio_max: Annotated[float, quantity("-", 1.0, 100.0)] = 8.0
+    """Upper bound of the forgetting rate over its value at a residual of 0."""
     reversal: Annotated[float, quantity("N/s", 1e-4, 1e7)] = NOMINAL.force / 10.0
     """r, the force rate over which the valve counts as turning."""
     least_excitation: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
@@ -146,22 +146,22 @@ class LoadCell:
 
 
 class _Constants(NamedTuple):
-    """What the kernels are given beside the settings."""
+    """Constants of the compiled kernels, derived from settings, law and load cell."""
 
     transition: FloatArray
     inputs: FloatArray  # of the state-variable filter; see `_filter`
     regressors: FloatArray  # from the filtered force and its derivatives to regressors, shape (3, `ORDER`)
     scale: FloatArray  # of each regressor, shape (11,)
     weights: FloatArray  # of `START`, shape (11,)
-    least: FloatArray
-    most: FloatArray  # bounds of the fit, shape (11,)
+    lower: FloatArray
+    upper: FloatArray  # bounds of the fit, shape (11,)
     plays: FloatArray  # S_j [N], shape (3,)
 
 
 class _Memory(NamedTuple):
-    """What is known of n benches."""
+    """State of the estimators of n benches."""
 
-    found: FloatArray  # a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 11)
+    estimate: FloatArray  # a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 11)
     states: FloatArray  # f_c, f and the terms of b and c, filtered, with their derivatives, shape (n, 9, `ORDER`)
     last: FloatArray  # the same nine of the last sample, shape (n, 9)
     within: FloatArray  # f_r - p_j, where f_r is within each play [N], shape (n, 3)
@@ -191,7 +191,7 @@ class Compensator:
     ) -> None:
         from hydro_policy.compensation import kernel  # numba: not needed to read the settings
 
-        self._take = kernel.take
+        self._update = kernel.update
         self.settings, self.law = settings or CompensatorSettings(), law or BoxLaw()
         omega, force = 2.0 * math.pi, self.settings.force_scale  # 1 Hz
         valve = 1.0 / force, omega, omega * force, omega * force
@@ -209,8 +209,8 @@ class Compensator:
             regressors=regressors / scale[:3, np.newaxis] / force,
             scale=scale,
             weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * (len(START) - 4)),
-            least=np.array((*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAYS))),
-            most=np.array((*most, most[3], share, share / force, share / force, *[share] * len(PLAYS))),
+            lower=np.array((*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAYS))),
+            upper=np.array((*most, most[3], share, share / force, share / force, *[share] * len(PLAYS))),
             plays=np.multiply(PLAYS, force),
         )
         self._numbers = np.array([astuple(self.settings)], _SETTINGS)
@@ -219,7 +219,7 @@ class Compensator:
         self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)  # benches whose last step counted, shape (n,)
         self.frozen = np.zeros(count, bool)  # benches whose coefficients hold on request, shape (n,)
         self._memory = _Memory(
-            found=np.empty((count, *START.shape)),
+            estimate=np.empty((count, *START.shape)),
             states=np.empty((count, len(START) - 2, ORDER)),
             last=np.empty((count, len(START) - 2)),
             within=np.empty((count, len(PLAYS))),
@@ -234,17 +234,17 @@ class Compensator:
         self.reset()
 
     def reset(self, rows: int | slice = slice(None)) -> None:
-        """Start again with these benches, at `START`."""
+        """Set the estimators of these rows to `START`, without memory of earlier samples."""
         self.coefficients[rows] = START[:4] * (1.0, 1.0, BOX_SHARE, 1.0)
         for array in self._memory:
             array[rows] = 0
-        self._memory.found[rows], self._memory.rates[rows] = START, np.nan
+        self._memory.estimate[rows], self._memory.rates[rows] = START, np.nan
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
         """Benches with a coefficient at a limit, shape (n,)."""
-        low, high = self._constants.least, self._constants.most
-        found, level = self._memory.found, self.coefficients[:, 3:]
+        low, high = self._constants.lower, self._constants.upper
+        found, level = self._memory.estimate, self.coefficients[:, 3:]
         at = ((found <= low) | (found >= high), (level <= low[3]) | (level >= high[3]))
         return np.any(np.concatenate(at, axis=1), axis=1)
 
@@ -268,7 +268,7 @@ class Compensator:
         rate, value = (absent if x is None else x for x in (reference_rate, reference))
         samples = np.stack((commanded, measured, rate, value), axis=1)
         self.counted = np.empty(len(samples), np.bool_)
-        self._take(self._numbers, self._constants, self._memory, samples, active, self.frozen, self.counted,
+        self._update(self._numbers, self._constants, self._memory, samples, active, self.frozen, self.counted,
                    self.coefficients)  # fmt: skip
         return self.coefficients.copy()
 
@@ -276,8 +276,8 @@ class Compensator:
 def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:
     """State-variable filter w^n / (s + w)^n, n = `ORDER`, over one policy step, by the trapezoidal rule at 1 kHz.
 
-    Returns the transition of (F, F', ...), shape (n, n), and what the sample before the step and the ten of the step
-    add to it, shape (11, n).
+    Returns the transition matrix of (F, F', ...), shape (n, n), and the input matrix of the last sample before the step
+    and the ten samples of the step, shape (11, n).
     """
     w = 2.0 * math.pi * bandwidth
     a = np.eye(ORDER, k=1)

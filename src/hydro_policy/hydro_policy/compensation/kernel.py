@@ -14,8 +14,8 @@ from hydro_sim.jit import njit
 
 
 @njit
-def take(settings, constants, memory, samples, active, frozen, counted, coefficients):
-    """Take f_c, f, f_r' and f_r of a policy step, shape (n, 4, 10); learn on the benches that count."""
+def update(settings, constants, memory, samples, active, frozen, counted, coefficients):
+    """Update the fits by a policy step, in place; `samples`: f_c, f, f_r', f_r of its samples, shape (n, 4, 10)."""
     signals = np.empty((memory.last.shape[1], SAMPLES_PER_STEP))
     transition, inputs, before = constants.transition, constants.inputs, np.empty(ORDER)
     for i in range(len(samples)):
@@ -49,14 +49,14 @@ def take(settings, constants, memory, samples, active, frozen, counted, coeffici
 
 @njit
 def _terms(settings, reference, rate, into):
-    """What b_0 to b_3 multiply."""
+    """Write the regressors of b_0 to b_3 into `into`, from f_r [N] and f_r' [N/s]."""
     into[0], into[1] = np.tanh(rate / settings.reversal), abs(rate)
     into[2], into[3] = reference * rate, reference * abs(rate)
 
 
 @njit
 def _play(plays, within, rate, seconds, into):
-    """p_j' [N/s] while f_r changes with `rate` for so many `seconds`; `within` follows."""
+    """Write the plays' rates p_j' [N/s] into `into`, for f_r' = `rate` over `seconds`; updates `within` [N]."""
     for j in range(len(plays)):
         free = within[j] + rate * seconds
         within[j] = min(max(free, -plays[j]), plays[j])
@@ -66,7 +66,7 @@ def _play(plays, within, rate, seconds, into):
 @njit
 def _command(settings, constants, memory, rate, reference, coefficients, i):
     """Coefficients for the next policy step; a_3 holds where f_r' is missing."""
-    found, past, added = memory.found[i], memory.rates[i], np.empty(len(START) - 4)
+    found, past, added = memory.estimate[i], memory.rates[i], np.empty(len(START) - 4)
     if np.isnan(past).any():
         past[:] = rate[0]
     past[:-SAMPLES_PER_STEP], past[-SAMPLES_PER_STEP:] = past[SAMPLES_PER_STEP:].copy(), rate
@@ -80,12 +80,12 @@ def _command(settings, constants, memory, rate, reference, coefficients, i):
     coefficients[2] *= BOX_SHARE
     if np.isfinite(level):
         coefficients[3] = level
-    coefficients[:] = np.minimum(np.maximum(coefficients, constants.least[:4]), constants.most[:4])
+    coefficients[:] = np.minimum(np.maximum(coefficients, constants.lower[:4]), constants.upper[:4])
 
 
 @njit
 def _plausible(settings, memory, signals, i):
-    """Whether the load cell shows what a bench can do."""
+    """Whether the load cell neither jumps nor is stuck, and the load is in contact."""
     commanded, measured = signals[i, 0], signals[i, 1]
     before = memory.last[i, 1] if memory.steps[i] > 0 else measured[0]
     scale, least = settings.force_scale, settings.no_load * settings.force_scale
@@ -102,7 +102,7 @@ def _plausible(settings, memory, signals, i):
 @njit
 def _learn(settings, constants, memory, i):
     """Update fit and coefficients."""
-    share, states, found = STEP / settings.memory, memory.states[i], memory.found[i]
+    share, states, found = STEP / settings.memory, memory.states[i], memory.estimate[i]
     phi = np.ones(len(START))
     phi[:3] = constants.regressors @ states[1]
     phi[4:] = states[2:, 0] / constants.scale[4:] / settings.force_scale
@@ -110,14 +110,14 @@ def _learn(settings, constants, memory, i):
     memory.excitation[i] += share * (2.0 * phi[1] ** 2 - memory.excitation[i])
     excitation = memory.excitation[i]
     missed = target - np.sum(phi * found * constants.scale)
-    haste = min(1.0 + (missed / settings.surprise) ** 2, settings.haste)
-    kept = 1.0 - share * haste * min(excitation / settings.good_excitation, 1.0)
+    ratio = min(1.0 + (missed / settings.residual_threshold) ** 2, settings.forgetting_ratio_max)
+    kept = 1.0 - share * ratio * min(excitation / settings.good_excitation, 1.0)
     memory.matrix[i] = kept * memory.matrix[i] + STEP * np.outer(phi, phi)
     memory.vector[i] = kept * memory.vector[i] + STEP * phi * target
     if excitation >= settings.least_excitation:
         matrix = memory.matrix[i] + np.diag(constants.weights)
         fit = np.linalg.solve(matrix, memory.vector[i] + constants.weights * START * constants.scale) / constants.scale
-        found[:] = np.minimum(np.maximum(fit, constants.least), constants.most)
+        found[:] = np.minimum(np.maximum(fit, constants.lower), constants.upper)
     else:
         found[0] += (1.0 - found[0]) * STEP / settings.settling
         found[3] -= found[3] * STEP / settings.settling

@@ -34,7 +34,7 @@ class _Step:
     """Samples of one policy step."""
 
     signals: FloatArray = field(default_factory=lambda: np.full((4, SAMPLES_PER_STEP), np.nan))
-    """f_c, f [N], f_r' [N/s], f_r [N], shape (4, 10); NaN: not told yet."""
+    """f_c, f [N], f_r' [N/s], f_r [N], shape (4, 10); NaN: not received yet."""
     good: bool = True
 
 
@@ -53,20 +53,23 @@ class LiveCompensation:
         network: Network | None = None,
     ) -> None:
         self.law, self.cell = law, cell
-        self.held = 0  # policy steps whose samples did not count
+        self.uncounted_steps = 0  # policy steps whose samples did not count
         self._estimator = Compensator(1, settings, law, cell)
         self._residual = Residual(1, network, self._estimator.settings.force_scale)
         self._adapted = AdaptedLaw(self._estimator, self._residual)
         self._adapted.learned = False
         self._safe = safe_command(law)
         self._steps: dict[int, _Step] = {}
-        self._taken, self._told, self._seen = -1, -1, -1
+        self._last_step, self._last_law, self._last_sample = -1, -1, -1
         self._take(_Step(), good=False)  # loads what is compiled, a second before anything is armed
-        self.held = 0
+        self.uncounted_steps = 0
         self.reset()
 
     def reset(self, *, learned: bool = False) -> None:
-        """Start again, at neutral coefficients; frozen ones stay, and get no residual."""
+        """Reset estimator and residual, with the coefficients at `estimator.START`; frozen coefficients are kept.
+
+        `learned`: whether the learned residual acts from now on; it does not while the coefficients are frozen.
+        """
         self._adapted.reset(learned=learned)
         self._steps.clear()
 
@@ -81,8 +84,8 @@ class LiveCompensation:
 
     @property
     def acting(self) -> Law:
-        """Force law that acts, as last told."""
-        told = self._told >= 0 and (self._seen - self._told + RECENT) & 0xFFFFFFFF < 2 * RECENT
+        """Force law that acts, by the last message on /hydro/law_state."""
+        told = self._last_law >= 0 and (self._last_sample - self._last_law + RECENT) & 0xFFFFFFFF < 2 * RECENT
         return Law.COMPENSATED if told else Law.PAPER
 
     @property
@@ -100,14 +103,14 @@ class LiveCompensation:
             "excitation": float(self._estimator.excitation[0]),
             "at a bound": "yes" if self._estimator.at_bound[0] else "no",
             "frozen": "yes, by a person" if self.frozen else "no",
-            "policy steps held": self.held,
+            "policy steps held": self.uncounted_steps,
             "learned residual [N]": float(self._adapted.added[0]) if self._adapted.learned else "off",
             "its authority": float(self._residual.authority[0]) if self._adapted.learned else "off",
         }
 
     def on_law_state(self, sequence: int, law: int, compensated_reference: float) -> None:
         """Take the law of a sample: f_c [N]."""
-        self._told = sequence
+        self._last_law = sequence
         self._enter(sequence, slice(0, 1), compensated_reference, law == Law.COMPENSATED)
 
     def on_sample(
@@ -121,7 +124,7 @@ class LiveCompensation:
         holds: bool = False,
     ) -> None:
         """Take a sample: f [N], flags, f_r' [N/s], f_r [N]; `holds`: the coefficients hold for another reason."""
-        self._seen = sequence
+        self._last_sample = sequence
         good = flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
         self._enter(sequence, slice(1, 4), (force, reference_rate, reference), good)
 
@@ -137,12 +140,12 @@ class LiveCompensation:
         if not np.isfinite(step.signals[:2]).all():
             return
         del self._steps[number]
-        if number != self._taken + 1:  # samples are missing: what is filtered starts again
+        if number != self._last_step + 1:  # samples are missing: what is filtered starts again
             self._take(step, good=False)
-        self._taken = number
+        self._last_step = number
         self._take(step, good=step.good)
 
     def _take(self, step: _Step, *, good: bool) -> None:
         commanded, measured, rate, reference = step.signals[:, np.newaxis]
         self._adapted.step(commanded, measured, np.array([good]), rate, reference)
-        self.held += not self._estimator.counted[0]
+        self.uncounted_steps += not self._estimator.counted[0]

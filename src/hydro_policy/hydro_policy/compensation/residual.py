@@ -46,8 +46,9 @@ from hydro_sim.files import weights
 
 LONGEST = 400  # policy steps, 4 s: of a period
 LEAST_WINDOW = 50  # policy steps over which a difference is averaged at least
-ALIKE, UNLIKE = 0.01, 1.0
-"""Squared difference over the reference's variance: below it a lag is a period, above it values are unlike."""
+PERIOD_DIFFERENCE, DISTINCT_DIFFERENCE = 0.01, 1.0
+"""Squared difference over the reference's variance: a lag below the first is a period if a shorter one exceeds the
+second."""
 _POWER = 1.0 / 300.0  # per step, of the variance
 
 
@@ -57,7 +58,7 @@ class Period:
     def __init__(self, count: int) -> None:
         self._lags = np.arange(1, LONGEST + 1)
         self._past: FloatArray = np.zeros((count, LONGEST))  # newest first
-        self._unlike: FloatArray = np.zeros((count, LONGEST))
+        self._difference: FloatArray = np.zeros((count, LONGEST))
         self._mean: FloatArray = np.zeros(count)
         self._variance: FloatArray = np.zeros(count)
         self.steps: FloatArray = np.zeros(count)  # period [policy steps], shape (n,); 0: none is seen
@@ -74,12 +75,12 @@ class Period:
         seen = age[:, np.newaxis] - self._lags  # comparisons so far
         share = 1.0 / np.clip(seen, 1.0, np.maximum(self._lags, LEAST_WINDOW))
         difference = (reference[:, np.newaxis] - self._past) ** 2
-        self._unlike = np.where(seen > 0, self._unlike + share * (difference - self._unlike), 0.0)
+        self._difference = np.where(seen > 0, self._difference + share * (difference - self._difference), 0.0)
         self._past = np.concatenate((reference[:, np.newaxis], self._past[:, :-1]), axis=1)
-        d, power = self._unlike, self._variance[:, np.newaxis] + 1e-12
-        behind = np.maximum.accumulate(d, axis=1) > UNLIKE * power
+        d, power = self._difference, self._variance[:, np.newaxis] + 1e-12
+        behind = np.maximum.accumulate(d, axis=1) > DISTINCT_DIFFERENCE * power
         inner = d[:, 1:-1]
-        low = (inner <= d[:, :-2]) & (inner < d[:, 2:]) & (inner < ALIKE * power) & behind[:, 1:-1]
+        low = (inner <= d[:, :-2]) & (inner < d[:, 2:]) & (inner < PERIOD_DIFFERENCE * power) & behind[:, 1:-1]
         low &= seen[:, 1:-1] > np.maximum(LEAST_WINDOW, self._lags[1:-1]) // 2
         first, rows = np.argmax(low, axis=1), np.arange(len(d))
         found = low[rows, first]
@@ -88,7 +89,7 @@ class Period:
         shift = np.clip(0.5 * (left - right) / np.where(bend > 0.0, bend, 1.0), -0.5, 0.5)
         least = np.maximum(middle - 0.25 * (left - right) * shift, 0.0)
         self.steps = np.where(found, self._lags[first + 1] + shift, 0.0)
-        self.trust = np.where(found, 1.0 - np.clip(least / (ALIKE * power[:, 0]), 0.0, 1.0), 0.0)
+        self.trust = np.where(found, 1.0 - np.clip(least / (PERIOD_DIFFERENCE * power[:, 0]), 0.0, 1.0), 0.0)
 
 
 STRUCTURE = "residual"  # structure in the header of a weights file
@@ -96,22 +97,23 @@ NOMINAL_SCALE = 300.0
 """N, force scale of the benches on which it was trained; forces of another bench are brought to it."""
 
 BACK = np.array((0, 5, 10, 20, 35, 55, 90))  # samples before the last one of which f_r' is seen
-AHEAD, HALF, SIGMA, LATE = 16, 24, 8.0, 12
-"""Samples: from the last one to the correction's; of S to each side; its width; from a step's begin to its p.
+LOOKAHEAD, HALF, SIGMA, PREDICTION_LATENCY = 16, 24, 8.0, 12
+"""Samples: from the last sample to that of the predicted correction; half length and standard deviation of the kernel
+S; from the begin of a policy step to the time at which its p acts.
 
 In the graph a_3 acts from the fifth sample behind the one that it was decided on (`benchmarks.residual`)."""
 KERNEL = np.exp(-0.5 * (np.arange(-HALF, HALF + 1) / SIGMA) ** 2)
 KERNEL /= KERNEL.sum()
 DELAY = 4  # policy steps after which a needed correction is known
-KEPT = 12  # policy steps of which samples are kept
+BUFFER_STEPS = 12  # policy steps whose samples are buffered
 MEMORY = 400  # needed corrections that are remembered, 4 s
 LAGS = (0, 2, 5, 10, 20, 40)  # of the corrections needed of late, policy steps before the last one
 WIDTHS = (0.25, 0.6)  # of the kernels over similar z
 REPEATS = (1.0, 0.5, 0.25)  # weights of the corrections needed one, two and three periods ago
 SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0  # of these corrections, over policy steps
-REMEMBERED = DELAY + 1 + len(SMOOTHING) // 2
+SMOOTHING_DELAY = DELAY + 1 + len(SMOOTHING) // 2
 """Policy steps after which the smoothed corrections of a step and the next are known."""
-SETTLING = KEPT + 100  # policy steps from the begin of which no correction is repeated: the law settles
+SETTLING = BUFFER_STEPS + 100  # policy steps of the begin whose corrections are not repeated: the law settles
 STALE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since then at which one counts half
 REPEAT_GAIN = 0.9  # share of a repeated correction that is applied
 FORGETTING = 0.01 / 1.5  # per policy step, of the correlations
@@ -122,14 +124,15 @@ OUTPUTS = 2
 WEIGHTING = np.array([0.5, 0.7, 1.0] * len(BACK) + [1.5, 0.7, 1.0, 0.0])
 """Of z in the distance between two situations."""
 
-BEGIN, RAMP = 65, 50  # policy steps after which it acts, and over which it is let in
-PAUSE, AGAIN = 100, 15
-"""Policy steps without samples that count after which it starts again, and over which it is let in after fewer."""
-ASKED, LATELY = 9.0, 0.03
-"""N at `NOMINAL_SCALE`, RMS of w with which half of the prediction is applied; per policy step, of its mean square."""
+WARM_UP, RAMP = 65, 50  # policy steps before it acts, and over which it is ramped in
+PAUSE, RESTART_RAMP = 100, 15
+"""Policy steps: length of a pause that resets it, and of the ramp after a shorter pause."""
+HALF_AUTHORITY_RMS, MEAN_SQUARE_RATE = 9.0, 0.03
+"""RMS of w [N at `NOMINAL_SCALE`] at which half of the prediction is applied; rate of its mean square per step."""
 PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0  # N at `NOMINAL_SCALE`, of p and of w
 GAIN = 0.8  # share of the prediction that is applied
-AVERAGED, FOLLOWS = 0.01, 0.03  # per policy step: of the products that the authority follows, and its rate
+PRODUCT_RATE, AUTHORITY_RATE = 0.01, 0.03
+"""Per policy step: rate of the averaged products of S(e) and p, and of the authority that follows them."""
 LEAST_POWER = 0.01  # N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect
 
 
@@ -180,8 +183,8 @@ class Residual:
         self.reset()
 
     def reset(self) -> None:
-        """Start again, knowing nothing of the bench."""
-        n, samples = self._count, KEPT * SAMPLES_PER_STEP
+        """Reset to the initial state: no samples, no corrections, full authority."""
+        n, samples = self._count, BUFFER_STEPS * SAMPLES_PER_STEP
         self.value: FloatArray = np.zeros(n)  # w [N], to be added to a_3 of the next policy step, shape (n,)
         self.inputs: FloatArray = np.zeros((n, INPUTS))  # of the network at the last step, shape (n, `INPUTS`)
         self.needed: FloatArray = np.zeros(n)
@@ -189,19 +192,19 @@ class Residual:
         self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # policy steps since it started, shape (n,)
         self._counting: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # last policy steps that counted
         self._pause: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # that did not
-        self._asked: FloatArray = np.zeros(n)  # mean square of w of late with full authority
+        self._mean_square: FloatArray = np.zeros(n)  # mean square of w of late with full authority
         self.authority: FloatArray = np.ones(n)  # share of p that is applied, by whether it helps, shape (n,)
         self._product, self._power = np.zeros(n), np.zeros(n)
         self._rate: FloatArray = np.zeros((n, samples))
         self._error: FloatArray = np.zeros((n, samples))
-        self._predicted: FloatArray = np.zeros((n, KEPT))  # p of the last steps, the one that acts next last
-        self._wished: FloatArray = np.zeros((n, KEPT))  # the same with full authority
+        self._predicted: FloatArray = np.zeros((n, BUFFER_STEPS))  # p of the last steps, the one that acts next last
+        self._full_prediction: FloatArray = np.zeros((n, BUFFER_STEPS))  # the same with full authority
         self._seen: FloatArray = np.zeros((n, DELAY + 1, TERMS))  # z of the last steps
         self._zy, self._zz = np.zeros((n, TERMS)), np.zeros((n, TERMS))
         self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), 1e3)
         self._mean, self._variance = np.zeros(n), np.zeros(n)
         self._period = Period(n)
-        self._lately: FloatArray = np.zeros((n, REMEMBERED + 1, 9))  # needed correction, law, reference
+        self._recent: FloatArray = np.zeros((n, SMOOTHING_DELAY + 1, 9))  # needed correction, law, reference
         self._past: FloatArray = np.zeros((n, len(REPEATS) * LONGEST, OUTPUTS + 8))
         """Of the last steps, in turn: corrections, law, reference."""
         self._steps = 0
@@ -238,11 +241,11 @@ class Residual:
         shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
         plain = (now / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
         z = np.concatenate((shaped, np.stack(plain, axis=1)), axis=1)
-        # the corrections needed at the step `REMEMBERED` ago and at the one behind it, its law and reference
+        # the corrections needed at the step `SMOOTHING_DELAY` ago and at the one behind it, its law and reference
         shape = np.stack((self.needed, *a.T[:3], a[:, 3] / self._scale, now, self._rate[:, -1], second), axis=1)
         shape = np.concatenate((shape, np.ones((self._count, 1))), axis=1)
-        late = self._lately = np.concatenate((self._lately[:, 1:], shape[:, np.newaxis]), axis=1)
-        taps, part = len(SMOOTHING), AHEAD / SAMPLES_PER_STEP - 1.0  # its correction acts `AHEAD` samples later
+        late = self._recent = np.concatenate((self._recent[:, 1:], shape[:, np.newaxis]), axis=1)
+        taps, part = len(SMOOTHING), LOOKAHEAD / SAMPLES_PER_STEP - 1.0  # its correction acts `LOOKAHEAD` samples later
         corrections = (late[:, -1 - taps : -1, 0] @ SMOOTHING, late[:, -taps:, 0] @ SMOOTHING)
         acted = (1.0 - part) * late[:, 1, 5:] + part * late[:, 2, 5:]
         entry = np.concatenate((np.stack(corrections, axis=1), late[:, 0, 1:5], acted), axis=1)
@@ -254,21 +257,21 @@ class Residual:
 
     def _learn(self) -> None:
         """Enter the correction that was needed `DELAY` steps ago."""
-        first = (KEPT - DELAY) * SAMPLES_PER_STEP + AHEAD - 1 - HALF  # of S, among the kept samples
-        at = (np.arange(first, first + len(KERNEL)) - LATE) / SAMPLES_PER_STEP
-        low = np.clip(np.floor(at).astype(int), 0, KEPT - 1)
-        high, between = np.minimum(low + 1, KEPT - 1), at - low
+        first = (BUFFER_STEPS - DELAY) * SAMPLES_PER_STEP + LOOKAHEAD - 1 - HALF  # of S, among the kept samples
+        at = (np.arange(first, first + len(KERNEL)) - PREDICTION_LATENCY) / SAMPLES_PER_STEP
+        low = np.clip(np.floor(at).astype(int), 0, BUFFER_STEPS - 1)
+        high, between = np.minimum(low + 1, BUFFER_STEPS - 1), at - low
         acted, wished = (
-            one[:, low] * (1.0 - between) + one[:, high] * between for one in (self._predicted, self._wished)
+            one[:, low] * (1.0 - between) + one[:, high] * between for one in (self._predicted, self._full_prediction)
         )
-        known = self._counting > KEPT
+        known = self._counting > BUFFER_STEPS
         error = self._error[:, first : first + len(KERNEL)]
         self.needed = np.where(known, (error + acted) @ KERNEL, 0.0)
-        left, predicted, share = error @ KERNEL, wished @ KERNEL, AVERAGED * known
+        left, predicted, share = error @ KERNEL, wished @ KERNEL, PRODUCT_RATE * known
         self._product += share * (left * predicted - self._product)
         self._power += share * (predicted**2 - self._power)
-        change = FOLLOWS * np.clip(self._product / (self._power + LEAST_POWER), -1.0, 1.0)
-        self.authority = np.clip(self.authority + known * (self.age > BEGIN + RAMP) * change, 0.0, 1.0)
+        change = AUTHORITY_RATE * np.clip(self._product / (self._power + LEAST_POWER), -1.0, 1.0)
+        self.authority = np.clip(self.authority + known * (self.age > WARM_UP + RAMP) * change, 0.0, 1.0)
         z = self._seen[:, -DELAY]
         self._zy += FORGETTING * known[:, np.newaxis] * (self.needed[:, np.newaxis] * z - self._zy)
         self._zz += FORGETTING * known[:, np.newaxis] * (z * z - self._zz)
@@ -278,7 +281,7 @@ class Residual:
         self._steps += 1
 
     def _inputs(self, z: FloatArray, a: FloatArray) -> FloatArray:
-        """What the network is given, shape (n, `INPUTS`)."""
+        """Return the network's inputs, shape (n, `INPUTS`). `z`: shape (n, `TERMS`). `a`: a_0 to a_3, shape (n, 4)."""
         level = a[:, 3] / self._scale
         self._mean += 0.02 * (level - self._mean)
         self._variance += 0.02 * ((level - self._mean) ** 2 - self._variance)
@@ -301,8 +304,8 @@ class Residual:
             law = a / np.array((1.0, 1.0, 1.0, self._scale))
             total, weight = np.zeros((self._count, OUTPUTS)), np.zeros((self._count, 1))
             for number, usual in enumerate(REPEATS):  # corrections needed whole periods ago
-                back = (number + 1) * self._period.steps - REMEMBERED
-                known = (back >= 0.0) & (back + REMEMBERED + SETTLING < self.age)
+                back = (number + 1) * self._period.steps - SMOOTHING_DELAY
+                known = (back >= 0.0) & (back + SMOOTHING_DELAY + SETTLING < self.age)
                 back = np.where(known, back, 0.0)
                 low, length = np.floor(back).astype(int), self._past.shape[1]
                 between = (back - low)[:, np.newaxis]
@@ -314,22 +317,22 @@ class Residual:
             repeated = total / np.maximum(weight, 1e-6)
             trust = self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
             predicted = (1.0 - trust) * GAIN * self._network(self.inputs) + trust * REPEAT_GAIN * repeated
-        let_in = np.clip((self.age - BEGIN) / RAMP, 0.0, 1.0) * np.clip(self._counting / AGAIN, 0.0, 1.0)
-        let_in = let_in[:, np.newaxis]
+        ramp = np.clip((self.age - WARM_UP) / RAMP, 0.0, 1.0) * np.clip(self._counting / RESTART_RAMP, 0.0, 1.0)
+        ramp = ramp[:, np.newaxis]
         sound = np.isfinite(predicted).all(axis=1, keepdims=True)
-        wished = np.where(sound, np.clip(let_in * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
+        wished = np.where(sound, np.clip(ramp * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
         full = a[:, 0] * wished[:, 0] + a[:, 1] * (wished[:, 1] - wished[:, 0]) / 0.01
-        self._asked += LATELY * (full**2 - self._asked)
-        wished /= 1.0 + (self._asked[:, np.newaxis] / ASKED**2) ** 2
+        self._mean_square += MEAN_SQUARE_RATE * (full**2 - self._mean_square)
+        wished /= 1.0 + (self._mean_square[:, np.newaxis] / HALF_AUTHORITY_RMS**2) ** 2
         p = self.authority[:, np.newaxis] * wished
         w = a[:, 0] * p[:, 0] + a[:, 1] * (p[:, 1] - p[:, 0]) / 0.01
         self.value = np.clip(w, -RESIDUAL_MAX, RESIDUAL_MAX) * self._scale
         self._predicted = np.concatenate((self._predicted[:, 1:], p[:, :1]), axis=1)
-        self._wished = np.concatenate((self._wished[:, 1:], wished[:, :1]), axis=1)
+        self._full_prediction = np.concatenate((self._full_prediction[:, 1:], wished[:, :1]), axis=1)
 
 
 class AdaptedLaw:
-    """Coefficients to command to n benches: the estimator's, with what the residual adds to a_3.
+    """Coefficients to command to n benches: the estimator's a_0 to a_3, plus the learned residual in a_3.
 
     `estimator`: of the n benches. `residual`: of the same; None: the compensated law alone.
     """
@@ -349,7 +352,10 @@ class AdaptedLaw:
         return a
 
     def reset(self, *, learned: bool) -> None:
-        """Start again, at neutral coefficients; frozen ones stay, and get no residual."""
+        """Reset estimator and residual, with the coefficients at `estimator.START`; frozen coefficients are kept.
+
+        `learned`: whether the residual acts from now on.
+        """
         self.learned = learned and self.residual is not None
         if not self.estimator.frozen.all():
             self.estimator.reset()

@@ -25,7 +25,7 @@ from hydro_sim.model.sensors import Sensors
 
 @dataclass(frozen=True, kw_only=True)
 class Episodes:
-    """What each episode runs on, by its number."""
+    """Draws the bench of each episode, by the episode's number."""
 
     source: Bench  # simulated bench
     believed: Bench  # bench that the boxes assume
@@ -38,9 +38,9 @@ class Episodes:
     def install(
         self, fleet: VectorBench, index: int, reference: ReferenceSignal, episode: int, seed: int
     ) -> ReferenceSignal:
-        """Put an episode's bench at this place of the fleet; returns the reference, limited to what that bench bears.
+        """Install an episode's bench at `index` of the fleet; returns the reference, limited to that bench's reach.
 
-        `seed`: of the run, from which bench and `reference` were drawn.
+        `seed`: seed of the run, from which the bench is drawn, as `reference` was.
         """
         if self.randomisation is None:
             return reference

@@ -53,7 +53,7 @@ class SimulationSetup:
             base_ki=box.base_ki, integral=box.integral, any_bench=self.randomise,
         )  # fmt: skip
 
-    def trouble(self) -> str:
+    def pairing_error(self) -> str:
         """Return why bench, model and filter do not belong together, in one sentence; empty if they do."""
         box = BoxIdentity.of_file(self.box)
         remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --model FILE --box FILE"

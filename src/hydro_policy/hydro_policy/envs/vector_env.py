@@ -204,7 +204,7 @@ class VectorBench:
         _exchange(firmware.function_addresses(), self.settings[one], box, command, self.filters, index, read, first)
         self.compensated[index, -1] = box["acting"]["reference"][0]
 
-    def follow(self, index: int, reference: ReferenceSignal) -> None:
+    def set_reference(self, index: int, reference: ReferenceSignal) -> None:
         """Command another reference from the next sample on; the box fades into it."""
         self.commands[index]["reference"] = signal_record(reference)
 

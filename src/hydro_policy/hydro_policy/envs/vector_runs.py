@@ -40,17 +40,17 @@ class PolicyChooser:
         return self.gains.changes(self._previous)
 
 
-def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
+def fixed_gains(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
     """Return a chooser of fixed gains (K_p, K_i), shape (n, 2) or (2,)."""
     return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTIONS))
 
 
 @dataclass(frozen=True)
 class Step:
-    """What ten samples of all benches gave."""
+    """Samples of all benches in one policy step."""
 
     samples: StateArray  # shape (n, 10); overwritten by the next step
-    counted: npt.NDArray[np.bool_]  # which of them are measured, behind settling and within the run, shape (n, 10)
+    counted: npt.NDArray[np.bool_]  # whether each is measured: after settling and within the run, shape (n, 10)
 
 
 def rmse(
@@ -85,13 +85,13 @@ def run(
     adapted = None if compensator is None else AdaptedLaw(compensator, residual)
     for index, case in enumerate(cases):
         fleet.begin(index, case.signal, seed, law=law)
-    ends = np.array([round(settings.length(case) / SAMPLE_PERIOD) for case in cases])
+    ends = np.array([round(settings.duration(case) / SAMPLE_PERIOD) for case in cases])
     first = round(settings.settle / SAMPLE_PERIOD)
     recorded = [(index, case) for index, case in enumerate(cases) if case.pieces]
     for start in range(1, int(ends.max()), SAMPLES_PER_STEP):
         for index, case in recorded:
-            if (signal := case.due(start - 1 - SAMPLES_PER_STEP, start - 1)) is not None:
-                fleet.follow(index, signal)
+            if (signal := case.signal_due(start - 1 - SAMPLES_PER_STEP, start - 1)) is not None:
+                fleet.set_reference(index, signal)
         changes = choose(records(fleet.samples[:, -1], STATE_FIELDS))
         samples = fleet.step_adapted(changes, adapted)
         number = start + np.arange(SAMPLES_PER_STEP)

@@ -75,7 +75,7 @@ class Compensated(Controller):
         return self._compensation.command
 
     def reset(self) -> None:
-        """Begin with neutral coefficients."""
+        """Reset the coefficients to `compensation.estimator.START`: (1, 0.02 s, 1e-4 s^2, 0 N)."""
         self._compensation.reset(learned=self._learned)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:

@@ -115,7 +115,7 @@ class Explorer(Controller):
             self._observation = observation
             reward = math.nan if before is None else self._end_step(before, taken, step, observation)
             weights = int(self.policy.digest(), 16)
-            self._outputs.acted(self.published - 1, self.task.gains.gains(mean), reward, weights)
+            self._outputs.publish_step(self.published - 1, self.task.gains.gains(mean), reward, weights)
         self._wake()
 
     def hold(self, gains: tuple[float, float], step: Step | None = None, *, under_way: bool = False) -> None:
@@ -139,9 +139,9 @@ class Explorer(Controller):
             after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
             transition = np.concatenate((self._observation, after, self._action, (rewards.trip(self.task), 1.0)))
             self._replay.extend(transition.astype(np.float32)[np.newaxis])
-        self.forget()
+        self.discard_action()
 
-    def forget(self) -> None:
+    def discard_action(self) -> None:
         """Discard the last action: the next sample does not follow from it."""
         self._observation = None
 

@@ -43,7 +43,7 @@ class GridSettings:
     """K_i is never above."""
     refinements: Annotated[int, quantity("-", 0, 5)] = 2
     """Halvings of the step."""
-    hopeless: Annotated[float, quantity("-", 1.0, 100.0)] = 2.0
+    abort_ratio: Annotated[float, quantity("-", 1.0, 100.0)] = 2.0
     """K_p rises no further where the score is this much above the best: the loop cycles already."""
 
     def __post_init__(self) -> None:
@@ -87,7 +87,7 @@ class GridSearch:
             kp, promising = limits.kp_min, True
             while promising:
                 yield kp, ki
-                promising = self.scores[kp, ki] < limits.hopeless * min(self.scores.values())
+                promising = self.scores[kp, ki] < limits.abort_ratio * min(self.scores.values())
                 kp += limits.kp_step
                 promising = promising and kp <= limits.kp_max and kp < self._edge
         spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else None
@@ -105,13 +105,13 @@ class GridSearch:
         return {**dict.fromkeys(self.tried, np.inf), **relative_scores(self.tried)}
 
     @property
-    def found(self) -> bool:
+    def any_completed(self) -> bool:
         """Whether any pair completed every reference."""
         return bool(relative_scores(self.tried))
 
     @property
     def best(self) -> Gains:
-        """Pair with the smallest score; one that was stopped if none was `found`."""
+        """Pair with the smallest score; one that was stopped if none was `any_completed`."""
         scores = self.scores
         return min(scores, key=scores.__getitem__)
 
@@ -129,7 +129,7 @@ class GridPlan(Plan):
 
     def __init__(self, settings: GridSettings, evaluation: EvaluationSettings, base: tuple[float, float]) -> None:
         self.search, self.evaluation, self._base = GridSearch(settings), evaluation, base
-        self.follow(self._pair_by_pair())
+        self.set_trials(self._pair_by_pair())
 
     def _pair_by_pair(self) -> Generator[Trial, Score, None]:
         cases = self.evaluation.cases
@@ -138,10 +138,10 @@ class GridPlan(Plan):
             for case in cases:
                 score = yield Trial(
                     controller=controller, case=case, settle=self.evaluation.settle,
-                    measure=self.evaluation.measured(case),
+                    measure=self.evaluation.measured_time(case),
                 )  # fmt: skip
                 self.done += 1
-                if score.stopped or score.spoilt:  # one in which the machine was held up tells nothing
+                if score.stopped or score.disturbed:  # one in which the machine was held up tells nothing
                     rmse = [np.inf] * len(cases)
                     break
                 rmse.append(score.rmse)

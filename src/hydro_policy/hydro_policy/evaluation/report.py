@@ -17,20 +17,20 @@ from hydro_core.files.atomic import encode_json, write_whole
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.task.cases import SPOILT, EvaluationSettings, Score, relative_scores
+from hydro_policy.task.cases import DISTURBED_SHARE_MAX, EvaluationSettings, Score, relative_scores
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
-SPOILT_MARK = (
-    f"*: in more than {SPOILT:.0%} of the samples of a run base gains acted, or they did not arrive, since the machine "
-    "was held up: no figure of this controller"
+DISTURBED_MARK = (
+    f"*: in more than {DISTURBED_SHARE_MAX:.0%} of the samples of a run base gains acted, or they did not arrive, "
+    "since the machine was held up: no figure of this controller"
 )
 
 
 def table(session: TrialRunner[Comparison]) -> Table:
     """Return the table of force RMSE, controllers by cases, with mean and, for repeated runs, spread."""
     cases = [case.name for case in session.plan.settings.cases]
-    spoilt = SPOILT_MARK if any(score.spoilt for score in session.scores) else ""
-    columns = {"controller": spoilt, "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
+    disturbed = DISTURBED_MARK if any(score.disturbed for score in session.scores) else ""
+    columns = {"controller": disturbed, "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.plan.settings.repeats > 1 else ""
     felt = (
         "; in brackets of the force on the specimen" if any(math.isfinite(s.true_rmse) for s in session.scores) else ""
@@ -49,10 +49,11 @@ def table(session: TrialRunner[Comparison]) -> Table:
 
 
 def best(session: TrialRunner[Comparison]) -> str:
-    """Return which controller is the best, and by how much; empty where fewer than two completed every run.
+    """Return a sentence that names the best controller and its lead; empty where fewer than two completed every run.
 
-    The best has the least mean over the references of its RMSE over the smallest there; of the force on the specimen
-    where that was to follow (`LiveCompensation.cell`) and is known. A controller with a spoilt run is left out.
+    The best has the smallest mean over the references of RMSE divided by the smallest RMSE of any controller there. The
+    RMSE is that of the force on the specimen if the law compensates the load cell (`LiveCompensation.cell`) and it is
+    known. A controller with a disturbed run is left out.
     """
     cases = [case.name for case in session.plan.settings.cases]
     names = dict.fromkeys(score.controller for score in session.scores)
@@ -62,11 +63,11 @@ def best(session: TrialRunner[Comparison]) -> str:
     for name in names:
         for column, case in enumerate(cases):
             found = runs(session.scores, name, case)
-            if found and not any(score.spoilt for score in found):
+            if found and not any(score.disturbed for score in found):
                 rmse[name][column] = np.mean([score.true_rmse if felt else score.rmse for score in found])
     scores = relative_scores(rmse)
     if len(scores) < 2:
-        held_up = dict.fromkeys(score.controller for score in session.scores if score.spoilt)
+        held_up = dict.fromkeys(score.controller for score in session.scores if score.disturbed)
         return f"Nobody is named the best: the machine was held up in runs of {', '.join(held_up)}." if held_up else ""
     first, second, *_ = sorted(scores, key=scores.__getitem__)
     ratio = rmse[first] / rmse[second]
@@ -92,7 +93,7 @@ def _cell(scores: list[Score]) -> float | str:
         shown = f"{shown}, {share:.2f} %"
     if math.isfinite(felt):
         shown = f"{shown} ({felt:.2f})"
-    if any(score.spoilt for score in scores):
+    if any(score.disturbed for score in scores):
         return f"{shown} *"
     return shown if len(values) > 1 or math.isfinite(felt) or math.isfinite(share) else float(shown)
 
@@ -113,7 +114,7 @@ def write_json(session: TrialRunner[Comparison], path: Path, notes: Mapping[str,
     """Write settings, every single run, and `notes`; non-finite values become null, a missing folder is created."""
     newtons = dict.fromkeys(("rmse", "reference_rms", "true_rmse", "peak"), "N")
     units = {**newtons, "chatter": "A/s", "frequency": "Hz", **dict.fromkeys(("samples", "lost", "held"), "samples")}
-    runs = [{**asdict(score), "spoilt": score.spoilt} for score in session.scores]
+    runs = [{**asdict(score), "spoilt": score.disturbed} for score in session.scores]
     about = {"settings": session.plan.settings, "units": units, "warnings": session.warnings}
     content = {**notes, **about, "runs": runs}
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -144,8 +145,8 @@ def plot(session: TrialRunner[Comparison], path: Path) -> None:
             e = states["reference_force"] - states["load_force"]
             force.plot(states["time"], states["load_force"], color=color, label=trace.controller)
             rmse = np.sqrt(np.mean(e**2))
-            spoilt = any(score.spoilt for score in runs(session.scores, trace.controller, case))
-            error.plot(states["time"], e, color=color, label=f"{rmse:.1f} N RMSE" + (" *" if spoilt else ""))
+            disturbed = any(score.disturbed for score in runs(session.scores, trace.controller, case))
+            error.plot(states["time"], e, color=color, label=f"{rmse:.1f} N RMSE" + (" *" if disturbed else ""))
         gains = first.states["time"], first.states["proportional_gain"], first.states["integral_gain"]
         gain.plot(gains[0], gains[1], color=GREEN, label=f"$K_p$ of {first.controller}")
         gain.plot(gains[0], gains[2], color=ORANGE, label="$K_i$")

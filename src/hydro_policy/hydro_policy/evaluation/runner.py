@@ -2,7 +2,7 @@
 """The runner of trials: makes a plan's trials one after another on a live plant, without ROS.
 
 trial     a new reference, seconds to settle, then those over which e = f_r - f_l counts; or an episode, whose
-          controller learns (`exploration`), of so many policy steps
+          controller learns (`exploration`), of a number of policy steps
 failure   the box trips, or the monitor requests a stop: the trial counts as stopped, and a second of calm follows
 pause     the plant is lost, disarmed, or a person takes the gains: the trial is begun again. An episode goes on under a
           person's gains
@@ -28,9 +28,9 @@ from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.runs.run import RunRecord
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.plant_supervisor import FALLBACK, TRIALS, UNHELD, PlantSupervisor
-from hydro_policy.task.cases import SPOILT, Score, Trace, score
-from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, held
+from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE, FALLBACK, TRIALS, PlantSupervisor
+from hydro_policy.task.cases import DISTURBED_SHARE_MAX, Score, Trace, score
+from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, hold_flags
 from hydro_sim.files import load_force
 
 REPEATS = 2  # times that a run is started again in which the machine was held up
@@ -62,14 +62,17 @@ class _Run:
 
 
 class Rest:
-    """The bench at rest for so many seconds, once all that `watch` requires is there; nothing is armed meanwhile."""
+    """Rest phase of `seconds` s.
+
+    It finishes once the plant has been disarmed, with every requirement of `watch` met, for that long. It arms nothing.
+    """
 
     def __init__(self, seconds: float, watch: PlantSupervisor) -> None:
         self.watch, self.override, self.finished = watch, watch.override, False
         self._seconds, self._since = seconds, inf
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Take a sample; no gains go out."""
+        """Process a sample; returns False: no gains are published."""
         self.watch.on_sample(flags, now)
         at_rest = self.watch.readiness.complete and not flags & Flag.ARMED
         self._since = min(self._since, now) if at_rest else inf
@@ -81,8 +84,8 @@ class Rest:
         self.watch.on_correction(status)
 
     def on_tick(self, now: float) -> None:
-        """Look after what is required."""
-        self.watch.readiness.look(now)
+        """Check the requirements for arming."""
+        self.watch.readiness.check(now)
 
 
 class Phase(IntEnum):
@@ -134,7 +137,7 @@ class TrialRunner(Generic[P]):
         self._record, self._kind = None, kind
         for event in record.unfinished(kind) if record is not None else ():
             made, due = Score.of_event(event), plan.trial
-            same = due is not None and due.blank().run == made.run
+            same = due is not None and due.empty_score().run == made.run
             if not same:
                 break
             self._add(made)
@@ -147,11 +150,11 @@ class TrialRunner(Generic[P]):
 
     @property
     def phase(self) -> Phase:
-        """Phase of the session, as /hydro/training tells it."""
+        """Phase of the session, as published on /hydro/training."""
         return Phase.FINISHED if self.finished else self._phase
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Take a sample [14]; True if gains went out."""
+        """Process a sample, shape (14,); returns whether gains were published."""
         self.watch.on_sample(flags, now)
         if self.compensation is not None and (trial := self.plan.trial) is not None:
             self._follow_law(trial, self.compensation, sequence, sample, flags, now)
@@ -160,7 +163,7 @@ class TrialRunner(Generic[P]):
         step = self.clock.add(sequence, sample, flags, self._base(trial.controller))
         step_ended, self._step_ended = self._step_ended, step is not None and bool(flags & Flag.ARMED)
         if self.plan.training and (step is not None or not flags & Flag.ARMED):
-            self.plan.wait(exact=bool(flags & Flag.PACED))
+            self.plan.prepare_step(exact=bool(flags & Flag.PACED))
         if not flags & Flag.ARMED:
             run = self._run
             if flags & Flag.TRIPPED:
@@ -173,8 +176,8 @@ class TrialRunner(Generic[P]):
                 base, law = self.override.base, self.compensation.law
                 held = base[0] + held[0] - law.base_kp, base[1] + held[1] - law.base_ki
             return self._hold(trial, held, sequence, step)
-        if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
-            self.watch.acted(now)
+        if self.watch.mismatched and not self.watch.calming and not self.watch.blocking_reason(now):
+            self.watch.note_action(now)
             gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
             return self._hold(trial, gains, sequence, step)
         if self._run is None:
@@ -185,9 +188,9 @@ class TrialRunner(Generic[P]):
             if self.plan.training and not step_begins:
                 return False
             self._run = self._begin(trial, sequence)
-        elif isinstance(self._run.trial.controller, Explorer) and self.watch.unready(now):
+        elif isinstance(self._run.trial.controller, Explorer) and self.watch.blocking_reason(now):
             return False  # a person has held the gains: the plant is disarmed, and the episode is begun again
-        self.watch.acted(now)
+        self.watch.note_action(now)
         run, explorer = self._run, self._run.trial.controller
         if not isinstance(explorer, Explorer):
             self._measure(run, sequence, sample, flags)
@@ -226,10 +229,10 @@ class TrialRunner(Generic[P]):
         where, explorer = run.trial.name, run.trial.controller
         if isinstance(explorer, Explorer):
             where = f"{run.trial.case.name} at step {explorer.current.steps}"
-            explorer.forget()
+            explorer.discard_action()
         self.plan.pause()
         if again:
-            self._outputs.say(f"paused in {where}: {why}; it starts again once the plant is armed", warning=True)
+            self._outputs.report(f"paused in {where}: {why}; it starts again once the plant is armed", warning=True)
 
     def _follow_law(
         self, trial: Trial, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int, now: float
@@ -250,15 +253,15 @@ class TrialRunner(Generic[P]):
             self._give_up_law(law.law, NOT_TAKEN_UP)
         elif wrong and self.override.gains(now) is None:
             self._run = None
-            self.watch.spoil(ANOTHER_LAW)
+            self.watch.block_runs(ANOTHER_LAW)
         elif not wrong and sequence % SAMPLES_PER_STEP == 0:
             self._outputs.command_law(law, self._steps)
 
     def _give_up_law(self, law: Law, why: str) -> None:
-        """Score what is left under this force law, which comes next in the plan, as stopped."""
-        self._outputs.say(f"{why}: what is left under the {law.name.lower()} law is left out", warning=True)
+        """Score the plan's remaining trials under this force law, which come next, as stopped."""
+        self._outputs.report(f"{why}: what is left under the {law.name.lower()} law is left out", warning=True)
         while (trial := self.plan.trial) is not None and trial.controller.law.law is law:
-            self._add(trial.blank(why))
+            self._add(trial.empty_score(why))
         self._run = None
 
     def on_tick(self, now: float) -> None:
@@ -267,10 +270,10 @@ class TrialRunner(Generic[P]):
         if self.watch.lost:
             self._pause(self._run, "no samples")
         if warning := self.plan.poll():
-            self._outputs.say(warning, warning=True)
+            self._outputs.report(warning, warning=True)
 
     def on_correction(self, after: float, status: int) -> None:
-        """Take the filter's result of a sample: M_c [1/s] under its correction, and the status."""
+        """Process the filter's result of a sample: M_c [1/s] under its correction, and the status."""
         self.watch.on_correction(status)
         if self.monitor is not None:
             self.monitor.on_correction(after, status)
@@ -293,7 +296,7 @@ class TrialRunner(Generic[P]):
         before = (run.last - run.first) % 2**32
         run.missed, run.last = run.missed + (sequence - run.last - 1) % 2**32, sequence
         time = (sequence - run.first) * SAMPLE_PERIOD - trial.settle
-        if time >= 0.0 and trial.judged:
+        if time >= 0.0 and trial.is_scored:
             run.rows.append((time, sequence, *sample, flags))
         step = run.clock.add(sequence, sample, flags, self._base(trial.controller))
         reason = self.monitor.add(step) if step is not None and self.monitor is not None else None
@@ -302,7 +305,7 @@ class TrialRunner(Generic[P]):
             self._stop(trial, reason, sample)
         elif sequence % SAMPLES_PER_STEP == 0:
             self._publish(trial.controller.gains(sample))
-        if (signal := trial.case.due(before, (sequence - run.first) % 2**32)) is not None:
+        if (signal := trial.case.signal_due(before, (sequence - run.first) % 2**32)) is not None:
             self._outputs.reference(signal)
         if self._run is run and time >= 0.0 and time + SAMPLE_PERIOD >= trial.measure - 1e-9:
             self._end(run)
@@ -315,20 +318,20 @@ class TrialRunner(Generic[P]):
     def _end(self, run: _Run) -> None:
         trial, self._run = run.trial, None
         controller, case = trial.controller, trial.case
-        if not trial.judged:
-            self._add(trial.blank())
+        if not trial.is_scored:
+            self._add(trial.empty_score())
             return
         trace = Trace(controller.name, case.name, case.signal.frequency, np.array(run.rows, STATE_DTYPE))
         flags, k_p, k_i = (trace.states[name] for name in ("flags", "proportional_gain", "integral_gain"))
-        bits, asked = held(flags, k_p, k_i, self._base(controller)), controller.fixed
+        bits, asked = hold_flags(flags, k_p, k_i, self._base(controller)), controller.fixed
         if asked is not None and asked == self._base(controller):
             bits = np.zeros_like(bits)  # base gains replace none but themselves
         share = float(np.mean(bits != 0))
         missed, late = run.missed / (run.last - run.first + 1), ""
-        if share > SPOILT:
+        if share > DISTURBED_SHARE_MAX:
             what = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
             late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: {BUSY}"
-        elif missed > SPOILT:  # an adapting law learns nothing from these
+        elif missed > DISTURBED_SHARE_MAX:  # an adapting law learns nothing from these
             late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY}"
         if late and share <= REPLACED and self._again(trial, late):
             return
@@ -343,7 +346,7 @@ class TrialRunner(Generic[P]):
                 return
         if late and (warning := f"{trial.name}: {late}") not in self.warnings:
             self.warnings.append(warning)
-            self._outputs.say(warning, warning=True)
+            self._outputs.report(warning, warning=True)
         felt = None if self._felt is None else load_force.read_forces(self._felt, trace.states["sequence"])
         if not self.plan.training:
             self.traces.append(trace)
@@ -358,11 +361,11 @@ class TrialRunner(Generic[P]):
         return self.plan.add(done)
 
     def _again(self, trial: Trial, why: str) -> bool:
-        """Let a trial begin again that the machine spoilt; False where it has been repeated often enough."""
+        """Repeat a disturbed trial; returns False if it has been repeated `REPEATS` times."""
         if self._repeats == REPEATS:
             return False
         self._repeats += 1
-        self._outputs.say(f"{trial.name} is started again: {why}", warning=True)
+        self._outputs.report(f"{trial.name} is started again: {why}", warning=True)
         return True
 
     def _stop(self, trial: Trial, reason: str, sample: FloatArray) -> None:
@@ -375,8 +378,8 @@ class TrialRunner(Generic[P]):
 
     def _leave_out(self, trial: Trial, reason: str) -> None:
         """Score a trial as stopped."""
-        told = self._add(trial.blank(reason)) or f"{trial.name}: {reason}"
-        self._outputs.say(told, warning=True)
+        told = self._add(trial.empty_score(reason)) or f"{trial.name}: {reason}"
+        self._outputs.report(told, warning=True)
 
     def _on_trip(self, flags: int, sample: FloatArray) -> None:
         """Attribute a trip to the run, or to nobody under gains held by a person, or where the machine was held up."""
@@ -385,14 +388,14 @@ class TrialRunner(Generic[P]):
             self._stop(run.trial, SILENCE if silent else self.watch.condition, sample)
         elif self.watch.trips >= TRIALS and not self.plan.training and (trial := self.plan.trial) is not None:
             self.watch.trips = 0
-            self._give_up_law(trial.controller.law.law, UNHELD)
+            self._give_up_law(trial.controller.law.law, BASE_GAINS_UNSTABLE)
         elif not self.watch.calming and (self.override.active or not self.plan.training):
             self.watch.calm()
 
     def _base(self, controller: Controller) -> tuple[float, float] | None:
-        """Return the base gains of `held`; None under the compensated law, whose late commands are flagged."""
+        """Return the base gains of `hold_flags`; None under the compensated law, whose late commands are flagged."""
         return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
 
 
 Session = Rest | TrialRunner[Any]
-"""What controls a plant."""
+"""Session: controls a plant by its samples."""

@@ -23,16 +23,16 @@ class Trial:
     repeat: int = 0
     settle: float  # s that do not count
     measure: float  # s that count
-    judged: bool = True
-    """Whether it is scored, and made again where the machine was held up; otherwise only its end is told."""
+    is_scored: bool = True
+    """Whether it is scored, and repeated if disturbed; otherwise only its end is reported to the plan."""
 
     @property
     def name(self) -> str:
         """For sentences: `fixed (90, 15) at 2 Hz`."""
         return f"{self.controller.name} at {self.case.name}"
 
-    def blank(self, why: str = "") -> Score:
-        """Return the score of this trial without figures; `why`: it was stopped."""
+    def empty_score(self, why: str = "") -> Score:
+        """Return this trial's score without figures; `why`: reason of a stop, empty if there was none."""
         return Score(
             controller=self.controller.name, case=self.case.name, frequency=self.case.signal.frequency,
             repeat=self.repeat, stopped=why,
@@ -40,14 +40,14 @@ class Trial:
 
 
 class Plan:
-    """Trials in the order in which they are made, and what is done between them; see `runner.TrialRunner`."""
+    """Sequence of trials, with hooks that `runner.TrialRunner` calls between them."""
 
-    training: bool = False  # whether its trials follow each other by policy steps, and nobody keeps their samples
+    training: bool = False  # whether trials follow each other without a gap, and their samples are not stored
     total: float = 0.0  # trials, or s of them, for a progress bar; 0: not known
     done: float = 0.0  # how many of them are over
 
-    def follow(self, trials: Generator[Trial, Score, None]) -> None:
-        """Make these trials from now on; `trials` yields each, and is sent its score."""
+    def set_trials(self, trials: Generator[Trial, Score, None]) -> None:
+        """Set the generator of the trials; it yields each trial, and is sent its score."""
         self._trials, self._trial = trials, next(trials, None)
 
     @property
@@ -56,7 +56,7 @@ class Plan:
         return self._trial
 
     def add(self, score: Score) -> str:
-        """Take the score of the trial that was due; returns what to tell the user of a stop, if more is known here."""
+        """Add the present trial's score and advance; returns a message about a stop for the user, or an empty one."""
         try:
             self._trial = self._trials.send(score)
         except StopIteration:
@@ -68,15 +68,15 @@ class Plan:
         return
 
     def pause(self) -> None:
-        """Take it that the plant was disarmed, or lost, during a trial."""
+        """Note that the plant was disarmed, or lost, during a trial."""
         return
 
-    def wait(self, *, exact: bool) -> None:
-        """Prepare a policy step of a training; `exact`: the plant goes by its own clock and waits meanwhile."""
+    def prepare_step(self, *, exact: bool) -> None:
+        """Prepare a policy step of a training; `exact`: the plant runs on its own clock, and waits for the return."""
         return
 
     def poll(self) -> str:
-        """Poll what is computed meanwhile, some twenty times a second; returns a warning, if there is one."""
+        """Poll background work, some twenty times a second; returns a warning, or an empty text."""
         return ""
 
 
@@ -103,10 +103,10 @@ class Comparison(Plan):
             first = not self.trials or self.trials[-1].controller is not controller
             self.trials.append(
                 Trial(controller=controller, case=case, repeat=repeat, settle=settings.settle + lead * first,
-                      measure=settings.measured(case))
+                      measure=settings.measured_time(case))
             )  # fmt: skip
 
-        self.follow(self._in_turn())
+        self.set_trials(self._in_turn())
 
     def _in_turn(self) -> Generator[Trial, Score, None]:
         for trial in self.trials:

@@ -132,7 +132,7 @@ class LearnerSupervisor:
 
     def snapshot(self) -> bytes | None:
         """Return the learner's whole state; None before the first."""
-        self.settle()
+        self.wait_for_updates()
         return dump(self._copy) if self._read() else None
 
     def _read(self) -> bool:
@@ -145,13 +145,13 @@ class LearnerSupervisor:
         """Tell the learner that a transition was stored."""
         self._ask(WAKE)
 
-    def settle(self) -> None:
-        """Where it is `exact`, wait until all updates and rollbacks that are due are done."""
+    def wait_for_updates(self) -> None:
+        """If `exact`, wait until the learner has finished all updates and rollbacks that are due."""
         due = self._settings.updates_due(self.replay.produced)
         self._await(lambda: self._rolled_back and self.updates >= due)
 
     def _await(self, done: Callable[[], bool]) -> None:
-        """Wait, where it is `exact`, but for no learner that is dead, starts, or takes more than a minute."""
+        """If `exact`, wait for `done`, at most a minute, and not for a learner that is dead or starting."""
         give_up = time.monotonic() + SETTLE_TIMEOUT
         while self.exact and not done() and self._status["ready"] and time.monotonic() < give_up and self.alive:
             time.sleep(_GLANCE)
@@ -167,7 +167,7 @@ class LearnerSupervisor:
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Request a checkpoint, written on return where it is `exact`; returns False if the learner is not running."""
-        self.settle()
+        self.wait_for_updates()
         wanted, asked = self.checkpoints + 1, self._ask(SaveRequest(trainer, best))
         if asked:
             self._await(lambda: self.checkpoints >= wanted)

@@ -24,8 +24,8 @@ class RepeatFilter:
     said: dict[str, tuple[float, int]] = field(default_factory=dict)
     """Start of the period and count, by sentence."""
 
-    def passed(self, sentence: str) -> str:
-        """Return the sentence with the number of similar ones omitted before; empty if it is omitted itself."""
+    def filter(self, sentence: str) -> str:
+        """Return the sentence, with the number of similar ones omitted before it; empty: it is to be omitted."""
         now, kind = time.monotonic(), re.sub(r"[\d.]+", "", sentence)
         since, count = self.said.get(kind, (-math.inf, 0))
         if now - since > 10.0:
@@ -44,17 +44,17 @@ class Announcer:
     log: IO[str] | None = None  # destination of sentences besides the terminal
     flood: RepeatFilter = field(default_factory=lambda: RepeatFilter(8))
 
-    def say(self, sentence: str, warning: bool = False) -> None:
+    def report(self, sentence: str, warning: bool = False) -> None:
         """Print a sentence, with an exclamation mark if it is a warning."""
-        told = self.flood.passed(f"! {sentence}" if warning else sentence)
+        told = self.flood.filter(f"! {sentence}" if warning else sentence)
         if not told:
             return
         print_above_progress(told)
         self.journal(told.removeprefix("! "), warning)
         if self.log is not None:
-            self.keep(f"{time.strftime('%H:%M:%S')} {told}\n")
+            self.write_log(f"{time.strftime('%H:%M:%S')} {told}\n")
 
-    def keep(self, line: str) -> None:
+    def write_log(self, line: str) -> None:
         """Write a line into the log; a write error ends the log only."""
         if self.log is None or self.log.closed:
             return
@@ -72,12 +72,12 @@ _LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
 
 def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
-    """Return what takes a companion's output: every line goes to `keep`, warnings and errors also to the terminal."""
+    """Return a handler of a companion's output lines: passes each to `keep`, and prints warnings and errors."""
     flood = RepeatFilter(1)
 
     def take(text: str) -> None:
         keep(text)
-        if any(word in text.lower() for word in _LOUD) and (line := flood.passed(text.rstrip("\n"))):
+        if any(word in text.lower() for word in _LOUD) and (line := flood.filter(text.rstrip("\n"))):
             print_above_progress(line)
 
     return take
@@ -99,8 +99,8 @@ class CompanionWatch:
     """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
     lost: str = ""  # message about an essential companion that ended, and its consequence
 
-    def ended(self) -> list[str]:
-        """Return sentences about those that ended since the last call."""
+    def poll(self) -> list[str]:
+        """Return a sentence about each companion that has ended since the last call."""
         gone = [companion for companion in self.running if not companion.running]
         self.running = [companion for companion in self.running if companion not in gone]
         told = []

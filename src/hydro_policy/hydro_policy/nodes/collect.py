@@ -44,7 +44,7 @@ TRIPPED = 3  # exit status after `TRIPS_IN_A_ROW` trips: the recording is comple
 
 
 class SchedulePlan(Plan):
-    """A schedule's segments, each a trial that is not judged, until too many in a row have tripped the plant.
+    """A schedule's segments, each a trial without a score, until `TRIPS_IN_A_ROW` in a row have tripped the plant.
 
     `schedule`: segments with total gains. `base`: base gains of the box, K_p [1/s] and K_i [1/s^2].
     """
@@ -54,22 +54,22 @@ class SchedulePlan(Plan):
         self.total = sum(one.seconds for one in schedule)
         self.played = 0.0  # s of the segments that were played to their end
         self.trips = self.in_a_row = 0
-        self.follow(self._in_turn())
+        self.set_trials(self._in_turn())
 
     def _in_turn(self) -> Generator[Trial, Score, None]:
         for one in self._schedule:
             controller, case = FixedGains(one.kp, one.ki, self._base), Case(one.waveform, one.signal)
-            score = yield Trial(controller=controller, case=case, settle=0.0, measure=one.seconds, judged=False)
+            score = yield Trial(controller=controller, case=case, settle=0.0, measure=one.seconds, is_scored=False)
             self.trips += bool(score.stopped)
             self.in_a_row = self.in_a_row + 1 if score.stopped else 0
             self.done += one.seconds
             self.played += 0.0 if score.stopped else one.seconds
-            if self.ended:
+            if self.end_reason:
                 return
 
     @property
-    def ended(self) -> str:
-        """Reason for ending before the schedule does; empty if there is none."""
+    def end_reason(self) -> str:
+        """Reason for ending before the schedule's end; empty if there is none."""
         many = self.in_a_row >= TRIPS_IN_A_ROW
         return f"the plant tripped {self.in_a_row} times in a row: it is left disarmed" if many else ""
 
@@ -129,8 +129,8 @@ def main() -> int:
         raise UserError(f"{options.out} exists already; a recording is never overwritten")
     with running_ros(ros):
         plan = collect(options, schedule, bench)
-    if plan.ended:
-        print(f"error: {plan.ended}; {options.out} holds what was played so far", file=sys.stderr)
+    if plan.end_reason:
+        print(f"error: {plan.end_reason}; {options.out} holds what was played so far", file=sys.stderr)
         return TRIPPED
     if plan.trips:
         print(f"the plant tripped {plan.trips} times; the schedule went on with the next segment")
@@ -157,7 +157,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         node.box_fault = lambda other: (
             "" if other.base_gains == box.base_gains else "another box with other base gains has been connected"
         )
-        start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
+        start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.write_log)
         scratch = Path(stack.enter_context(TemporaryDirectory()))
         save_schedule(schedule, scratch / "schedule.yaml")
         (scratch / "bench.yaml").write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
@@ -168,7 +168,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         recorder = stack.enter_context(Companion("hydro_bridge", "recorder", words))
         node.watch_companions([recorder], options.out, "the plant is disarmed")
         stack.callback(node.disarm, still=True)
-        runner = TrialRunner(plan, node.supervisor(still_bench(node), rearm=rearm, filtered=False))
+        runner = TrialRunner(plan, node.supervisor(rest_recorded_requirement(node), rearm=rearm, filtered=False))
         bar = TrialProgress(runner, "collecting")
         stack.callback(bar.close)
 
@@ -194,8 +194,11 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
     return plan
 
 
-def still_bench(node: GraphNode) -> Requirement:
-    """Require that a second of the still bench is recorded before anything is armed; call behind `watch_companions`."""
+def rest_recorded_requirement(node: GraphNode) -> Requirement:
+    """Return the requirement that a second of the bench at rest is recorded before arming.
+
+    Call it after `GraphNode.watch_companions`.
+    """
     (recording,) = node.requirements
     since = inf  # when the recorded bench came to rest, s; -inf: recorded
 

@@ -26,7 +26,7 @@ from hydro_bridge.ros.node import running_ros
 from hydro_bridge.ros.topics import BOX, BOX_LAW, DIAGNOSTICS, STATE
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import UserError, command, make_parser, writable_folder
-from hydro_core.files import bench_file, site
+from hydro_core.files import bench_digest, site
 from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import Flag, StateArray
 from hydro_filter.controller.loop_filter import loop_filter
@@ -40,8 +40,8 @@ from hydro_policy.commissioning.record import (
     GateSkipped,
     Record,
     best,
+    controller_scores,
     digests,
-    scored,
 )
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.nodes.plant_options import require_matching_policy
@@ -108,7 +108,7 @@ def link(at: Site) -> str:
     wrong = [f"{row['case']}: {row['found']}" for row in read_json(report)["rows"] if row["result"] == "FAIL"]
     if wrong:
         raise GateError("the box does not keep the protocol: " + "; ".join(wrong))
-    at.rest(AT_REST, REST)
+    at.record_rest(AT_REST, REST)
     folder = at.recording(AT_REST)
     states = _states(folder)
     status = {e.key: e.value for _, m in read_messages(folder, DIAGNOSTICS) for s in m.status for e in s.values
@@ -143,10 +143,10 @@ def sensors(at: Site) -> str:
 
 
 def signs(at: Site) -> str:
-    """Which reading follows which, in a slow motion of a fifth of the amplitude, more where an overlap holds it."""
+    """Correlations of the readings in a slow motion of a fifth of the amplitude, larger if an overlap blocks it."""
     for share in (0.2, 0.5, 1.0):
-        _moved(at, "signs", EvaluationSettings(frequencies=(checks.SLOW,)), share)
-        if not checks.held_back(_armed(at.recording("signs"))):
+        _tracking_rmse(at, "signs", EvaluationSettings(frequencies=(checks.SLOW,)), share)
+        if not checks.is_motion_blocked(_armed(at.recording("signs"))):
             break
     found = checks.channel_correlations(_armed(at.recording("signs")), Bench.load(at.bench))
     return "correlations " + ", ".join(f"{name} {value:.2f}" for name, value in found.items())
@@ -156,7 +156,7 @@ def gains(at: Site) -> str:
     """Tracking of half of the amplitude, then all of it, at 1 Hz."""
     found = []
     for share in (0.5, 1.0):
-        rmse = _moved(at, "gains", EvaluationSettings(frequencies=(1.0,)), share)
+        rmse = _tracking_rmse(at, "gains", EvaluationSettings(frequencies=(1.0,)), share)
         found.append(f"{rmse:.2f} N at {share * at.record.amplitude:.0f} N")
     checks.require_tracking(_armed(at.recording("gains")), 1.0)
     return f"the compensated law tracks 1 Hz with {', '.join(found)}"
@@ -167,7 +167,7 @@ def excitation(at: Site) -> str:
     told = []
     for name, settings in (("training", TRAINING), ("held_out", HELD_OUT)):
         for _ in range(ATTEMPTS):
-            _moved(at, name, settings)
+            _tracking_rmse(at, name, settings)
             worst = checks.unusable_share(_armed(at.recording(name)))
             if worst <= checks.LOST_MAX:
                 break
@@ -179,7 +179,7 @@ def excitation(at: Site) -> str:
 
 
 def diagnosis(at: Site) -> str:
-    """Diagnosis of what the bench file leaves out."""
+    """Diagnosis of the effects that the bench file lacks."""
     out = at.folder / site.REPORTS / "diagnosis"
     training, held_out = (str(at.recording(name)) for name in ("training", "held_out"))
     words = (training, "--holdout", held_out, "--bench", str(at.bench), "--out", str(out), "--quiet")
@@ -241,7 +241,7 @@ def controllers(at: Site) -> str:
     if worst > checks.LOST_MAX:
         late = f"{100 * worst:.1f} % of the samples were lost or commanded late"
         raise GateError(f"{late}, though runs were repeated: end other work")
-    found = scored(results.scores)
+    found = controller_scores(results.scores)
     rows = {name: entry for name, entry in found.items() if name.startswith("fixed")}
     missing: dict[str, Any] = {"name": "policy", "rmse": {}, "trips": 0}
     first = f"fixed ({kp:g}, {ki:g})"
@@ -296,7 +296,7 @@ GATES = (
 NAMES = tuple(gate.name for gate in GATES)
 
 
-def _moved(at: Site, name: str, settings: EvaluationSettings, share: float = 1.0) -> float:
+def _tracking_rmse(at: Site, name: str, settings: EvaluationSettings, share: float = 1.0) -> float:
     """Move by this share of the amplitude under the compensated law without a filter; returns the largest RMSE [N]."""
     amplitude = share * at.record.amplitude
     scores = at.compare(name, replace(settings, amplitude=amplitude)).scores
@@ -359,7 +359,7 @@ def main() -> int:
     untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
     start = AGAIN if options.again else options.start or ("policy" if untrained else None)
     starts = [name for name in (start, "signs" if changed else None) if name]
-    first = record.hold(folder, min((NAMES.index(name) for name in starts), default=len(GATES)))
+    first = record.reset_invalid_gates(folder, min((NAMES.index(name) for name in starts), default=len(GATES)))
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
     with ExitStack() as stack:
@@ -392,7 +392,7 @@ def main() -> int:
 
 
 def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
-    """Put plant and bench file into the site, or refuse others than it has; whether the amplitude is another."""
+    """Store plant and bench file in the site, or refuse others than its own; returns whether the amplitude changed."""
     plant = options.plant or options.port or record.plant
     if not plant:
         raise UserError("which bench? Name its --port, or --plant emulator")
@@ -401,16 +401,16 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
     if options.truth and plant != EMULATED:
         raise UserError("--truth is of the emulated bench: it goes with --plant emulator")
     own = folder / site.BENCH
-    given = options.bench or (bench_file.shipped_bench_file() if plant == EMULATED else None)
+    given = options.bench or (bench_digest.shipped_bench_file() if plant == EMULATED else None)
     if own.is_file():
-        if options.bench and bench_file.digest(bench_file.read_numbers(options.bench)) != bench_file.digest(
-            bench_file.read_numbers(own)
+        if options.bench and bench_digest.digest(bench_digest.read_numbers(options.bench)) != bench_digest.digest(
+            bench_digest.read_numbers(own)
         ):
             raise UserError(f"{own} is another bench than {options.bench}: name another --site")
     elif given is None:
         raise UserError("--bench: which bench.yaml does the box believe?")
     else:
-        bench_file.read_numbers(given)
+        bench_digest.read_numbers(given)
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(given, own)
     if options.truth:

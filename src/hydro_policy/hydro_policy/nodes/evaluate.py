@@ -45,8 +45,8 @@ def parser() -> argparse.ArgumentParser:
         choices=LAWS,
         default=LAWS[0],
         help="both (default): besides policies and fixed gains the box's compensated law with its base gains, its "
-        "coefficients fitted meanwhile, in each run from neutral ones, if the box has that law; compensated: as both, "
-        "and refused without it; paper: not that one",
+        "coefficients fitted in each run, from (1, 0.02 s, 1e-4 s2, 0 N), if the box has that law; compensated: as "
+        "both, and refused without it; paper: not that one",
     )
     what.add_argument(
         "--learned-residual",

@@ -203,20 +203,20 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
         if not node.wait_for_plant(law=options.law != "paper") or node.box is None:
             return 130
         if options.plant == "external":  # only now it is known whether the graph has a page
-            start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
+            start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.write_log)
         if options.law != "paper" and node.law is None:
             if options.law == "compensated" or cell:
                 raise NotReadyError(NOT_OFFERED)
-            node.say(f"{NOT_OFFERED}; the paper's law alone is compared")
+            node.report(f"{NOT_OFFERED}; the paper's law alone is compared")
         box = BoxIdentity.of_box(node.box)
         settings = keep_overridden(node, settings, rescale(settings, NOMINAL, node.size))
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
         reach = guard_range(required_gain_range(controllers, grid, box.base_gains))
-        node.override = GainOverride(reach, node.override.say, box.base_gains or BASE)
+        node.override = GainOverride(reach, node.override.report, box.base_gains or BASE)
         policies = [describe_policy(policy_file(path)) for path in options.policy]
         for sentence in policies:
-            node.say(sentence)
+            node.report(sentence)
         about = {"settings": asdict(settings), "box": box.digest, "policies": policies, "grid": grid and asdict(grid)}
         record = begin_record(run, {**about, "load_cell": cell and asdict(cell)})
         if not rearm:
@@ -245,7 +245,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
 
 
 def begin_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
-    """Return the record of an evaluation, whose first event says what is compared."""
+    """Return the record of an evaluation, whose first event describes the comparison."""
     record = RunRecord(run.record)
     known = json.loads(encode_json(about))
     if record.events and any(record.events[0].get(key) != value for key, value in known.items()):
@@ -271,7 +271,7 @@ def compare_on(
         search = search_on(node, grid, searched or settings, watch, record or RunRecord())
         if search.trial is not None:
             return None
-        controllers += [search.best] if search.search.found else []
+        controllers += [search.best] if search.search.any_completed else []
         watch = node.supervisor(rearm=rearm, after=watch)
     if compensated and node.law is not None and node.compensation is None:
         estimator = rescale(CompensatorSettings(), NOMINAL, node.size)
@@ -303,14 +303,14 @@ def search_on(
         bar.tick()
         for pair, rmse in list(plan.search.tried.items())[told:]:
             cells = " ".join(f"{value:.1f}" for value in rmse)
-            node.say(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
+            node.report(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
             told += 1
 
     with closing(TrialProgress(runner, "searching fixed gains")) as bar:
         node.run_session(runner, tick)
         tick()
-    if runner.finished and not plan.search.found:
-        node.say("the grid found no gains: even the lowest were stopped (see above)", warning=True)
+    if runner.finished and not plan.search.any_completed:
+        node.report("the grid found no gains: even the lowest were stopped (see above)", warning=True)
     if plan.search.tried:
         print(f"\n{report.grid_table(plan.search, short).text()}")
     return plan

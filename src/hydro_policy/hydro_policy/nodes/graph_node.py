@@ -90,7 +90,7 @@ class GainTiming:
 
 
 class Ending(ExitStack):
-    """A stack of what a run has to undo; no second Ctrl-C interrupts that."""
+    """Stack of a run's clean-up calls, which signals do not interrupt."""
 
     def __exit__(self, *error: Any) -> bool | None:
         """Undo all, the last first."""
@@ -131,7 +131,7 @@ class GraphNode(Node):
         """Requirements of this node's sessions before arming, besides those of every session."""
         self.corrected = False  # whether a correction has arrived, of those that are listened to
         self.timing = GainTiming()
-        self.override = GainOverride(say=self.warn)
+        self.override = GainOverride(report=self.warn)
         self.box: KnownBox | None = None  # description of the plant's box, once received
         self.box_fault: Callable[[KnownBox], str] = lambda box: ""
         """Returns why a box is not the one of this run, or nothing; called at each description of a box."""
@@ -174,9 +174,10 @@ class GraphNode(Node):
     def supervisor(
         self, *needed: Requirement, rearm: bool, after: PlantSupervisor | None = None, filtered: bool = True
     ) -> PlantSupervisor:
-        """Return a session's supervision of the plant; `needed`: what it requires besides, before arming.
+        """Return a supervisor of the plant for a session; `needed`: further requirements before arming.
 
-        `after`: that of the session before, whose plant is taken over as it is. `filtered`: see `PlantSupervisor`.
+        `after`: supervisor of the previous session, whose plant is taken over as it is. `filtered`: see
+        `PlantSupervisor`.
         """
         made = PlantSupervisor(self, rearm, (*self.requirements, *needed), self.override, filtered=filtered)
         if after is not None:
@@ -188,7 +189,7 @@ class GraphNode(Node):
     ) -> None:
         """Watch these companions; arming requires that the recorder of `recording` receives samples.
 
-        `unrecorded`: what the end of the recorder means.
+        `unrecorded`: consequence of the recorder's end, for the message about it.
         """
         self.companions = CompanionWatch(companions, unrecorded)
         for companion in companions:
@@ -228,7 +229,7 @@ class GraphNode(Node):
         self._readiness = Readiness(tuple(needed), self.warn)
         scheduling = request_realtime(realtime=self._realtime and not self.paced, nice=NICE)
         if scheduling != self._scheduling:
-            self.say(f"gains are sent under {scheduling}")
+            self.report(f"gains are sent under {scheduling}")
             self._scheduling = scheduling
         try:
             unhandled, self._unhandled = self._unhandled, []
@@ -265,7 +266,7 @@ class GraphNode(Node):
 
     @property
     def paced(self) -> bool:
-        """Whether the plant goes by its own clock."""
+        """Whether the plant runs on its own clock."""
         return self._heard is not None and bool(self._heard.flags & Flag.PACED)
 
     @property
@@ -288,7 +289,7 @@ class GraphNode(Node):
         if still:
             self._commander.reference(ReferenceSignal())
             self._commander.flush()
-        if unconfirmed := self._commander.give_back(self.successor):
+        if unconfirmed := self._commander.release_and_wait(self.successor):
             self.warn(unconfirmed)
 
     def listen_to_corrections(self) -> None:
@@ -322,7 +323,7 @@ class GraphNode(Node):
         self._mailbox.close()
         super().destroy_node()
 
-    def tell_steps(self) -> None:
+    def enable_step_publishing(self) -> None:
         """Publish the policy's result of each step on /hydro/policy from now on."""
         self._steps = create_publisher(self, POLICY)
 
@@ -337,7 +338,7 @@ class GraphNode(Node):
         self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
 
-    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+    def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         if self._steps is None:
             return
@@ -351,17 +352,17 @@ class GraphNode(Node):
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
         self._commander.arm(arm, self._on_arm_answer if arm else self._on_disarm_answer)
 
-    def say(self, sentence: str, warning: bool = False) -> None:
+    def report(self, sentence: str, warning: bool = False) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
-        self.announcer.say(sentence, warning)
+        self.announcer.report(sentence, warning)
 
     def warn(self, sentence: str) -> None:
         """Report a warning."""
-        self.say(sentence, warning=True)
+        self.report(sentence, warning=True)
 
     @property
     def size(self) -> Size:
-        """Of the bench that the box believes; the nominal bench's if that is not known."""
+        """Size of the bench that the box assumes; the nominal bench's if that is not known."""
         known = None if self.box is None else BoxIdentity.of_box(self.box).size
         return known or NOMINAL
 
@@ -452,7 +453,7 @@ class GraphNode(Node):
                 self._session.on_correction(message.certificate_after, message.status & STATUS_MASK)
 
     def _on_tick(self) -> None:
-        """Look after person, companions and session; a plant that goes by its own clock ticks by its samples."""
+        """Handle keys, companions and the session's tick; of a plant on its own clock, its samples tick the session."""
         try:
             with suppress(queue.Empty):  # a person is heard while a plant waits, too
                 self._keys.get_nowait()
@@ -462,15 +463,15 @@ class GraphNode(Node):
                 self._read_corrections()
             if self._session is None and self._meeting is None:
                 return
-            for sentence in self.companions.ended():
+            for sentence in self.companions.poll():
                 self.warn(sentence)
             if trouble := self.companions.refused or self.companions.lost:
                 self.fail(CompanionError(trouble))
             elif self._meeting is not None:
-                self._meeting.look(time.monotonic())
+                self._meeting.check(time.monotonic())
             elif self._session is not None:
                 if self.paced:
-                    self._readiness.look(time.monotonic())
+                    self._readiness.check(time.monotonic())
                 if not self.paced or (time.monotonic() - self._arrived > SILENT and self._owed is None):
                     self._tick(self._session, self.now())
                 self._each_tick()
@@ -479,7 +480,7 @@ class GraphNode(Node):
             self.fail(error)
 
     def _tick(self, session: Session, now: float) -> None:
-        self._commander.seek(now)
+        self._commander.renew_lease(now)
         crowd = publisher_conflicts(self, STATE) if self._two_plants else ""
         if crowd and not self._crowd:
             self.warn(f"{crowd}; until then no sample is believed")

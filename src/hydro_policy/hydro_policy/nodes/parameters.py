@@ -23,7 +23,7 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
 
 
 def keep_overridden(node: Node, before: T, after: T, prefix: str = "") -> T:
-    """Return the settings `after`, but what the user set as a parameter is as `before`."""
+    """Return the settings `after`, with the values of `before` for parameters that the user has set."""
     kept: dict[str, Any] = {}
     for name in (field.name for field in fields(before)):  # type: ignore[arg-type]
         value = getattr(before, name)

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from hydro_bridge.ros.companion import Companion, start_dashboard
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_policy.nodes.announcements import companion_output
 from hydro_policy.nodes.graph_node import GraphNode
 from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions
@@ -84,7 +84,7 @@ def start_plant(
 
     `gains`: range that the guard has to pass. `folder`: of port and pipes of an emulator, and of its load force.
     """
-    start_dashboard(stack, node, wanted=page, keep=node.announcer.keep)
+    start_dashboard(stack, node, wanted=page, keep=node.announcer.write_log)
     if options.plant == "external":
         return ""
     uncovered = ""
@@ -92,8 +92,8 @@ def start_plant(
         _, settings = requested_filter(options.filter, options.bench)
         if settings.bypass and guard_range(gains).delta_kp_max > GuardSettings().delta_kp_max:
             uncovered = "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
-            node.say(uncovered, warning=True)
-    node.watch_companions(start_companions(stack, options, gains, folder, node.announcer.keep), options.recording)
+            node.report(uncovered, warning=True)
+    node.watch_companions(start_companions(stack, options, gains, folder, node.announcer.write_log), options.recording)
     node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
     return uncovered
 
@@ -161,5 +161,5 @@ def recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     if options.filter != NO_FILTER:
         choice, _ = requested_filter(options.filter, options.bench)
         metadata += [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
-    attachments = filter(None, (options.bench or bench_file.shipped_bench_file(), *options.attachments))
+    attachments = filter(None, (options.bench or bench_digest.shipped_bench_file(), *options.attachments))
     return ["--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

@@ -80,7 +80,7 @@ class TrainingProgress(TrialProgress):
         progress = self._plan.progress
         while self._told < progress.episode:
             record = progress.history[self._told]
-            self._node.say(
+            self._node.report(
                 f"episode {record['episode']:.0f}/{self._plan.settings.episodes}: {record['amplitude']:.0f} N at "
                 f"{record['frequency']:.2f} Hz, return {record['return']:.0f}, RMSE {record['force_rmse']:.1f} N (lag "
                 f"{1e3 * record['lag']:.1f} ms), alpha {record['entropy_coefficient']:.4f}, "
@@ -88,7 +88,7 @@ class TrainingProgress(TrialProgress):
             )
             self._told += 1
         while self._examined < len(progress.exams):
-            self._node.say(_exam_line(progress.exams[self._examined], self._plan))
+            self._node.report(_exam_line(progress.exams[self._examined], self._plan))
             self._examined += 1
         self._ticks += 1
         if self._ticks % _REDRAW == 0:
@@ -138,7 +138,7 @@ class TrainingProgress(TrialProgress):
             "interruptions": done.interruptions,
             "rollbacks": done.rollbacks,
             "examination": _exam_line(done.exams[-1], plan) if done.exams else "none yet",
-            "last stop": plan.last_stop or "none",
+            "last stop": plan.last_stop_reason or "none",
             "override": session.override.description,
             "policy": f"blake2b {plan.policy.digest()}",
             "best score": done.best_score,

@@ -112,8 +112,8 @@ class Site:
             time.sleep(0.1)
         return self._port
 
-    def rest(self, name: str, seconds: float) -> None:
-        """Record so many seconds at rest as recordings/NAME."""
+    def record_rest(self, name: str, seconds: float) -> None:
+        """Record `seconds` s of the bench at rest as recordings/NAME."""
         with self._recorded(name, required_gain_range([])) as (node, recorder):
             watch = node.supervisor(recorder, rearm=False, filtered=False)
             if not node.run_session(Rest(seconds, watch), lambda: None):
@@ -172,7 +172,7 @@ class Site:
             node.announcer.log = self._log
             self._running = [self._emulator] if self._emulator is not None else []
             for package, executable, arguments in serves:
-                bridge = Companion(package, executable, arguments, output=companion_output(node.announcer.keep))
+                bridge = Companion(package, executable, arguments, output=companion_output(node.announcer.write_log))
                 self._running.append(self._connection.enter_context(bridge))
             node.companions = CompanionWatch(self._running)
             kp, ki = self.record.base_gains or (None, None)
@@ -180,7 +180,7 @@ class Site:
             node.box_fault = partial(box_mismatch, BoxIdentity.of_file(self.bench, base))
             if not node.wait_for_plant(law=True) or node.box is None:
                 raise KeyboardInterrupt
-            node.override = GainOverride(guard_range(reach), node.override.say, node.box.base_gains)
+            node.override = GainOverride(guard_range(reach), node.override.report, node.box.base_gains)
             if options.filter != NO_FILTER:
                 node.listen_to_corrections()
             self._node, self._serves = node, serves
@@ -188,7 +188,7 @@ class Site:
         shutil.rmtree(folder, ignore_errors=True)
         with Ending() as stack:
             arguments = ["--realtime", *recorder_arguments(options, folder)]
-            output = companion_output(node.announcer.keep)
+            output = companion_output(node.announcer.write_log)
             recorder = Companion("hydro_bridge", "recorder", arguments, output=output)
             stack.callback(recorder.stop, ENDS_WITHIN)
             node.companions = CompanionWatch([*self._running, recorder])

@@ -84,7 +84,7 @@ def prepare(
         updates = UPDATES_PER_STEP["agent" if start else "scratch"]
         settings = configuration(options.configuration, base=box.base_gains or BASE, size=box.size or NOMINAL)
         settings = replace(settings, updates_per_step=updates)
-        settings = start.adopted(settings) if start else settings
+        settings = start.adapt_settings(settings) if start else settings
     else:
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
         check_run(run, settings, checkpoint)
@@ -216,22 +216,22 @@ def train(options: argparse.Namespace) -> int:
         run, settings, checkpoint, start, made = prepare(options, node)
         stack.enter_context(remove_rejected(run, node, made=made))
         node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
-        node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
+        node.report(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
         gains, (kp, ki) = settings.task.gains, settings.base_gains
         reach = f"the policy chooses K_p up to {kp + gains.delta_kp_max:g} and K_i up to {ki + gains.delta_ki_max:g}"
         paper = gains == configuration("paper", base=settings.base_gains).task.gains
         wider = "; --configuration wide tracks several times better, up to K_p 300" if paper else ""
-        node.say(reach + wider)
+        node.report(reach + wider)
         if run.policy.is_file():
             try:
-                node.say(("the best so far: " if checkpoint else "") + describe_policy(run.policy))
+                node.report(("the best so far: " if checkpoint else "") + describe_policy(run.policy))
             except ValueError as error:  # checkpoints hold the agent
                 again = "the run goes on from its checkpoint, and the file is rewritten with the next best policy"
                 node.warn(f"{error}; {again}")
         record = RunRecord(run.record)
 
         def tell(sentence: str) -> None:
-            node.say(sentence, warning=True)
+            node.report(sentence, warning=True)
             record.add("override", sentence)
 
         node.override = GainOverride(guard_range(settings.task.gains), tell, settings.base_gains)
@@ -252,7 +252,7 @@ def train(options: argparse.Namespace) -> int:
         watch = node.supervisor(plant_supervisor.learner_requirement(lambda: learner.ready), rearm=may_rearm(options))
         session = training(plan, watch)
         node.listen_to_corrections()
-        node.tell_steps()
+        node.enable_step_publishing()
         stack.callback(lambda: learner.stop(plan.state()))
         stack.callback(node.disarm)
         finished, results = drive(options, node, session, start)
@@ -260,7 +260,7 @@ def train(options: argparse.Namespace) -> int:
             node.successor = options.hand_over or ""
         timings = {"jitter": node.timing.jitter, "inference": plan.explorer.inference, "response": node.timing.response}
         timing = {f"{name}_p99": latency.percentile(99) for name, latency in timings.items()}
-        record.add("end", plan.gave_up, **timing, complete=finished)
+        record.add("end", plan.abort_reason, **timing, complete=finished)
     notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
     found = [] if results is None else report_results(results, run, notes)
     digest = ""
@@ -277,8 +277,8 @@ def train(options: argparse.Namespace) -> int:
     print_files(run, plant.recording, finished, options, time.monotonic() - began)
     if digest:
         print(f"\nThe same seed gives the same digest {circumstances()}:\nrun digest: {digest}")
-    if plan.gave_up:
-        print(f"Training was given up: {plan.gave_up}; {run.record} has what happened.", file=sys.stderr)
+    if plan.abort_reason:
+        print(f"Training was given up: {plan.abort_reason}; {run.record} has what happened.", file=sys.stderr)
         return 1
     return 0 if finished else 130
 
@@ -295,22 +295,22 @@ def drive(
     with closing(TrainingProgress(node, session)) as bar:
         finished = plan.trained or node.run_session(session, bar.tick)
     inference = plan.explorer.inference.sentence()
-    node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; inference took {inference}")
+    node.report(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; inference took {inference}")
     if plan.progress.exams and not plan.improved:
-        node.say(curves.NONE_BETTER)
-    if not finished or plan.gave_up or not options.evaluate:
-        return finished and not plan.gave_up, None
-    readiness = Readiness([plant_supervisor.learner_requirement(lambda: plan.learner.ready)], node.say)
+        node.report(curves.NONE_BETTER)
+    if not finished or plan.abort_reason or not options.evaluate:
+        return finished and not plan.abort_reason, None
+    readiness = Readiness([plant_supervisor.learner_requirement(lambda: plan.learner.ready)], node.report)
     while not readiness.complete:  # of a finished run that was resumed
         if warning := plan.poll():
             node.warn(warning)
-        readiness.look(time.monotonic())
+        readiness.check(time.monotonic())
         time.sleep(0.05)
     plan.start()
     bar.phase = lambda: Phase.EVALUATING
     grid = coarse_grid(plan.settings.task.gains, plan.settings.base_gains) if rearm else None
     if not rearm:
-        node.say(LEFT_OUT)
+        node.report(LEFT_OUT)
     force = node.size.force
     results = compare_on(
         node, paper_controllers(plan, start), node.supervisor(rearm=rearm, after=session.watch), rearm=rearm,

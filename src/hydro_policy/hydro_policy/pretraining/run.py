@@ -50,8 +50,8 @@ REPLAY_MAX = 1_152_000  # maximum number of transitions in a pretraining's repla
 def pretrain(options: argparse.Namespace) -> int:
     """Run the pretraining of the command line; returns the exit status."""
     run = RunDirectory(options.resume or options.out)
-    settings, source = resumed(run, sys.argv[1:]) if options.resume else requested(options)
-    raise_if_mismatched(source.trouble())
+    settings, source = resumed_settings(run, sys.argv[1:]) if options.resume else requested_settings(options)
+    raise_if_mismatched(source.pairing_error())
     randomisation = rescale(Randomisation(), NOMINAL, settings.task.size) if source.randomise else None
     simulation = PretrainSettings(
         training=settings, benches=source.benches, randomisation=randomisation, filter=source.filter,
@@ -88,7 +88,7 @@ def pretrain(options: argparse.Namespace) -> int:
     return 0
 
 
-def requested(options: argparse.Namespace) -> tuple[TrainingSettings, SimulationSetup]:
+def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, SimulationSetup]:
     """Return the settings of the command line; total gains are the configuration's, whatever the box's base gains."""
     model = options.model or "shipped"
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
@@ -109,7 +109,7 @@ def requested(options: argparse.Namespace) -> tuple[TrainingSettings, Simulation
     return replace(settings, replay_capacity=max(settings.replay_capacity, rows)), source
 
 
-def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
+def resumed_settings(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
     """Return the settings of a resumed run; raises UserError if `words` contradict them. Only --episodes may change."""
     source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.made_for())

@@ -38,7 +38,7 @@ from hydro_sim.model.bench import Bench
 
 REFERENCE_GAINS = (90.0, 15.0)  # K_p, K_i of the paper's controller III, which scores are relative to
 
-BEARABLE = 0.02
+COMPLETION_SHARE_MIN = 0.02
 """Minimum share of drawn benches on which the reference gains do not trip, so that there is a basis of comparison."""
 
 TRIPPED = 10.0  # score of a run in which the box trips, in RMSE of the reference gains
@@ -88,7 +88,7 @@ class Pretraining:
         self.best: bytes | None = None  # agent (`sac.dump`) with the best score so far; not part of `state`
         self.policy.load_flat(self.sac.actor_parameters())
         self._examined: list[RandomisedBench | None] = [None]  # the known bench, then drawn ones
-        fixed = vector_runs.fixed(np.array(REFERENCE_GAINS), (settings.box.base_kp, settings.box.base_ki))
+        fixed = vector_runs.fixed_gains(np.array(REFERENCE_GAINS), (settings.box.base_kp, settings.box.base_ki))
         known = self._rmse(fixed, self._examined)
         self._reference = np.where(np.isnan(known), settings.evaluation.amplitude / math.sqrt(2.0), known)
         if settings.randomisation is not None:
@@ -165,7 +165,7 @@ class Pretraining:
     def _draw_examined(self, fixed: Chooser, randomisation: Randomisation) -> None:
         """Draw the benches that policies are examined on, of those on which the reference gains do not trip."""
         wanted, seed = self.settings.examined, self.settings.training.seed
-        for number in range(round(wanted / BEARABLE)):
+        for number in range(round(wanted / COMPLETION_SHARE_MIN)):
             drawn = events.stream_seed(seed, number, events.EXAMINED)
             bench = events.draw_bench(randomisation, self._episodes.source, drawn)
             rmse = self._rmse(fixed, [bench])
@@ -175,7 +175,7 @@ class Pretraining:
             if len(self._examined) > wanted:
                 return
         if wanted:
-            tries = round(wanted / BEARABLE)
+            tries = round(wanted / COMPLETION_SHARE_MIN)
             raise ValueError(
                 f"of {tries} drawn benches too few bear the fixed gains {REFERENCE_GAINS} to be examined on"
             )

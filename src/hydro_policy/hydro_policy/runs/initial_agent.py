@@ -38,7 +38,7 @@ class InitialAgent:
     made: MadeFor | None = None  # box that it was made for; None: not recorded in its files
     size: Size = NOMINAL  # of the bench that its reward is for
 
-    def adopted(self, settings: TrainingSettings) -> TrainingSettings:
+    def adapt_settings(self, settings: TrainingSettings) -> TrainingSettings:
         """Return the settings with this agent's network size, range of gains and reward.
 
         A good agent is changed slowly: learning starts once the replay buffer holds an episode of the bench, and the

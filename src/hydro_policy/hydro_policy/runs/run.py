@@ -71,7 +71,7 @@ class TrainingSettings:
     """Which box its policies are for: what `--resume` is held to, and what goes into every file; None: not known."""
 
     def updates_due(self, transitions: int) -> int:
-        """Return the updates that are due after so many transitions."""
+        """Return the number of updates that are due after a number of transitions."""
         return int(self.updates_per_step * max(transitions - self.learning_starts, 0))
 
     @property
@@ -259,7 +259,7 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
     shutil.rmtree(partial, ignore_errors=True)
     try:
         partial.mkdir(parents=True)
-        rows, produced = replay.stored()
+        rows, produced = replay.snapshot()
         with (partial / "replay.npy").open("wb") as file:
             np.save(file, rows)
             file.flush()

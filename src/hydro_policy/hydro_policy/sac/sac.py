@@ -96,7 +96,7 @@ class ReplayBuffer:
             return rng.integers(produced, size=shape)
         return (produced - 1 - rng.integers(capacity - _MARGIN, size=shape)) % capacity
 
-    def stored(self) -> tuple[NDArray[np.float32], int]:
+    def snapshot(self) -> tuple[NDArray[np.float32], int]:
         """Return a copy of all stored rows, oldest first, and `produced` at that moment."""
         produced = self.produced
         if produced < len(self.rows):
@@ -104,7 +104,7 @@ class ReplayBuffer:
         return np.roll(self.rows, -(produced % len(self.rows)), axis=0), produced
 
     def restore(self, rows: NDArray[np.float32], produced: int) -> None:
-        """Restore the result of `stored`, so that appending continues at the same place."""
+        """Restore the result of `snapshot`, so that appending continues at the same place."""
         if rows.shape[1:] != self.rows.shape[1:] or len(rows) != min(produced, len(self.rows)):
             raise ValueError(f"{len(rows)} stored rows of {rows.shape[1]} do not fit a buffer of {self.rows.shape}")
         self.rows[(produced - len(rows) + np.arange(len(rows))) % len(self.rows)] = rows
@@ -118,7 +118,7 @@ Places = NDArray[np.int64]
 
 
 @njit
-def four(count):
+def round_up_to_four(count):
     """Return `count` rounded up to a multiple of four, which `dense` computes with."""
     return (count + 3) // 4 * 4
 
@@ -134,8 +134,8 @@ def layers(members: int, inputs: tuple[int, ...], hidden: int, outputs: int) -> 
     order of the layers, without padding, weights and biases are in files and in `Policy.load_flat`. `inputs`: numbers
     of the inputs of each kind, observations, then actions; each kind is padded.
     """
-    starts = np.cumsum([0, *map(four.py_func, inputs)])
-    padded = int(starts[-1]), four.py_func(hidden), four.py_func(outputs)
+    starts = np.cumsum([0, *map(round_up_to_four.py_func, inputs)])
+    padded = int(starts[-1]), round_up_to_four.py_func(hidden), round_up_to_four.py_func(outputs)
     length = (padded[0] + padded[1] + 2) * padded[1] + (padded[1] + 1) * padded[2]
     of_inputs = np.concatenate([start + np.arange(n) for start, n in zip(starts, inputs, strict=False)])
     units = [of_inputs, np.arange(hidden), np.arange(hidden), np.arange(outputs)]
@@ -193,7 +193,7 @@ def twins(flat, inputs, hidden):
 
 
 @njit
-def passed(net):
+def empty_pass(net):
     """Return empty activations for a network."""
     hidden, outputs = net.w3.shape
     kind = net.w1.dtype
@@ -248,7 +248,7 @@ class Adam(NamedTuple):
 
 
 class Agent(NamedTuple):
-    """What an update changes."""
+    """Parameters and optimizer states that an update changes."""
 
     actor: Adam
     critics: Adam
@@ -281,15 +281,15 @@ def learn(agent, c, steps, rows, places, noise, losses):
     """
     n, m, batch, kind = c.observations, c.actions, places.shape[1], agent.targets.dtype
     zero, one, two, share = kind.type(0.0), kind.type(1.0), kind.type(2.0), kind.type(1.0 / batch)
-    first_action = four(n)  # row of the inputs
-    inputs, hidden = first_action + four(m), four(c.hidden)
-    actor = network(agent.actor.parameters, first_action, hidden, four(2 * m))
-    actor_gradient = network(agent.actor.gradient, first_action, hidden, four(2 * m))
+    first_action = round_up_to_four(n)  # row of the inputs
+    inputs, hidden = first_action + round_up_to_four(m), round_up_to_four(c.hidden)
+    actor = network(agent.actor.parameters, first_action, hidden, round_up_to_four(2 * m))
+    actor_gradient = network(agent.actor.gradient, first_action, hidden, round_up_to_four(2 * m))
     q, q_gradient = twins(agent.critics.parameters, inputs, hidden), twins(agent.critics.gradient, inputs, hidden)
     target = twins(agent.targets, inputs, hidden)
-    of_actor, of_q = passed(actor), (passed(q[0]), passed(q[1]))
+    of_actor, of_q = empty_pass(actor), (empty_pass(q[0]), empty_pass(q[1]))
     now, following = np.zeros(inputs * ROW, kind), np.zeros(inputs * ROW, kind)  # [o, a] and [o', a'] as columns
-    slope = np.zeros(four(m) * ROW, kind), np.zeros(four(m) * ROW, kind)
+    slope = np.zeros(round_up_to_four(m) * ROW, kind), np.zeros(round_up_to_four(m) * ROW, kind)
     reward, going_on = np.empty(batch, kind), np.empty(batch, kind)
     y, log_pi = np.empty(batch, kind), np.empty(batch, kind)
     deviation, inside = np.empty((m, batch), kind), np.empty((m, batch), kind)
@@ -340,7 +340,7 @@ def learn(agent, c, steps, rows, places, noise, losses):
             backpropagate(q[i], of_q[i], batch)
             to_actions = q[i].w1[first_action:].T.copy()
             for at in range(0, batch, BLOCK):
-                affine(to_actions, np.zeros(four(m), kind), of_q[i].g1, slope[i], at)
+                affine(to_actions, np.zeros(round_up_to_four(m), kind), of_q[i].g1, slope[i], at)
         for j in range(m):
             for k in range(batch):
                 # d log pi/du = 2 a, da/du = 1 - a^2, du/d log sigma = sigma eps, and log N has -log sigma

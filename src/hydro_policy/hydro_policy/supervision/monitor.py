@@ -8,7 +8,7 @@ violations    share of a window's samples whose certificate fails although the f
 NaN           a sample, or the policy's action for it, is not finite
 
 It assesses a policy, not a person: overridden steps do not reach it, and steps for which the box held other gains than
-the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) are not counted.
+the policy's (`Step.hold_flags`: late commands, no fresh correction, MISMATCH) are not counted.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class SafetyMonitor:
         """Add a policy step; returns why the policy must be stopped, or None."""
         if not np.isfinite(step.sample).all():
             return "a measurement is not finite"
-        if step.held:
+        if step.hold_flags:
             self.reset()
             self._recovering = _RECOVERY
             return None

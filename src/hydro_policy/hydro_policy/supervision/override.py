@@ -20,7 +20,7 @@ class GainOverride:
 
     reach: GainRange = field(default_factory=GainRange)
     """Gain changes that may be requested: those that the plant's guard passes."""
-    say: Callable[[str], None] = lambda _: None  # takes a sentence for each change
+    report: Callable[[str], None] = lambda _: None  # takes a sentence for each change
     base: tuple[float, float] = BASE
     """K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's)."""
     _held: tuple[float, float] | None = None  # (delta_kp, delta_ki)
@@ -42,7 +42,7 @@ class GainOverride:
         self._held, self._until = change, now + seconds if seconds else math.inf
         how_long = f"for {seconds:g} s" if seconds else "until told otherwise"
         sentence = f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}"
-        self.say(sentence)
+        self.report(sentence)
         return sentence
 
     def release(self) -> str:
@@ -51,14 +51,14 @@ class GainOverride:
             return "nothing was overridden"
         self._held = None
         sentence = "override ended: the gains are the policy's again"
-        self.say(sentence)
+        self.report(sentence)
         return sentence
 
     def gains(self, now: float) -> tuple[float, float] | None:
         """Return the (delta_kp, delta_ki) to publish instead of the controller's at time `now` [s], or None."""
         if self._held is not None and now >= self._until:
             self._held = None
-            self.say("override is over: the gains are the policy's again")
+            self.report("override is over: the gains are the policy's again")
         return self._held
 
     @property

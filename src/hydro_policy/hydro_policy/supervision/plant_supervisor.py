@@ -62,7 +62,9 @@ CALM = 1.0  # s, armed, between a stop and the next run
 
 TRIALS = 3
 """Trips in a row within `CALM` of arming after which a session may try another force law, and no more is armed."""
-UNHELD = f"the box tripped {TRIALS} times within {CALM:g} s of arming: its base gains do not hold this bench"
+BASE_GAINS_UNSTABLE = (
+    f"the box tripped {TRIALS} times within {CALM:g} s of arming: its base gains do not hold this bench"
+)
 
 IDLE = 2.0  # s armed without a controller after which none may begin (measurements in decision 0056)
 
@@ -96,20 +98,20 @@ class Outputs(Protocol):
     def arm(self, arm: bool) -> None:
         """Request the plant to arm or disarm."""
 
-    def say(self, sentence: str, warning: bool = False) -> None:
+    def report(self, sentence: str, warning: bool = False) -> None:
         """Report a sentence to the user."""
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """Publish changes of the gains."""
 
     def command_law(self, command: LawCommand, step: int) -> None:
-        """Publish the force law to run; a plant of which none is asked runs the paper's."""
+        """Publish the force law to run; without such a message a plant runs the paper's."""
 
-    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """Report a learning policy's result of `step`, as given to `gains`, once these are sent; see `PolicyStep.msg`.
+    def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        """Publish a policy step (`PolicyStep.msg`) after its gains. `step`: number of the step, as given to `gains`.
 
-        `mean`: gains of the mean action. `reward`: of the previous step; NaN if there is none. `weights`: digest of
-        those that acted.
+        `mean`: gain changes of the mean action, [1/s] and [1/s^2]. `reward`: of the previous step; NaN: none.
+        `weights`: digest of the policy's weights.
         """
 
 
@@ -144,13 +146,13 @@ class PlantSupervisor:
             missing=f"the filter says MISMATCH for 300 s: {unfit}",
         )  # fmt: skip
         needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
-        self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
+        self.readiness = Readiness(needed, lambda sentence: outputs.report(sentence, warning=True))
         self.trips = 0  # trips in a row, but by silence, within `CALM` of arming
         self._flags = int(Flag.FILTER_STALE)
         self._seen = -math.inf  # time of the last sample, s; -inf: lost
         self._armed_at = -math.inf
-        self._acted = -math.inf  # time of the last action of a controller, or of arming
-        self._spoilt = TOO_EARLY  # why no controller may act: it has been armed for an unknown time
+        self._last_action = -math.inf  # time of the last action of a controller, or of arming
+        self._block_reason = TOO_EARLY  # initially: it has been armed for an unknown time
         self._calm_until: float | None = None  # math.inf: requested, but not armed yet
         self._arm_after = math.inf  # time to arm after a disarm
         self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm
@@ -194,7 +196,7 @@ class PlantSupervisor:
         """Process a sample's flags."""
         if flags & Flag.ARMED and not (self.armed or self.lost):
             wanted = self.readiness.complete or now - self._asked <= RETRY
-            self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
+            self._last_action, self._block_reason = now, "" if wanted else TOO_EARLY
             self._armed_at = now
         if self.armed and flags & Flag.ARMED and now - self._armed_at >= CALM:
             self.trips = 0
@@ -205,33 +207,33 @@ class PlantSupervisor:
             self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
             if now >= self._calm_until:
                 self._calm_until = None
-                self._spoilt = CALM_AGAIN if self._alone else self._spoilt
+                self._block_reason = CALM_AGAIN if self._alone else self._block_reason
 
     def on_correction(self, status: int) -> None:
         """Process the status of a correction."""
         before, self._status, self._heard = self._status, status, True
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
             after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
-            self.outputs.say(MISMATCH if self.mismatched else after, warning=self.mismatched)
+            self.outputs.report(MISMATCH if self.mismatched else after, warning=self.mismatched)
 
     def may_begin(self, now: float) -> bool:
         """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""
-        return self.armed and self.readiness.complete and not self.calming and not self.unready(now)
+        return self.armed and self.readiness.complete and not self.calming and not self.blocking_reason(now)
 
-    def acted(self, now: float) -> None:
-        """Record that a controller has chosen gains."""
-        self._acted = now
+    def note_action(self, now: float) -> None:
+        """Note that a controller has chosen gains at time `now` [s]."""
+        self._last_action = now
 
-    def unready(self, now: float) -> str:
-        """Return why no controller may act on the armed plant; empty if one may."""
-        if not self._spoilt and now - self._acted > IDLE:
-            waited = f"armed for {now - self._acted:.1f} s while no controller acted"
+    def blocking_reason(self, now: float) -> str:
+        """Return the reason why no controller may act on the armed plant; empty if one may."""
+        if not self._block_reason and now - self._last_action > IDLE:
+            waited = f"armed for {now - self._last_action:.1f} s while no controller acted"
             return f"{waited}: it is disarmed, so that the force law starts again"
-        return self._spoilt
+        return self._block_reason
 
-    def spoil(self, why: str) -> None:
-        """Let no controller begin until the plant has been disarmed and armed again; `why` is reported."""
-        self._spoilt = self._spoilt or why
+    def block_runs(self, why: str) -> None:
+        """Block runs until the plant has been disarmed and armed again; `why` is reported."""
+        self._block_reason = self._block_reason or why
 
     @property
     def calming(self) -> bool:
@@ -245,7 +247,7 @@ class PlantSupervisor:
 
     def take_over(self, before: PlantSupervisor) -> None:
         """Continue from another session's watch: its armed plant is accepted, and its calm is awaited."""
-        self._acted, self._spoilt = before._acted, before._spoilt
+        self._last_action, self._block_reason = before._last_action, before._block_reason
         if before.calming:
             self.calm()
 
@@ -255,20 +257,20 @@ class PlantSupervisor:
         Raises NotReadyError: a requirement for arming was not met in time, or base gains do not hold the bench.
         """
         if self.trips > TRIALS:
-            raise NotReadyError(f"{UNHELD}; nothing is armed again")
+            raise NotReadyError(f"{BASE_GAINS_UNSTABLE}; nothing is armed again")
         self._silent = 0.0 if self._heard else self._silent + max(now - self._ticked, 0.0)
         self._heard, self._ticked = False, now
         if not self.lost and now - self._seen > LOST_AFTER:
-            self._seen, self._spoilt = -math.inf, UNSEEN
+            self._seen, self._block_reason = -math.inf, UNSEEN
             self._flags = int(Flag.FILTER_STALE)
             self.outputs.arm(False)
-        self.readiness.look(now)
+        self.readiness.check(now)
         if self.armed or self.lost:
             self._arm_after, self._asked, self._not_before, self._prompted = math.inf, -math.inf, -math.inf, ""
-            why = self.unready(now) if self.armed and not (self.calming or self.override.active) else ""
+            why = self.blocking_reason(now) if self.armed and not (self.calming or self.override.active) else ""
             if why and now - self._lowered > RETRY:
                 if self._lowered == -math.inf:
-                    self.outputs.say(why, warning=True)
+                    self.outputs.report(why, warning=True)
                 self._lowered = now
                 self.outputs.reference(ReferenceSignal())
                 self.outputs.arm(False)
@@ -287,7 +289,7 @@ class PlantSupervisor:
         if waits and condition != self._prompted:  # once in each condition
             self._prompted, hint = condition, f": {HOW_TO_ARM}"
         if hint or self._told not in (None, condition):
-            self.outputs.say(f"plant: {condition}{hint}", warning=not self.armed)
+            self.outputs.report(f"plant: {condition}{hint}", warning=not self.armed)
         self._told = condition
 
     def _arm_anew(self, now: float) -> None:
@@ -302,11 +304,11 @@ class PlantSupervisor:
 
     def arm_now(self, now: float) -> None:
         """Arm at a person's request if all is ready; otherwise report what is missing."""
-        if self.armed and not self.unready(now):
-            self.outputs.say("the plant is already armed: nothing was done", warning=True)
+        if self.armed and not self.blocking_reason(now):
+            self.outputs.report("the plant is already armed: nothing was done", warning=True)
         elif self.readiness.complete:
             self._arm_anew(now)
         else:
             self._prompted = ""
             sentence = f"not armed, still waiting for {self.readiness.missing_names}: you are asked once all is ready"
-            self.outputs.say(sentence, warning=True)
+            self.outputs.report(sentence, warning=True)

@@ -30,8 +30,8 @@ class Case:
     pieces: tuple[ReferenceSignal, ...] = ()
     """Signals that follow `signal`, one every 0.3 s: a recorded reference (`task.recorded`), played to its end."""
 
-    def due(self, before: int, now: int) -> ReferenceSignal | None:
-        """Return the signal to send at sample `now` of a run, the last one taken being `before`; None: none is due."""
+    def signal_due(self, before: int, now: int) -> ReferenceSignal | None:
+        """Return the signal to send at sample `now` of a run; None: none. `before`: the previous sample's number."""
         number = now // recorded.SAMPLES
         due = before // recorded.SAMPLES < number and 0 < number <= len(self.pieces)
         return self.pieces[number - 1] if due else None
@@ -93,16 +93,16 @@ class EvaluationSettings:
             cases.append(Case(Path(file).stem, first, tuple(others)))
         return tuple(cases)
 
-    def measured(self, case: Case) -> float:
-        """Return the measured time [s]: whole periods, of a record what is left of it behind `settle`."""
+    def measured_time(self, case: Case) -> float:
+        """Return the measured time [s]: whole periods; of a recorded reference its length without `settle`."""
         if case.pieces:
             return max(FADE_TIME * (len(case.pieces) + 1) - self.settle, self.measure)
         frequency = case.signal.frequency
         return max(math.ceil(self.measure * frequency - 1e-9), self.periods) / frequency
 
-    def length(self, case: Case) -> float:
+    def duration(self, case: Case) -> float:
         """Return the duration of a run [s]."""
-        return self.settle + self.measured(case)
+        return self.settle + self.measured_time(case)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,8 +132,8 @@ class ExamSettings:
         )
 
 
-SPOILT = 0.01
-"""Share of a run's samples that may be lost, or under base gains in place of the controller's, for a fair figure."""
+DISTURBED_SHARE_MAX = 0.01
+"""Largest share of a run's samples that are lost, or under base gains, at which its figures are valid."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,8 +153,10 @@ class Score:
     proportional_gain: float = math.nan  # 1/s, mean that the box applied
     integral_gain: float = math.nan  # 1/s^2, mean that the box applied
     samples: int = 0  # samples that were measured
-    lost: int = 0  # samples that never arrived
-    held: int = 0  # samples for which the box held base gains (stale correction or command)
+    lost: int = 0
+    """Lost samples: sequence numbers of the measured part that never arrived. The name is a key of recorded events."""
+    held: int = 0
+    """Samples under base gains in place of the controller's, with a stale correction or command. A key, as `lost`."""
     stopped: str = ""  # why the run was not completed: the box tripped, or the monitor stopped it; empty if it was
 
     @classmethod
@@ -167,13 +169,16 @@ class Score:
 
     @property
     def run(self) -> tuple[str, str, int]:
-        """Which run it is of: controller, reference, repeat."""
+        """Key of the run: controller, reference, repeat."""
         return self.controller, self.case, self.repeat
 
     @property
-    def spoilt(self) -> bool:
-        """Whether the machine was held up: more than `SPOILT` of the samples were lost, or base gains acted in them."""
-        return self.lost + self.held > SPOILT * (self.samples + self.lost)
+    def disturbed(self) -> bool:
+        """Whether the share of lost samples and of those under base gains exceeds `DISTURBED_SHARE_MAX`.
+
+        In records and files it has the key `spoilt`.
+        """
+        return self.lost + self.held > DISTURBED_SHARE_MAX * (self.samples + self.lost)
 
 
 @dataclass

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box: what the MicroLabBox runs each millisecond, shared by sim node, emulator and offline simulation.
+"""The box: calls the compiled C firmware (firmware/hydro), which does each millisecond what the MicroLabBox does.
+
+Sim node, emulator and offline simulation share it.
 
 ::
 

@@ -114,8 +114,9 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
     """
     digests = dict[str, str]()
     for name, states in recordings.items():  # of sequence, x and u
-        numbers = states["sequence"].tobytes() + to_matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes()
-        digests[name] = hashlib.sha256(numbers).hexdigest()
+        sha = hashlib.sha256(states["sequence"].tobytes())
+        sha.update(to_matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes())
+        digests[name] = sha.hexdigest()
     found = {name: split_runs(name, states) for name, states in recordings.items()}
     names = [name for name in found if found[name]]
     if not names:

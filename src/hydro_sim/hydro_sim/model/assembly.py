@@ -206,7 +206,7 @@ class Assembly:
 
     def _acceleration(self, y: SX) -> Symbol:
         """x'' [m/s2] in a state, if an effect shows it: that of the forces, which the valve does not change at once."""
-        if not any(effect.shaken for effect in self.effects):
+        if not any(effect.depends_on_acceleration for effect in self.effects):
             return 0.0
         return rates.textbook_rates(self.at, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), self.sliding)[0][3]
 

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
-from hydro_core.files import bench_file
+from hydro_core.files import bench_digest
 from hydro_core.settings import Setting, check, describe, from_mapping, quantity, read_yaml
 from hydro_core.size import Size
 from hydro_sim.model.effects import catalogue
@@ -165,7 +165,7 @@ class Bench:
     @property
     def digest(self) -> str:
         """First 12 digits of the SHA-256 of keys and values, by which models, metrics and policies refer to it."""
-        return bench_file.digest(self.to_mapping())
+        return bench_digest.digest(self.to_mapping())
 
     def constants(self) -> npt.NDArray[np.void]:
         """Return the bench for compiled code: one record of `BENCH_DTYPE`, shape (1,)."""

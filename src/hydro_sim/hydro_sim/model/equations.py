@@ -25,7 +25,7 @@ Symbol = Any
 Pair = tuple[Symbol, Symbol]
 """Chamber A's and chamber B's."""
 READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-"""What the sensors read, in the order of every array of readings."""
+"""Names of the sensors' readings, in the order of every array of readings."""
 LOAD_CELL_DAMPING = math.sqrt(0.5)
 """Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
 LAMINAR = 100.0
@@ -39,7 +39,7 @@ STOP_DAMPING = 4e3
 
 
 def choose(condition: Symbol, first: Symbol, second: Symbol) -> Symbol:
-    """`first` where the condition holds, else `second`. Its derivative is that of the side which it is on."""
+    """`first` where the condition holds, else `second`; the derivative is that of the chosen one."""
     if not any(hasattr(value, "is_scalar") for value in (condition, first, second)):
         return np.where(condition, first, second)
     from casadi import if_else
@@ -84,15 +84,15 @@ def volumes(n: Symbol, position: Symbol) -> Pair:
 
 
 def stiffnesses(n: Symbol, moduli: Pair, position: Symbol) -> Pair:
-    """beta/V [Pa/m3] of both chambers at piston position [m]: what a volume of oil more in them raises the pressure."""
+    """Hydraulic stiffness beta/V [Pa/m3] of both chambers at piston position [m]: pressure per added oil volume."""
     volume_a, volume_b = volumes(n, position)
     return moduli[0] / volume_a, moduli[1] / volume_b
 
 
 def pressure_rates(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Pair:
-    """p_a', p_b' [Pa/s]: of `flows` [m3/s] into both chambers, what is not displaced, compresses.
+    """p_a', p_b' [Pa/s] from `flows` [m3/s] into both chambers less the displacement flows at `velocity` [m/s].
 
-    With volumes [m3] and a travel [m] in place of flows and velocity: the pressures [Pa] that these build.
+    For volumes [m3] and a travel [m] in place of flows and velocity it gives pressure changes [Pa].
     """
     swept = n.piston_area * velocity
     return stiff[0] * (flows[0] - swept), stiff[1] * (flows[1] + n.area_ratio * swept)
@@ -131,5 +131,5 @@ def stop_force(n: Symbol, position: Symbol, velocity: Symbol) -> Symbol:
 
 
 def amplifier_acceleration(omega: Symbol, force: Symbol, shown: Symbol, rate: Symbol) -> Symbol:
-    """d2/dt2 [N/s2] of what the load cell's amplifier shows, a low-pass of `omega` [rad/s] on the force [N]."""
+    """Second derivative [N/s2] of the load cell amplifier's output, a low-pass of `omega` [rad/s] on the force [N]."""
     return omega * (omega * (force - shown) - 2.0 * LOAD_CELL_DAMPING * rate)

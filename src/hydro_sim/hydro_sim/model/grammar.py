@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hydro_sim.model.laws import Element, Law, Number, with_reversal_velocity
+from hydro_sim.model.laws import Law, MemoryElement, Number, with_reversal_velocity
 from hydro_sim.model.tables import FACTORS, SIGNALS, Factor, Table
 
 _NOTICED = {"motion": ("N", 5.0), "load": ("N", 5.0), "pressure": ("m3/s", 3e-7), "pressure_a": ("m3/s", 3e-7),
@@ -244,7 +244,7 @@ _LAG = Number("time", "s", (0.03, 0.1, 0.3, 1.0, 3.0))
 def _slow(
     equation: str, noun: str, what: str, factor: Factor | None = None, over: str = "time", where: str = ""
 ) -> Law:
-    """What settles from the start of a recording (`over` time), or follows past motion or opening of the valve."""
+    """Law with a slow first-order state, driven by time, by past speed, or by past opening of the valve (`over`)."""
     unit, size = _SENSORS[where][:2] if where else _NOTICED[equation]
     text, formula, uses = (f"{factor.text} ", f"({factor.formula}) * w", factor.uses) if factor else ("", "one * w", "")
     driver, symbol, name = {"time": ("time", "", "from the start"), "speed": ("velocity", "|v|", "by past motion"),
@@ -257,30 +257,31 @@ def _slow(
         typical=size / ((factor.scale if factor else 1.0) * (by.scale if by else 1.0)),
         sentence=f"{what} that settles slowly {name} of a recording: typical of what warms.".replace(
             " of a recording", " of a recording" if by is None else ""),
-        element=Element("slow", over), numbers=(Number("time", "s", (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)),), where=where,
+        memory_element=MemoryElement("slow", over),
+        numbers=(Number("time", "s", (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)),), where=where,
         uses=frozenset(f"{uses} {driver}".split()), degree=(factor.degree if factor else 0.0) + (1.0 if by else 0.0),
     )  # fmt: skip
 
 
 def _creeping(equation: str, name: str, what: str, variable: str, coefficient: float) -> Law:
-    """What follows the part of a signal that is new."""
+    """Law of a signal less its first-order lag (a high-pass), as of creep."""
     argument = _ARGUMENTS[variable]
     return Law(equation=equation, form=name, unit=divide_units(_NOTICED[equation][0], argument.unit),
                text=f"({argument.text} - w), w' = ({argument.text} - w) / time", formula=f"{argument.formula} - w",
-               typical=coefficient, sentence=what, element=Element("lag", variable), numbers=(_LAG,),
+               typical=coefficient, sentence=what, memory_element=MemoryElement("lag", variable), numbers=(_LAG,),
                uses=frozenset({variable}), degree=1.0)  # fmt: skip
 
 
 def _hysteresis(equation: str, name: str, what: str, signal: str, coefficient: float, paths: Sequence[float],
                 where: str = "") -> Law:  # fmt: skip
-    """What follows the path of a signal (Dahl 1968)."""
+    """Law with hysteresis in a signal (Dahl 1968)."""
     unit = _SENSORS[where][0] if where else _NOTICED[equation][0]
     argument = _ARGUMENTS[where if signal == "force" else signal]
     moved = "(v - |v| w)" if signal == "position" else f"({argument.text}' - |{argument.text}'| w)"
     uses = {"position", "velocity"} if signal == "position" else {where or signal}
     return Law(equation=equation, form=name, unit=unit, text=f"w, w' = {moved} / path", formula="w",
                typical=coefficient, sentence=f"{what} follows another path back than forth: typical of what rubs, has "
-               "play or stays magnetic.", element=Element("path", signal),
+               "play or stays magnetic.", memory_element=MemoryElement("path", signal),
                numbers=(Number("path", argument.unit, tuple(paths)),), where=where, uses=frozenset(uses),
                degree=1.0)  # fmt: skip
 
@@ -294,7 +295,7 @@ _MEMORY: tuple[Law, ...] = (
       for chamber in "ab"),
     Law("actuation", "late share", "-", "(w - u), w' = (u - w) / time", "w - u", 0.1,
         "A share of the opening that comes late: typical of eddies in a torque motor's iron, or of a spool that "
-        "creeps; 1: all of it.", Element("lag", "current"), (Number("time", "s", (0.01, 0.03, 0.1, 0.3, 1.0)),),
+        "creeps; 1: all of it.", MemoryElement("lag", "current"), (Number("time", "s", (0.01, 0.03, 0.1, 0.3, 1.0)),),
         uses=frozenset({"current"}), degree=1.0),
     _hysteresis("load", "hysteresis", "The load", "position", 5.0, (3e-4, 1e-3, 3e-3, 1e-2)),
     _hysteresis("actuation", "hysteresis", "The opening of the valve", "current", 2e-4, (1e-4, 3e-4, 1e-3, 3e-3)),
@@ -305,7 +306,7 @@ _MEMORY: tuple[Law, ...] = (
                     (3.0, 10.0, 30.0, 100.0), cell),
         Law("sensor", f"creep of {cell}", "-", f"w, w' = ({_SENSORS[cell][2]} - w) / time", "w", 0.05,
             f"The {_SENSORS[cell][3]} goes on rising under a force that stays: typical of a glued strain gauge.",
-            Element("lag", "force"), (_LAG,), cell, frozenset({cell}), 1.0))),
+            MemoryElement("lag", "force"), (_LAG,), cell, frozenset({cell}), 1.0))),
     *(_slow(equation, noun, what, FACTORS.get(factor), over)
       for equation, noun, what, factor, overs in (
           ("motion", "force", _BESIDE, "", "time"), ("motion", "friction", "Dry friction", "direction", "time speed"),

@@ -107,7 +107,7 @@ BOUND_MAX = 1e9
 
 @dataclass(frozen=True)
 class Number:
-    """A number of a law beside its amplitude."""
+    """A shape parameter of a law, apart from its amplitude."""
 
     name: str
     unit: str
@@ -118,12 +118,12 @@ class Number:
 
 
 @dataclass(frozen=True)
-class Element:
-    """Memory of a law: a state that follows one of `Signals`, over the law's further numbers."""
+class MemoryElement:
+    """Memory element of a law: a state driven by one of `Signals`; its time or path is among the law's numbers."""
 
     kind: Literal["lag", "path", "slow"]
     signal: str
-    """An attribute of `Signals`; of slow states also `time`, for what time alone drives."""
+    """Driving signal, an attribute of `Signals`; of slow states also `time`."""
 
 
 _SIGNALS = {
@@ -159,7 +159,7 @@ class Law:
     """A coefficient at which it is noticeable."""
     sentence: str
     """Usual physical meaning of such a term."""
-    element: Element | None = None
+    memory_element: MemoryElement | None = None
     numbers: tuple[Number, ...] = ()
     """Its further numbers."""
     where: str = ""
@@ -172,12 +172,12 @@ class Law:
     @property
     def depends_on_current(self) -> bool:
         """Whether it is a sensor's error that depends on the valve current."""
-        return self.equation == "sensor" and self.element is None and "current" in self.uses
+        return self.equation == "sensor" and self.memory_element is None and "current" in self.uses
 
     @property
     def has_hidden_states(self) -> bool:
         """Whether the law has hidden states."""
-        return self.element is not None or self.depends_on_current
+        return self.memory_element is not None or self.depends_on_current
 
     @property
     def is_step(self) -> bool:

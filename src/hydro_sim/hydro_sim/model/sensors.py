@@ -103,7 +103,10 @@ def add_sensor_errors(sensors, noise, raw):
 
 @njit
 def reset_conditioning(last, raw, measurement):
-    """Start conditioning at readings `raw`, with zero rates; invalid readings count as 0."""
+    """Initialise the sensor conditioning in place: readings `raw`, shape (5,) [N, N, Pa, Pa, m], with zero rates.
+
+    `last`: record of `CONDITIONING_DTYPE`, in which invalid readings count as 0. `measurement`: x, shape (8,).
+    """
     last.force_h = raw[0] if abs(raw[0]) < READING_MAX else 0.0
     last.force_l = raw[1] if abs(raw[1]) < READING_MAX else 0.0
     last.position = raw[4] if abs(raw[4]) < READING_MAX else 0.0

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hydro_sim.model.equations import Symbol, clip
-from hydro_sim.model.laws import Element, Signals
+from hydro_sim.model.laws import MemoryElement, Signals
 
 KNOTS = 12
 """Numbers of a table: of so many cubic B-splines."""
@@ -64,7 +64,7 @@ class Table:
     where: str = ""
     """Channel of a sensor."""
 
-    element: ClassVar[Element | None] = None
+    memory_element: ClassVar[MemoryElement | None] = None
     depends_on_current: ClassVar[bool] = False
     has_hidden_states: ClassVar[bool] = False
     """It has no memory, and no sensor's table is over the valve current."""

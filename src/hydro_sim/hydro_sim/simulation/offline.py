@@ -31,7 +31,7 @@ class Schedule:
     """Commands over a run."""
 
     reference: ReferenceSignal | FloatArray
-    """What the box generates, or f_r [N] and f_r' [N/s] of each sample as they were recorded, shape (samples, 2)."""
+    """Signal that the box generates, or recorded f_r [N] and f_r' [N/s] of each sample, shape (samples, 2)."""
     gains: FloatArray | tuple[float, float]
     """K_p [1/s] and K_i [1/s^2] in force: one pair, or shape (policy steps, 2) at 100 Hz, the last pair held on."""
     seconds: float

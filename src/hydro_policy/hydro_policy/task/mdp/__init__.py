@@ -22,9 +22,9 @@ from hydro_policy.task.mdp.observations import (
     observe,
 )
 from hydro_policy.task.mdp.settings import TaskSettings
-from hydro_policy.task.mdp.steps import Step, StepClock, held
+from hydro_policy.task.mdp.steps import Step, StepClock, hold_flags
 
 __all__ = [
     "ACTIONS", "BASE", "GainRange", "LOAD_FORCE", "LOAD_FORCE_RATE", "OBSERVATION_NAMES", "OBSERVATIONS", "REFERENCE",
-    "REFERENCE_RATE", "normalization", "observe", "TaskSettings", "Step", "StepClock", "held",
+    "REFERENCE_RATE", "normalization", "observe", "TaskSettings", "Step", "StepClock", "hold_flags",
 ]  # fmt: skip

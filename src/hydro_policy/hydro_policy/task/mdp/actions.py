@@ -34,7 +34,7 @@ class GainRange:
 
     @classmethod
     def enclosing(cls, *ranges: Any) -> GainRange:
-        """Return the smallest range that holds all of these: gain ranges, or what has their four limits."""
+        """Return the smallest range that contains these ranges: objects with the four limits of a `GainRange`."""
         return cls(
             delta_kp_min=min(one.delta_kp_min for one in ranges), delta_kp_max=max(one.delta_kp_max for one in ranges),
             delta_ki_min=min(one.delta_ki_min for one in ranges), delta_ki_max=max(one.delta_ki_max for one in ranges),

@@ -17,21 +17,21 @@ import numpy as np
 from hydro_core.signals import SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray
 from hydro_policy.task.mdp.observations import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
 
-HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)
-"""Flags with which the box held base gains, so that the result is not due to the action: see `held`."""
+HOLD_FLAGS = int(Flag.WATCHDOG | Flag.FILTER_STALE)
+"""Flags under which the box held base gains, so that the result is not due to the action: see `hold_flags`."""
 
 VALVE_CURRENT, KP, KI = map(STATE_FIELDS.index, ("valve_current", "proportional_gain", "integral_gain"))
 
 
-def held(flags: Any, k_p: Any, k_i: Any, base: tuple[float, float] | None) -> Any:
-    """Return the bits of `HELD` with which the box held base gains.
+def hold_flags(flags: Any, k_p: Any, k_i: Any, base: tuple[float, float] | None) -> Any:
+    """Return the bits of `HOLD_FLAGS` with which the box held base gains.
 
     A plant that requires no filter (`guard.require_filter`) passes other gains with FILTER_STALE, too: they act.
 
     `flags`, `k_p`, `k_i`: of one sample, or arrays of one shape; 1/s and 1/s^2. `base`: base gains K_p, K_i; None: each
     flagged sample counts (MISMATCH, under which narrow gains act; another law).
     """
-    bits = flags & HELD
+    bits = flags & HOLD_FLAGS
     if base is None:
         return bits
     acts = ~(np.isclose(k_p, base[0], rtol=1e-5) & np.isclose(k_i, base[1], rtol=1e-5))
@@ -47,7 +47,7 @@ class Step:
     error_rate: FloatArray  # e' [N/s], shape (n,)
     current: FloatArray  # consecutive u [A] received by the valve: if samples are missing, only those after the gap
     whole: bool  # every sample arrived, armed, and the box applied the gains it was given
-    held: int  # bits of HELD seen since the last step
+    hold_flags: int  # bits of HOLD_FLAGS seen since the last step
 
 
 @dataclass
@@ -70,7 +70,7 @@ class StepClock:
     ) -> Step | None:
         """Add a sample, which stays as it is from now on; returns the step that it completes, if any.
 
-        Repeated samples are ignored. `base`: of `held`.
+        Repeated samples are ignored. `base`: of `hold_flags`.
         """
         if sequence == self._last:
             return None
@@ -80,8 +80,8 @@ class StepClock:
         block_changed = sequence // SAMPLES_PER_STEP != self._last // SAMPLES_PER_STEP
         self._last = sequence
         self._samples.append(sample)
-        if flags & HELD:
-            self._held |= int(held(flags, sample[KP], sample[KI], base))
+        if flags & HOLD_FLAGS:
+            self._held |= int(hold_flags(flags, sample[KP], sample[KI], base))
         self._common &= flags
         if not block_changed:
             return None

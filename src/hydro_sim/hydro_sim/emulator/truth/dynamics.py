@@ -204,7 +204,7 @@ STANDSTILL = 1e-5  # m/s, below which a direction of motion says nothing
 
 CONTENT_A, CONTENT_B, POSITION, VELOCITY, SPOOL, SPOOL_RATE, SUPPLY, HYSTERESIS = range(8)
 
-STATE = np.dtype(
+TRUTH_STATE_DTYPE = np.dtype(
     [
         ("y", np.float64, (8,)),  # the integrated state, in the order above
         ("bristle", np.float64),  # m

@@ -29,7 +29,7 @@ TRUTH_FIELDS = (
 )
 """Columns of the physical log: the state before any sensor, then what no sensor sees."""
 
-CHAIN = np.dtype(
+CHAIN_DTYPE = np.dtype(
     [
         ("lagged", np.float64, (5,)),  # the five readings behind their amplifiers, order of effects.SENSORS
         ("lag_rate", np.float64, (5,)),
@@ -41,7 +41,7 @@ CHAIN = np.dtype(
         ("clean", np.float64, (8,)),  # the same without noise and quantisation
     ]
 )
-"""State of the sensors."""
+"""State of the sensor chain: amplifiers, conditioning, readings."""
 
 
 @njit
@@ -142,7 +142,7 @@ class TruthPlant:
         ages = config.sensors
         self.sensors = Sensors(force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age)
         self.differentiation = self.sensors.constants()
-        self.state, self.chain = np.zeros(1, dynamics.STATE), np.zeros(1, CHAIN)
+        self.state, self.chain = np.zeros(1, dynamics.TRUTH_STATE_DTYPE), np.zeros(1, CHAIN_DTYPE)
         self.work = np.zeros((3, 8))
         self.reset(seed)
 

@@ -169,8 +169,8 @@ class Effect:
     """Whether a bench can have only one."""
     late: ClassVar[bool] = False
     """Whether its `command` comes after all others: edges open where the spool is, whatever the order of the file."""
-    shaken: ClassVar[bool] = False
-    """Whether it shows or drags the acceleration."""
+    depends_on_acceleration: ClassVar[bool] = False
+    """Whether its term depends on the piston's acceleration."""
     all_edges: ClassVar[bool] = False
     """Whether both edges of a chamber may be open at a time."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
@@ -208,7 +208,7 @@ class Effect:
 
     # --- what the diagnosis asks of a cause --------------------------------------------------------------------------
 
-    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+    def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         """Return the parameters as they are fitted relative to a bench file; empty: it is no cause."""
         fitted = [one.fit for one in self.parameters if one.fit]
         return tuple(fitted) if len(fitted) == len(self.parameters) else ()

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from hydro_core.signals import SAMPLE_PERIOD
-from hydro_sim.model.effects import closure, grown, motion, numbers, oil, sensing, valve
+from hydro_sim.model.effects import closure, friction, grown, motion, numbers, oil, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
 from hydro_sim.model.effects.closure import Closure
 
@@ -73,7 +73,9 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
     return kinds
 
 
-_TABLE: tuple[type[Effect], ...] = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
+_TABLE: tuple[type[Effect], ...] = (
+    *valve.EFFECTS, *oil.EFFECTS, *friction.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS,
+)  # fmt: skip
 _NAMED: tuple[type[Effect], ...] = (*_TABLE, *(closure.effect_class(one) for one in grown.EFFECTS))
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
 """Effects by id and options, as `label` writes them."""

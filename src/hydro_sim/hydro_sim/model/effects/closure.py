@@ -16,7 +16,7 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model import grammar, laws, tables
 from hydro_sim.model.effects.base import Effect, FitParameter, fit, hidden, parameter
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import BOUND_MAX, REVERSAL_VELOCITY, Element, Law, Signals
+from hydro_sim.model.laws import BOUND_MAX, REVERSAL_VELOCITY, Law, MemoryElement, Signals
 from hydro_sim.model.tables import Table
 
 # --- where they act --------------------------------------------------------------------------------------------------
@@ -27,10 +27,10 @@ class Closure(Effect):
 
     id = "closure"
     law: ClassVar[Law | Table]
-    element: ClassVar[Element]
-    """What it remembers, if it does."""
+    memory_element: ClassVar[MemoryElement]
+    """Memory element of the law; only classes of laws with one have it."""
 
-    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+    def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         return tuple(one.fit for one in self.parameters if one.fit)
 
     def sentence(self, values: Mapping[str, float]) -> str:
@@ -46,21 +46,21 @@ class Closure(Effect):
     def _value(self, at: Signals) -> Symbol:
         return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
 
-    def _past(self) -> Symbol:
-        """State of the law at this instant, if it has one."""
+    def _memory_state(self) -> Symbol:
+        """State of the memory element at this instant; 0 without one."""
         return getattr(self, "past", 0.0)
 
-    def _remembered(self, signal: Symbol) -> Symbol:
-        """State of the law at the end of a step in which its signal has come to this."""
-        return self._past()
+    def _final_memory_state(self, signal: Symbol) -> Symbol:
+        """State of the memory element at the end of a step, at which its input is `signal`."""
+        return self._memory_state()
 
-    def _followed(self) -> Symbol:
-        """Signal of the law's element at this instant; time alone is 1."""
+    def _memory_input(self) -> Symbol:
+        """Input of the memory element at this instant; 1 if that is time."""
         p_a, p_b = self.at.pressures
         loaded = self.law.where == "load_force"
         force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
         now = Signals(self.at.position, self.at.velocity, p_a, p_b, self.at.spool, force)
-        return 1.0 if self.element.signal == "time" else getattr(now, self.element.signal)
+        return 1.0 if self.memory_element.signal == "time" else getattr(now, self.memory_element.signal)
 
 
 class MotionClosure(Closure):
@@ -68,25 +68,27 @@ class MotionClosure(Closure):
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         pressure_a, pressure_b = self.at.pressures
-        return self._value(Signals(position, velocity, pressure_a, pressure_b, memory=self._past()))
+        return self._value(Signals(position, velocity, pressure_a, pressure_b, memory=self._memory_state()))
 
 
 class FlowClosure(Closure):
-    """A flow out of the chambers beside the valve."""
+    """A leakage flow out of the chambers, parallel to the valve."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, memory=self._past())
+        at = Signals(
+            self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, memory=self._memory_state()
+        )
         out = self._value(at)
         return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
 
 
 class EdgeClosure(Closure):
-    """A share of the flow through the valve's edges that does not pass."""
+    """A blocked share of the flow through the valve's edges."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
         openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
-        past = self._past()
+        past = self._memory_state()
         return laws.edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.replace(memory=past)))
 
 
@@ -110,7 +112,7 @@ class LoadClosure(Closure):
     """A force of the load."""
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
-        return force + self._value(Signals(position, self.at.velocity, memory=self._remembered(position)))
+        return force + self._value(Signals(position, self.at.velocity, memory=self._final_memory_state(position)))
 
 
 class SensorClosure(Closure):
@@ -126,7 +128,7 @@ class SensorClosure(Closure):
         beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
                   "pressure_b": pressure_b, "current": getattr(self, "held", 0.0),
                   "acceleration": self.at.acceleration}  # fmt: skip
-        return signal + self._value(replace(laws.sensor_signals(channel, signal, beside), memory=self._past()))
+        return signal + self._value(replace(laws.sensor_signals(channel, signal, beside), memory=self._memory_state()))
 
 
 class ValveClosure(Closure):
@@ -135,7 +137,7 @@ class ValveClosure(Closure):
     late = True
 
     def command(self, spool: Symbol) -> Symbol:
-        return spool + self._value(Signals(current=spool, memory=self._remembered(spool)))
+        return spool + self._value(Signals(current=spool, memory=self._final_memory_state(spool)))
 
 
 # --- what they remember ----------------------------------------------------------------------------------------------
@@ -145,7 +147,7 @@ class LagClosure(Closure):
     """Law with a first-order lag of a signal, its magnitude or time."""
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        return {"past": (self._followed() - self.past) / self.time}
+        return {"past": (self._memory_input() - self.past) / self.time}
 
 
 class SpoolLagClosure(Closure):
@@ -157,32 +159,34 @@ class SpoolLagClosure(Closure):
         self.next["past"] = self._driver(spool) + (self.past - self._driver(spool)) * left
         return commanded
 
-    def _remembered(self, signal: Symbol) -> Symbol:
+    def _final_memory_state(self, signal: Symbol) -> Symbol:
         """Mean over the step."""
         share = (1.0 - np.exp(-self.at.step / self.time)) * self.time / self.at.step
         return self._driver(signal) + (self.past - self._driver(signal)) * share
 
     def _driver(self, spool: Symbol) -> Symbol:
-        return 1.0 if self.element.signal == "time" else getattr(Signals(current=spool), self.element.signal)
+        return (
+            1.0 if self.memory_element.signal == "time" else getattr(Signals(current=spool), self.memory_element.signal)
+        )
 
 
 class HysteresisClosure(Closure):
     """Law with hysteresis in the piston's position, the current or a sensor's signal."""
 
     def command(self, spool: Symbol) -> Symbol:
-        if self.element.signal == "current":
-            self.next["bent"], self.next["where"] = self._remembered(spool), spool
+        if self.memory_element.signal == "current":
+            self.next["bent"], self.next["where"] = self._final_memory_state(spool), spool
         return super().command(spool)
 
     def advance_states(self, position: Symbol, velocity: Symbol) -> None:
-        if self.element.signal != "current":
-            now = position if self.element.signal == "position" else self._followed()
-            self.next["bent"], self.next["where"] = self._remembered(now), now
+        if self.memory_element.signal != "current":
+            now = position if self.memory_element.signal == "position" else self._memory_input()
+            self.next["bent"], self.next["where"] = self._final_memory_state(now), now
 
-    def _past(self) -> Symbol:
+    def _memory_state(self) -> Symbol:
         return self.bent
 
-    def _remembered(self, signal: Symbol) -> Symbol:
+    def _final_memory_state(self, signal: Symbol) -> Symbol:
         moved = signal - self.where
         goal = np.sign(moved)
         return goal + (self.bent - goal) * np.exp(-np.abs(moved) / self.path)
@@ -202,7 +206,7 @@ _FOLLOWED = {"position": ("m", 1e-2), "current": ("A", 1e-3), "opening": ("A", 1
 
 def closure_class(law: Law | Table) -> type[Closure]:
     """Return the effect class of a law or table."""
-    size, element = law.typical, law.element
+    size, element = law.typical, law.memory_element
     amplitude = parameter(law.unit, -_REACH * size, _REACH * size, scale=size, fit=fit(size, smallest=1e-3 * size))
     members: dict[str, Any] = dict.fromkeys(law.names, amplitude)
     if isinstance(law, Table):
@@ -231,8 +235,8 @@ def closure_class(law: Law | Table) -> type[Closure]:
         else:
             bases = SpoolLagClosure if acts is ValveClosure else LagClosure, acts
             members["past"] = hidden(unit, scale=scale, integrated=acts is not ValveClosure, starts=start)
-        members["element"] = element
-    members |= {"law": law, "shaken": "acceleration" in law.uses, "__doc__": Closure.__doc__}
+        members["memory_element"] = element
+    members |= {"law": law, "depends_on_acceleration": "acceleration" in law.uses, "__doc__": Closure.__doc__}
     members |= {"options": {"equation": (law.equation,), "form": (law.form,)}}
     return type("Closure", bases, members)
 

@@ -1,128 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects on the piston's motion: friction, cushions, stops, load.
-
-How dry friction holds is part of the model (`model.rates`); its effects give the level at which it yields. With
-bristles nothing holds: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry
-et al. 1994, eq. 5; Dahl 1968.
-"""
+"""Effects on the piston's motion beside friction: constant force, cushions, load."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from hydro_sim.model.effects.base import Effect, FitParameter, fit, hidden, parameter
-from hydro_sim.model.equations import Symbol, choose, clip
+from hydro_sim.model.effects.friction import STRONGEST
+from hydro_sim.model.equations import Symbol, clip
 
 QUADRATIC_DEPTH = 5e-3
 """Depth [m] at which a quadratic cushion has the force of the linear one."""
-LEVEL_MIN = 1e-6
-"""Lower bound [N] of a bristle's level."""
-STRONGEST = 5e3
-"""Largest force [N] of a cause, unless the recorded machine is larger."""
-HEAVIEST = 1e6
-"""Largest damping [N s/m], the same."""
 
 
-class _Friction(Effect):
-    equations = ("motion",)
-    family = "friction"
-
-
-class FrictionCoulomb(_Friction):
-    """Constant force against the motion."""
-
-    id = "friction_coulomb"
-    says = "Dry friction of {force:.3g} N works against the motion at every speed."
-    force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=STRONGEST))
-
-    def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
-        return level + self.force
-
-
-class FrictionCoulombDirectional(_Friction):
-    """One force while extending, another while retracting."""
-
-    id = "friction_coulomb"
-    options = {"form": ("directional",)}
-    says = (
-        "Dry friction works against the motion: {force_positive:.3g} N while extending, {force_negative:.3g} N "
-        "while retracting."
-    )
-    force_positive = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=STRONGEST))
-    force_negative = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(6.0, smallest=0.3, high=STRONGEST))
-
-    def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
-        return level + choose(velocity > 0.0, self.force_positive, self.force_negative)
-
-
-class FrictionStribeck(_Friction):
-    """Additional dry friction near standstill (Armstrong-Helouvry et al. 1994, eq. 5)."""
-
-    id = "friction_stribeck"
-    says = (
-        "Near standstill friction rises by {breakaway_force:.3g} N; the rise is gone above about {velocity:.3g} mm/s."
-    )
-    breakaway_force = parameter("N", 0.0, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, high=STRONGEST))
-    velocity = parameter("m/s", 1e-4, 10.0, scale=0.01, neutral=0.01, fit=fit(0.006, 0.02, low=2e-3, high=0.06))
-
-    def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
-        ratio = velocity / self.velocity
-        return level + self.breakaway_force * np.exp(-ratio * ratio)
-
-
-_VISCOUS = fit(30.0, smallest=1.5, low=-HEAVIEST, high=HEAVIEST)
-
-
-class FrictionViscousDirectional(_Friction):
-    """A change of b while extending, another while retracting."""
-
-    id = "friction_viscous"
-    options = {"form": ("directional",)}
-    says = (
-        "The viscous friction depends on the direction: against the bench file {coefficient_positive:+.4g} N s/m while "
-        "extending and {coefficient_negative:+.4g} N s/m while retracting."
-    )
-    coefficient_positive = parameter("N s/m", -1e9, 1e9, scale=30.0, fit=_VISCOUS)
-    coefficient_negative = parameter("N s/m", -1e9, 1e9, scale=30.0, fit=_VISCOUS)
-
-    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
-        extending, retracting = super().fit_parameters(bench)
-        low = -bench.viscous_friction if isfinite(bench.viscous_friction) else -HEAVIEST
-        return replace(extending, low=low), replace(retracting, low=low, probes=(-15.0 if low < -30.0 else 15.0,))
-
-    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
-        return choose(velocity > 0.0, self.coefficient_positive, self.coefficient_negative) * velocity
-
-
-class FrictionPresliding(_Friction):
-    """Bristles that bend before they slide, at the level of the other dry friction."""
-
-    id = "friction_presliding"
-    says = "Before it slides the piston deflects elastically with {stiffness:.3g} N/m."
-    needs = ("friction_coulomb",)
-    single = True
-    stiffness = parameter("N/m", 1.0, 1e11, scale=2e5, neutral=1e7,
-                          fit=fit(3e4, 3e5, low=3e3, high=3e6, neutral=3e6))  # fmt: skip
-    bent = hidden("N", scale=5.0)
-
-    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
-        level, moved = self.at.dry_level(velocity), position - self.at.began
-        goal = np.sign(moved) * level
-        return goal + (self.bent - goal) * np.exp(-self.stiffness * np.abs(moved) / np.fmax(level, LEVEL_MIN))
-
-    def advance_states(self, position: Symbol, velocity: Symbol) -> None:
-        self.next["bent"] = self.opposing_force(position, velocity)
-
-
-class ForceOffset(_Friction):
+class ForceOffset(Effect):
     """A constant force on the piston."""
 
     id = "force_offset"
+    equations = ("motion",)
+    family = "friction"
     says = "A constant force of {force:.3g} N acts on the moving mass (for instance its weight on a slope)."
     force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, low=-STRONGEST, high=STRONGEST))
 
@@ -145,9 +45,9 @@ class EndCushion(Effect):
         side = "beyond" if self.form.startswith("end") else "below"
         return f"The piston runs into a cushion of {{stiffness:.3g}} N/m {side} {{position:.4g}} mm."
 
-    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+    def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         """On its own half of the stroke: beyond, it would be an offset and a softer spring over the whole range."""
-        stiffness, position = super().fit_parameters(bench)
+        stiffness, position = super().fitted_parameters(bench)
         stroke, middle, shares = bench.stroke, 0.5 * bench.stroke, (0.575, 0.625, 0.675)
         low, high = (middle, stroke) if self.form.startswith("end") else (0.0, middle)
         at = shares if self.form.startswith("end") else tuple(1.0 - share for share in shares)
@@ -210,7 +110,4 @@ class BacklashPlay(Backlash):
         return clip(self.dragged, position - 0.5 * self.width, position + 0.5 * self.width)
 
 
-EFFECTS = (
-    FrictionCoulomb, FrictionCoulombDirectional, FrictionStribeck, FrictionViscousDirectional, FrictionPresliding,
-    ForceOffset, EndCushion, SpringHardening, Backlash, BacklashPlay,
-)  # fmt: skip
+EFFECTS = (ForceOffset, EndCushion, SpringHardening, Backlash, BacklashPlay)

@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Any, ClassVar
 
 from hydro_sim.model.effects.base import Effect, FitParameter, fit, parameter
-from hydro_sim.model.effects.motion import HEAVIEST
+from hydro_sim.model.effects.friction import HEAVIEST
 
 
 class Correction(Effect):
@@ -19,13 +19,13 @@ class Correction(Effect):
 
 
 class Change(Correction):
-    """What a number has more than the bench file says; the number stays above zero."""
+    """Additive change of a number of the bench file; the changed number stays above zero."""
 
     least: ClassVar[float] = 1.0
     """Share of the file's value that may be missing."""
 
-    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
-        (change,) = super().fit_parameters(bench)
+    def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        (change,) = super().fitted_parameters(bench)
         filed = getattr(bench, self.number)
         return (replace(change, low=self.least * (-filed if isfinite(filed) else change.low)),)
 
@@ -36,8 +36,8 @@ class Change(Correction):
 class TrueValue(Correction):
     """The true value; its probe is the distance from the file's."""
 
-    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
-        (true,) = super().fit_parameters(bench)
+    def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        (true,) = super().fitted_parameters(bench)
         filed = getattr(bench, self.number)
         return (replace(true, neutral=filed, probes=(filed + true.probes[0],)),)
 

@@ -51,8 +51,8 @@ class SensorLag(Sensor):
     signal = hidden("N or Pa", scale=10.0)
     rate = hidden("N/s or Pa/s", scale=1e3)
 
-    def fit_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
-        bandwidth, damping = super().fit_parameters(bench)
+    def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
+        bandwidth, damping = super().fitted_parameters(bench)
         return replace(bandwidth, systematic=0.03 if self.channel.startswith("pressure") else 0.01), damping
 
     def correct(self, n: Any) -> None:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""bench.yaml as plain numbers, and its digest, by which box, model, metric and policy are matched.
+"""Digest of a bench.yaml, by which box, model, metric and policy are matched, and the reader of its plain numbers.
 
-Names, units and ranges of the numbers are defined in `model.bench`; a bridge only has to state its box's bench.
+It checks no names, units or ranges: `hydro_sim.model.bench.Bench` defines those. A bridge only has to state its box's
+bench.
 """
 
 from __future__ import annotations
