@@ -174,16 +174,16 @@ def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Tr
 
 def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
     for _ in range(3):  # again where the machine stood still: waiting for a learner takes seconds each time
-        during, samples = gains_while_the_learner_restarts(training)
-        if np.diff(during["time"]).max() < 0.5 and len(during) == pytest.approx(samples / 10, rel=0.1):
+        during, share, before = gains_while_the_learner_restarts(training)
+        if np.diff(during["time"]).max() < 0.5 and share > 0.9:
             break
-    assert len(during) > 0.4 * samples / 10, "a busy machine may hold up a step, not most of them"
+    assert 1.1 > share > (0.9 if before > 0.9 else 0.4), "a machine that held up steps before may hold up some more"
     assert np.diff(during["time"]).max() < 0.5
     assert np.median(np.diff(during["step"].astype(int))) == 1
 
 
-def gains_while_the_learner_restarts(training: Training) -> tuple[np.ndarray, int]:
-    """Kill the learner: the recorded gains of the 3 s from then on, and the number of samples in that time."""
+def gains_while_the_learner_restarts(training: Training) -> tuple[np.ndarray, float, float]:
+    """Kill the learner: the recorded gains of 3 s from then on, their share of the steps, and that of 1 s before."""
     probe, process = training.probe, training.process
     begun = probe.last(TRAINING).updates
     probe.spin(1.5)
@@ -201,9 +201,13 @@ def gains_while_the_learner_restarts(training: Training) -> tuple[np.ndarray, in
     probe.wait(lambda: read_bag(training.run.bag)[GAINS]["time"].max() > killed + 3.0)
     bag = read_bag(training.run.bag)
     gains, times = bag[GAINS], bag.state["time"]
-    return gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)], int(
-        ((times > killed) & (times < killed + 3.0)).sum()
-    )
+
+    def share(begin: float, end: float) -> float:
+        steps = ((times > begin) & (times < end)).sum() / 10
+        return float(((gains["time"] > begin) & (gains["time"] < end)).sum() / steps)
+
+    during = gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)]
+    return during, share(killed, killed + 3.0), share(killed - 1.0, killed)
 
 
 def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:
