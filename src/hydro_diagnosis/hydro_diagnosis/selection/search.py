@@ -165,6 +165,10 @@ class Search:
         self.steps: list[Step] = []
         """Steps of acceptance and removal so far, passed to the outcome."""
         self._begun = problem.budget.evaluations
+        self._mended = False
+        """Whether a candidate was passed over that may only mend the form of its kin."""
+        self._mending = False
+        """Whether such candidates join."""
         self._shortlists = Shortlists(self.library, self.settings)
 
     def run(self) -> SearchOutcome:
@@ -202,11 +206,25 @@ class Search:
         return outcome
 
     def _from(self, nothing: Fit) -> SearchOutcome:
-        """Add what pays most, exchange what others do better, until nothing pays."""
+        """Add what pays most, exchange what others do better, until nothing pays.
+
+        Where something remains, what may only mend the form of its kin joins too, but only if in the end nothing does.
+        """
         self.steps.clear()
+        self._mending = self._mended = False
+        outcome = self._grown(SearchOutcome(self.problem.reweighted(()), nothing, nothing))
+        if self._mended and outcome.problem.noticeable(outcome.fit.residual):
+            self._mending = True
+            whole = self._grown(replace(outcome, steps=[*outcome.steps], rivals={**outcome.rivals}))
+            if not whole.problem.noticeable(whole.fit.residual):
+                return whole
+            self.steps[:] = outcome.steps
+        return outcome
+
+    def _grown(self, outcome: SearchOutcome) -> SearchOutcome:
+        """The outcome with further claims."""
         self._shortlists.signatures.clear()
-        outcome = SearchOutcome(self.problem.reweighted(()), nothing, nothing)
-        ranked, idle = self._ranked(self.problem, nothing), 0
+        ranked, idle = self._ranked(outcome.problem, outcome.fit), 0
         for _ in range(2 * self.settings.most):
             if ranked:
                 idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
@@ -251,7 +269,10 @@ class Search:
             self._shortlists.polish(problem, base, best + CONTENDING * (base.score - best), POLISHED)
         better = [one for one in self._shortlists.extensions(problem, base, 0.0) if one.score <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
-        if evidence and form_error(problem, base, evidence[0]) and not self._completed(problem, base, evidence[0]):
+        if self._mending or not evidence or not form_error(problem, base, evidence[0]):
+            return evidence
+        if not self._completed(problem, base, evidence[0]):
+            self._mended = True
             evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
         return evidence
 
