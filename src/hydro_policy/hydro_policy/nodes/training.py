@@ -16,7 +16,7 @@ import numpy as np
 
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
-from hydro_core.cli.console import writable_folder
+from hydro_core.cli.console import UserError, writable_folder
 from hydro_core.size import rescale
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
@@ -28,6 +28,7 @@ from hydro_policy.nodes.evaluation import compare_on, conditions, remove_rejecte
 from hydro_policy.nodes.graph_node import Ending, GraphNode
 from hydro_policy.nodes.parameters import declare_settings, keep_overridden
 from hydro_policy.nodes.plant_options import (
+    NO_FILTER,
     SCRATCH,
     box_mismatch,
     expected_box,
@@ -68,7 +69,9 @@ def prepare(
     """
     start, checkpoint, box = None, None, expected_box(options)
     if options.plant != "external":
-        requested_filter(plant_options(options).filter, options.bench)
+        if (words := plant_options(options).filter) == NO_FILTER:
+            raise UserError("--filter none is for the compensated law of `evaluate`: a policy trains behind the filter")
+        requested_filter(words, options.bench)
     node.box_fault = partial(box_mismatch, box)
     load_cell(options)
     new = options.resume is None
