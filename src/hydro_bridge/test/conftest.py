@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several tests need: states with known content, a pseudo-terminal pair."""
+"""What several tests need: states with known content, a box at the other end of a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -9,24 +9,14 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hydro_bridge.serial.protocol import (
-    VERSION,
-    BoxDetails,
-    BoxInfo,
-    BoxLaw,
-    CommandFrame,
-    Hello,
-    LawState,
-    encode_details,
-    encode_hello,
-    encode_law,
-    encode_state,
-)
+from hydro_bridge.serial import protocol
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, CommandFrame, LawState
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.signals import STATE_DTYPE, STATE_FIELDS, Flag, Law, StateArray
 from tests.fuzz_link import altered
@@ -52,7 +42,6 @@ class Cable:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.box = -1
         self.plug_in()
 
     def plug_in(self) -> None:
@@ -76,30 +65,27 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
     made.unplug()
 
 
-PLAIN = BoxDetails(epoch=1)
-"""DETAILS of a box that runs the paper's law only."""
+SMALL, PLAIN = BoxInfo(name="small box"), BoxDetails(epoch=1)
+ACTING = LawState(Law.COMPENSATED, 0.5, 0.25, (1.0, 0.03125, 0.0, 0.0), 0.25, 1.0)
 
 
+@dataclass
 class SmallBox:
-    """Speaks the protocol at 1 kHz: answers greetings, arms when told to."""
+    """Speaks the protocol at 1 kHz: answers greetings, arms when told to. By default it runs the paper's law only."""
 
-    def __init__(
-        self,
-        cable: Cable,
-        *,
-        info: BoxInfo | None = None,
-        obeys: bool = True,
-        version: int = VERSION,
-        first: int = 0,
-        details: BoxDetails | None = PLAIN,
-        law: BoxLaw | None = None,
-    ) -> None:
-        self.details, self.refused, self.law = details, (0, 0), law
-        self.law_state = LawState(Law.COMPENSATED, 0.5, 0.25, (1.0, 0.03125, 0.0, 0.0), 0.25, 1.0)
-        self.cable, self.info, self.obeys, self.version = cable, info or BoxInfo(name="small box"), obeys, version
-        self.commands: list[CommandFrame] = []
-        self.flags = 0
-        self.sequence = first
+    cable: Cable
+    info: BoxInfo = SMALL
+    details: BoxDetails | None = PLAIN
+    law: BoxLaw | None = None
+    law_state: LawState = ACTING
+    version: int = protocol.VERSION
+    obeys: bool = True
+    sequence: int = 0
+    flags: int = 0
+    refused: tuple[int, int] = (0, 0)
+    commands: list[CommandFrame] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
         self.running = True
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
@@ -112,7 +98,7 @@ class SmallBox:
                     self._take(frame)
                 last = self.commands[-1].sequence if self.commands else 0
                 told = (self.flags, last, self.refused, self.law_state)
-                state = encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, *told)
+                state = protocol.encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, *told)
                 self._write(altered(state, {0: self.version}))
             self.sequence += 1
             now = time.monotonic()
@@ -133,11 +119,11 @@ class SmallBox:
             return os.read(self.cable.box, 4096)
         return b""
 
-    def _take(self, frame: object) -> None:
-        if isinstance(frame, Hello):
-            details = encode_details(1, 0, self.details) if self.details else b""
-            law = encode_law(1, 0, self.law) if self.law else b""
-            hello = altered(encode_hello(1, 0, self.info), {14: self.version, 15: self.version})  # it speaks no other
+    def _take(self, frame: protocol.Frame) -> None:
+        if isinstance(frame, protocol.Hello):
+            details = protocol.encode_details(1, 0, self.details) if self.details else b""
+            law = protocol.encode_law(1, 0, self.law) if self.law else b""
+            hello = altered(protocol.encode_hello(1, 0, self.info), {14: self.version, 15: self.version})
             os.write(self.cable.box, hello + details + law)
         elif isinstance(frame, CommandFrame):
             self.commands.append(frame)

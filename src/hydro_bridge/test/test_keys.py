@@ -11,59 +11,40 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros import policy
+from hydro_bridge.ros import policy, topics
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.keys import ENABLE, KEYSTORE, STRATEGY, enclave_name, security_enabled
-from hydro_bridge.ros.policy import policy_xml
-from hydro_bridge.ros.topics import (
-    ARM_SERVICE,
-    AUTHORITY,
-    CLAIM_SERVICE,
-    CORRECTION,
-    END_SERVICE,
-    GAINS,
-    GRAPH,
-    LOG,
-    OVERRIDE_SERVICE,
-    REFERENCE,
-    RIGHTS,
-    STATE,
-)
 from hydro_core.settings import SettingsError
 from tests.checks import ran, status_of
 
 
-def allowed(kind: str, what: str, name: str) -> set[str]:
-    """The executables whose policy allows `what` (publish, subscribe, reply, request) with a topic or service."""
-    return {
-        enclave.attrib["path"].removeprefix("/hydro/")
-        for enclave in ElementTree.fromstring(policy_xml()).iter("enclave")
-        for group in enclave.iter(f"{kind}s")
-        if group.get(what) == "ALLOW" and name in [entry.text for entry in group]
-    }
-
-
-def test_only_who_has_to_may_command_the_plant() -> None:
-    drivers = {"trainer", "evaluate", "commission", "collect"}
-    assert allowed("topic", "publish", GAINS) == drivers
-    assert allowed("topic", "publish", REFERENCE) == drivers
-    assert allowed("topic", "publish", CORRECTION) == {"filter", "filtered_plant"}
-    assert allowed("topic", "publish", STATE) == {"bridge", "sim", "filtered_plant", "replayer"}
-    assert allowed("topic", "publish", AUTHORITY) == {"bridge", "sim", "filtered_plant"}
-    assert "filtered_plant" not in allowed("topic", "subscribe", CORRECTION), "its own alone"
-    assert not allowed("service", "request", ARM_SERVICE), "who has a key disarms by name"
-    assert allowed("service", "request", CLAIM_SERVICE) == drivers | {"arm", "dashboard"}
-    assert allowed("service", "request", OVERRIDE_SERVICE) == {"override", "dashboard"}
-    assert allowed("service", "request", END_SERVICE) == {"dashboard"}
-    assert all("watch" in allowed("topic", "subscribe", topic) for topic in GRAPH)
-    assert [topic for topic in GRAPH if "watch" in allowed("topic", "publish", topic)] == [LOG], "its own log"
-
-
-def test_the_policy_is_written_for_ros2_security(tmp_path: Path) -> None:
+def test_only_who_has_to_may_command_the_plant_by_the_policy_that_is_written_for_ros2_security(tmp_path: Path) -> None:
     assert status_of(policy.main, tmp_path / "policy.xml") == 0
-    assert (tmp_path / "policy.xml").read_bytes() == policy_xml()
-    root = ElementTree.fromstring(policy_xml())
-    assert {entry.attrib["path"] for entry in root.iter("enclave")} == {enclave_name(name) for name in RIGHTS}
+    enclaves = {entry.attrib["path"]: entry for entry in ElementTree.parse(tmp_path / "policy.xml").iter("enclave")}
+    assert set(enclaves) == {enclave_name(name) for name in topics.RIGHTS}
+
+    def allowed(what: str, name: str) -> set[str]:
+        """The executables that may do `what` (publish, subscribe, request) with a topic or service."""
+        kind = "services" if what == "request" else "topics"
+        return {
+            path.removeprefix("/hydro/")
+            for path, enclave in enclaves.items()
+            for group in enclave.iter(kind)
+            if group.get(what) == "ALLOW" and name in [entry.text for entry in group]
+        }
+
+    drivers = {"trainer", "evaluate", "commission", "collect"}
+    assert allowed("publish", topics.GAINS) == allowed("publish", topics.REFERENCE) == drivers
+    assert allowed("publish", topics.CORRECTION) == {"filter", "filtered_plant"}
+    assert allowed("publish", topics.STATE) == {"bridge", "sim", "filtered_plant", "replayer"}
+    assert allowed("publish", topics.AUTHORITY) == {"bridge", "sim", "filtered_plant"}
+    assert "filtered_plant" not in allowed("subscribe", topics.CORRECTION), "its own alone"
+    assert not allowed("request", topics.ARM_SERVICE), "who has a key disarms by name"
+    assert allowed("request", topics.CLAIM_SERVICE) == drivers | {"arm", "dashboard"}
+    assert allowed("request", topics.OVERRIDE_SERVICE) == {"override", "dashboard"}
+    assert allowed("request", topics.END_SERVICE) == {"dashboard"}
+    assert all("watch" in allowed("subscribe", topic) for topic in topics.GRAPH)
+    assert [topic for topic in topics.GRAPH if "watch" in allowed("publish", topic)] == [topics.LOG], "its own log"
 
 
 def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_otherwise_in_ros_s_words(
@@ -100,5 +81,4 @@ def test_what_is_started_beside_a_node_does_not_inherit_the_enclave_that_its_use
     monkeypatch.setenv("HYDRO_INHERITED", "yes")
     with Companion("hydro_bridge", "bridge", ["--port", "/nowhere/port"]) as companion:
         environment = Path(f"/proc/{companion.process.pid}/environ").read_bytes()
-    assert b"HYDRO_INHERITED=yes" in environment
-    assert b"ENCLAVE_OVERRIDE" not in environment
+    assert b"HYDRO_INHERITED=yes" in environment and b"ENCLAVE_OVERRIDE" not in environment

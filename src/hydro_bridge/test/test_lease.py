@@ -12,11 +12,13 @@ from hydro_bridge.safety.lease import BY_HAND, HANDOVER_TIME, SILENCE, Lease
 
 @pytest.fixture
 def lease() -> Lease:
-    return Lease(count(1).__next__)
-
-
-def test_the_second_is_told_who_commands_and_a_holder_that_asks_again_keeps_claim_and_epoch(lease) -> None:
+    """Held by a trainer since 0 s."""
+    lease = Lease(count(1).__next__)
     assert lease.take("trainer", 0, 0.0) == ""
+    return lease
+
+
+def test_the_second_is_told_who_commands_and_a_holder_that_asks_again_keeps_claim_and_epoch(lease: Lease) -> None:
     claim, epoch = lease.claim, lease.epoch
     assert "trainer commands this plant" in lease.take("evaluate", 0, 1.0)
     assert "trainer commands this plant" in lease.take("trainer", claim + 100, 1.0), "of the same name"
@@ -27,59 +29,47 @@ def test_the_second_is_told_who_commands_and_a_holder_that_asks_again_keeps_clai
 
 
 def test_a_silent_holder_is_succeeded_and_its_commands_are_refused(lease: Lease) -> None:
-    lease.take("trainer", 0, 0.0)
-    old = lease.epoch
-    now = SILENCE + 0.1
-    assert lease.take("evaluate", 0, now) == ""
-    assert lease.holder == "evaluate"
-    assert not lease.admits("gains", old, now + 1.0)
-    assert lease.admits("gains", lease.epoch, now + 1.0)
+    old, now = lease.epoch, SILENCE + 0.1
+    assert lease.take("evaluate", 0, now) == "" and lease.holder == "evaluate"
+    assert not lease.admits("gains", old, now + 1.0) and lease.admits("gains", lease.epoch, now + 1.0)
     assert "evaluate commands this plant" in lease.take("trainer", old, now + 1.0)
 
 
-def test_a_claim_lapses_with_silence_in_which_no_command_came(lease: Lease) -> None:
-    lease.take("trainer", 0, 0.0)
+def test_a_claim_lapses_with_silence_in_which_no_command_of_the_holders_came(lease: Lease) -> None:
     assert not lease.expire(SILENCE) and lease.holder
     assert lease.admits("gains", lease.epoch, SILENCE)
     assert "trainer commands" in lease.take("evaluate", 0, SILENCE + 0.1)
+    assert lease.admits("correction", lease.epoch, 2 * SILENCE, renews=False), "the filter's"
     assert not lease.expire(2 * SILENCE) and lease.expire(2 * SILENCE + 0.1) and not lease.holder
     assert not lease.expire(100.0), "nobody is there to lose it"
 
 
 def test_what_carries_no_epoch_or_an_old_one_is_refused_and_counted(lease: Lease) -> None:
-    lease.take("trainer", 0, 0.0)
     old = lease.epoch
     lease.end_session(10.0)
     assert not lease.admits("gains", old, 10.1) and not lease.refused, "on its way when the session ended"
-    assert not lease.admits("gains", old, 11.0)
-    assert not lease.admits("gains", 0, 11.0)
-    assert not lease.admits("reference", 0, 11.0)
+    for topic, epoch in (("gains", old), ("gains", 0), ("reference", 0)):
+        assert not lease.admits(topic, epoch, 11.0)
     assert lease.refused == {"gains": 2, "reference": 1}
+    drawn = {Lease().epoch for _ in range(100)}
+    assert len(drawn) == 100 and 0 not in drawn and max(drawn) < 2**64, "nobody guesses it, and none is said twice"
 
 
 def test_only_the_holder_can_give_it_back_and_an_heir_is_waited_for_but_not_for_ever(lease: Lease) -> None:
-    assert not lease.release(0, 0.0)
-    lease.take("trainer", 0, 0.0)
     old = lease.epoch
-    assert not lease.release(lease.claim + 1, 1.0) and lease.holder
+    assert not lease.release(0, 0.0) and not lease.release(lease.claim + 1, 1.0) and lease.holder
     assert lease.release(lease.claim, 1.0, heir="evaluate") and not lease.holder
+    assert not lease.release(0, 1.0), "nobody holds it"
     assert "handed over to evaluate" in lease.take("collect", 0, 1.1)
     assert "handed over to evaluate" in lease.take("trainer", 0, 1.1), "nor he who gave it"
-    assert lease.take("evaluate", 0, 2.0) == "" and lease.holder == "evaluate"
-    assert lease.epoch != old
+    assert lease.take("evaluate", 0, 2.0) == "" and lease.holder == "evaluate" and lease.epoch != old
     lease.release(lease.claim, 3.0)
     assert lease.take("collect", 0, 3.1) == "", "given back to whoever asks"
     lease.release(lease.claim, 4.0, heir="evaluate")
     assert lease.take("collect", 0, 4.0 + HANDOVER_TIME) == "", "the heir has not come"
 
 
-def test_numbers_are_drawn_anew_and_are_never_0() -> None:
-    drawn = {Lease().epoch for _ in range(100)}
-    assert len(drawn) == 100 and 0 not in drawn and max(drawn) < 2**64
-
-
 def test_what_a_person_disarmed_only_a_person_arms(lease: Lease) -> None:
-    lease.take("trainer", 0, 0.0)
     lease.note_disarmed(lease.claim)
     assert lease.arm_refusal(lease.claim, 0, "") == "", "its own disarming"
     lease.note_disarmed(0)
@@ -94,15 +84,8 @@ def test_what_a_person_disarmed_only_a_person_arms(lease: Lease) -> None:
 
 
 def test_a_holder_that_disarms_by_its_claim_from_before_its_silence_may_arm(lease: Lease) -> None:
-    lease.take("trainer", 0, 0.0)
     old = lease.claim
     assert lease.expire(SILENCE + 0.1)
     lease.take("trainer", old, SILENCE + 0.2)
     lease.note_disarmed(old)  # asked for before the answer to the line above came
     assert lease.claim != old and lease.arm_refusal(lease.claim, lease.epoch, "trainer") == ""
-
-
-def test_corrections_do_not_renew_the_lease(lease: Lease) -> None:
-    lease.take("trainer", 0, 0.0)
-    assert lease.admits("correction", lease.epoch, SILENCE, renews=False)
-    assert lease.expire(SILENCE + 0.1)

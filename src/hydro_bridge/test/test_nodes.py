@@ -9,8 +9,10 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
+from contextlib import suppress
+from types import SimpleNamespace
 
+import psutil
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -28,6 +30,8 @@ from tests.graph_probe import Probe
 
 pytestmark = pytest.mark.graph
 
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5)
+
 
 @pytest.fixture
 def probe() -> Iterator[Probe]:
@@ -36,64 +40,67 @@ def probe() -> Iterator[Probe]:
     made.close()
 
 
-def bridged(port, probe, start, *words, output=None):
-    """A bridge whose samples are heard.
+@pytest.fixture
+def bridge(cable, small_box, probe, start):
+    """Start a box and a bridge, and wait for samples: both, what it logs, and what it says on /diagnostics.
 
     Its box is a thread of this process, which other tests hold up: a line that is silent for that long stays open.
     """
-    patient = ("--ros-args", "-p", "silence_max:=30.0")
-    bridge = start("hydro_bridge bridge", "--port", port, *patient, *words, output=output)
-    probe.wait(lambda: len(probe.states) > 20)
-    return bridge
+
+    def begin(*words, **box):
+        it = SimpleNamespace(box=small_box(**box), output=io.StringIO(), told=[])
+        listen = lambda array: it.told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
+        create_subscription(probe.node, DIAGNOSTICS, listen)
+        patient = ("--ros-args", "-p", "silence_max:=30.0")
+        it.process = start("hydro_bridge bridge", "--port", cable.path, *patient, *words, output=it.output)
+        probe.wait(lambda: len(probe.states) > 20)
+        return it
+
+    return begin
 
 
-def told_by(probe) -> list[DiagnosticStatus]:
-    """What a bridge says in its diagnostics, from now on."""
-    told: list[DiagnosticStatus] = []
-    listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
-    create_subscription(probe.node, DIAGNOSTICS, listen)
-    return told
+@pytest.fixture
+def steered(bridge, probe):
+    """A bridge that is armed."""
+    it = bridge("-p", "guard.gains_timeout:=2.0")
+    it.armed = lambda: bool(it.box.flags & Flag.ARMED)
+    it.command = lambda: it.box.commands[-1].command
+    probe.take()
+    assert probe.ask(True).success
+    return it
 
 
-def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
-    small_box()
-    output, told = io.StringIO(), told_by(probe)
-    bridged(cable.path, probe, start, output=output)
+def boxes_heard(probe: Probe) -> list[BoxInfo]:
+    """What comes on /hydro/box from now on, the latched one first."""
+    heard: list[BoxInfo] = []
+    create_subscription(probe.node, BOX, heard.append)
+    return heard
+
+
+def shipped_digest() -> str:
+    return bench_digest.digest(bench_digest.read_numbers(bench_digest.shipped_bench_file()))
+
+
+def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(bridge, probe):
+    it = bridge()
     probe.take()
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
-    probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
-    assert told[-1].level == DiagnosticStatus.ERROR
+    probe.wait(lambda: it.told and "2 nodes publish /hydro/gains (probe, probe)" in it.told[-1].message)
+    assert it.told[-1].level == DiagnosticStatus.ERROR
     refused = [probe.ask(True) for _ in range(3)][-1]
     assert not refused.success and "end all but one" in refused.message
-    probe.wait(lambda: refused.message in output.getvalue())
-    assert output.getvalue().count(refused.message) == 1, "told once, however often it is asked for"
+    probe.wait(lambda: refused.message in it.output.getvalue())
+    assert it.output.getvalue().count(refused.message) == 1, "told once, however often it is asked for"
     probe.node.destroy_publisher(rival)
     probe.wait(lambda: probe.ask(True).success)
 
 
-@pytest.fixture
-def steered(cable, small_box, probe, start):
-    """A bridge that is armed, its box, and the diagnostics."""
-
-    class Steered:
-        box, told, output = small_box(), told_by(probe), io.StringIO()
-
-        def armed(self) -> bool:
-            return bool(self.box.flags & Flag.ARMED)
-
-    bridged(cable.path, probe, start, "-p", "guard.gains_timeout:=2.0", output=Steered.output)
-    probe.take()
-    assert probe.ask(True).success
-    return Steered()
-
-
 def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_says_so(steered, probe):
-    sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5)
-    probe.commander.reference(sine)
+    probe.commander.reference(SINE)
     probe.drive(32.0, 0.0, 2.5)
-    assert steered.armed() and steered.box.commands[-1].command.reference == sine
+    assert steered.armed() and steered.command().reference == SINE
     probe.wait(lambda: not steered.armed(), 10.0)
-    assert steered.box.commands[-1].command.reference == ReferenceSignal()
+    assert steered.command().reference == ReferenceSignal()
     steered.told.clear()
     probe.wait(lambda: steered.told and "no gains for 2 s, whoever chose them is gone" in steered.told[-1].message)
     assert steered.told[-1].level > DiagnosticStatus.OK and not steered.armed()  # a busy machine may add an error
@@ -117,9 +124,9 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
     for _ in range(10):
         probe.commander.epoch = before  # each time: the plant keeps telling it
         probe.commander.gains(32.0, 0.0)
-        probe.commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
+        probe.commander.reference(SINE)
         probe.spin(0.05)
-    assert steered.armed() and steered.box.commands[-1].command.reference == ReferenceSignal()
+    assert steered.armed() and steered.command().reference == ReferenceSignal()
 
     def counted() -> list[int]:
         said = {pair.key: pair.value for status in steered.told[-1:] for pair in status.values}
@@ -131,20 +138,20 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
 
 
 def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):
-    def claim(**words) -> Claim.Response:
-        answer = probe.arming.call_async(Claim.Request(**words))
+    def claim(act: int, **words) -> Claim.Response:
+        answer = probe.arming.call_async(Claim.Request(act=act, **words))
         probe.wait(answer.done)
         return answer.result()
 
-    refused = claim(act=Claim.Request.ARM, name="person", whom="evaluate")
+    refused = claim(Claim.Request.ARM, name="person", whom="evaluate")
     assert not refused.success and refused.message == "probe commands this plant, not evaluate"
-    assert claim(act=Claim.Request.ARM, name="person", whom="probe").success
+    assert claim(Claim.Request.ARM, name="person", whom="probe").success
     probe.commands = False
     answer = probe.commander.release("evaluate")
     probe.wait(answer.done)
     assert answer.result().message == "disarmed, handed over to evaluate" and not steered.armed()
-    assert "handed over to evaluate" in claim(act=Claim.Request.TAKE, name="collect").message
-    heir = claim(act=Claim.Request.TAKE, name="evaluate")
+    assert "handed over to evaluate" in claim(Claim.Request.TAKE, name="collect").message
+    heir = claim(Claim.Request.TAKE, name="evaluate")
     assert heir.success and heir.epoch
 
 
@@ -152,17 +159,16 @@ def test_who_succeeds_a_holder_that_has_fallen_silent_finds_the_plant_disarmed(s
     other = Probe()
     try:
         other.take()  # nobody spins the first one meanwhile
-        assert not steered.armed() and not steered.box.commands[-1].command.arm
+        assert not steered.armed() and not steered.command().arm
     finally:
         other.close()
 
 
-def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):
-    box = small_box()
+def test_arm_arms_and_says_what_the_plant_answered(cable, bridge, probe, start):
+    output = io.StringIO()
     alone = start("hydro_bridge arm", "--timeout", "0.5")
     assert alone.process.wait(60.0) == 2 and "no plant runs here" in alone.last_line
-    bridged(cable.path, probe, start)
-    output = io.StringIO()
+    box = bridge().box
     assert start("hydro_bridge arm", output=output).process.wait(60.0) == 0
     assert box.flags & Flag.ARMED
     probe.wait(lambda: "armed" in output.getvalue())
@@ -174,66 +180,48 @@ def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, star
     assert refused.process.wait(60.0) == 2 and "the plant refuses: " in refused.last_line
 
 
-def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start):
-    box = small_box()
-    bridge = bridged(cable.path, probe, start)
-    assert probe.ask(True).success
-    bridge.process.send_signal(signal.SIGHUP)
-    probe.wait(lambda: not box.commands[-1].command.arm, 2.0)  # it looks for signals five times a second
-    assert bridge.process.wait(10.0) == 0
+def test_bridge_disarms_the_box_when_it_is_ended(steered, probe):
+    process = steered.process.process
+    process.send_signal(signal.SIGHUP)
+    probe.wait(lambda: not steered.command().arm, 2.0)  # it looks for signals five times a second
+    assert process.wait(10.0) == 0
 
 
-def boxes_heard(probe: Probe) -> list[BoxInfo]:
-    """What comes on /hydro/box from now on, the latched one first."""
-    heard: list[BoxInfo] = []
-    probe.node.create_subscription(BoxInfo, BOX, heard.append, GRAPH[BOX][1])
-    return heard
-
-
-def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(cable, small_box, probe, start, tmp_path):
-    small_box(info=BoxFrame(name="small box 3", base_kp=30.0, base_ki=8.0))
-    bridge = bridged(cable.path, probe, start)
+def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(bridge, probe, start, tmp_path):
+    it = bridge(info=BoxFrame(name="small box 3", base_kp=30.0, base_ki=8.0))
     heard = boxes_heard(probe)  # later than it was said
     probe.wait(lambda: heard)
     said = heard[0]
     assert (said.plant, said.firmware, said.base_kp, said.base_ki) == ("bridge", "small box 3", 30.0, 8.0)
-    assert said.bench_digest == bench_digest.digest(bench_digest.read_numbers(bench_digest.shipped_bench_file()))
+    assert said.bench_digest == shipped_digest()
     assert yaml.safe_load(said.bench)["valve_current_max"] == 0.05
     recorder = start("hydro_bridge recorder", "--out", tmp_path / "run")
     probe.wait(lambda: probe.node.count_subscribers(BOX) == 2)
     probe.spin(2.0)
-    assert recorder.stop() == 0 and bridge.stop() == 0
-    (kept,) = [message for _, message in read_messages(tmp_path / "run", BOX)]
-    assert (kept.bench_digest, kept.base_kp) == (said.bench_digest, 30.0)
+    assert recorder.stop() == 0 and it.process.stop() == 0
     heard.clear()
     start("hydro_bridge replayer", tmp_path / "run", "--loop")
     probe.wait(lambda: heard)
-    assert (heard[0].bench_digest, heard[0].base_kp) == (said.bench_digest, 30.0)
+    ((_, recorded),) = read_messages(tmp_path / "run", BOX)
+    for box in (recorded, heard[0]):
+        assert (box.bench_digest, box.base_kp) == (said.bench_digest, 30.0)
 
 
-def test_a_box_that_differs_from_its_bench_file_is_told_with_both_numbers(cable, small_box, probe, start):
-    small_box(info=BoxFrame(name="other box", valve_current_max=0.08))
-    output = io.StringIO()
-    start("hydro_bridge bridge", "--port", cable.path, output=output)
-    sentence = "its valve_current_max is 0.08 A, the bench file says 0.05 A"
-    probe.wait(lambda: sentence in output.getvalue())
+def test_a_box_that_differs_from_its_bench_file_is_told_with_both_numbers(bridge, probe):
+    it = bridge(info=BoxFrame(name="other box", valve_current_max=0.08))
+    probe.wait(lambda: "its valve_current_max is 0.08 A, the bench file says 0.05 A" in it.output.getvalue())
     heard = boxes_heard(probe)
     probe.wait(lambda: heard)
-    assert heard[0].bench_digest not in (
-        "",
-        bench_digest.digest(bench_digest.read_numbers(bench_digest.shipped_bench_file())),
-    )
+    assert heard[0].bench_digest not in ("", shipped_digest())
 
 
 @pytest.mark.realtime
-def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, start, tmp_path):
-    small_box()
-    bridged(cable.path, probe, start, "--", "--realtime")
+def test_recorder_keeps_every_sample_and_ends_cleanly(bridge, probe, start, tmp_path):
+    bridge("--", "--realtime")
     attached = tmp_path / "bench.yaml"
     attached.write_text("stroke: 0.08\n")
-    recorder = start(
-        "hydro_bridge recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached, "--realtime"
-    )
+    words = ("--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached, "--realtime")
+    recorder = start("hydro_bridge recorder", *words)
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
     probe.spin(3.0)
     assert recorder.stop() == 0
@@ -243,19 +231,14 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
     assert recording.metadata["hydro"]["seed"] == "3" and recording.metadata["hydro"]["code_version"]
     assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
     assert "/diagnostics" in recording.topics
-    for path in (tmp_path / "run", tmp_path / "run/run_0.mcap"):
-        with Reader(path) as reader:
-            assert sum(1 for _ in reader.messages()) >= len(recording.state)
+    with Reader(tmp_path / "run") as reader:
+        assert sum(1 for _ in reader.messages()) >= len(recording.state)
 
 
-def test_a_full_disk_ends_the_recording_as_a_failure_and_leaves_what_was_written(
-    cable, small_box, probe, start, tmp_path
-):
-    small_box()
-    bridged(cable.path, probe, start)
-    output = io.StringIO()
+def test_a_full_disk_ends_the_recording_as_a_failure_and_leaves_what_was_written(bridge, probe, start, tmp_path):
+    bridge()
+    file, output = tmp_path / "run/run_0.mcap", io.StringIO()
     recorder = start("hydro_bridge recorder", "--out", tmp_path / "run", output=output)
-    file = tmp_path / "run/run_0.mcap"
     probe.wait(lambda: file.exists() and file.stat().st_size > 20_000)
     resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (file.stat().st_size + 20_000,) * 2)
     probe.wait(lambda: not recorder.running)
@@ -273,14 +256,13 @@ def test_companions_die_with_their_parent_even_if_it_is_killed(tmp_path):
         "print(c.process.pid, flush=True); time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as parent:
-        child = int(parent.stdout.readline())
+        child = psutil.Process(int(parent.stdout.readline()))
         wait((tmp_path / "run/metadata.yaml").exists, 20.0)
         parent.kill()
-    wait(lambda: not _alive(child), 20.0)
 
+    def ended() -> bool:
+        with suppress(psutil.NoSuchProcess):
+            return child.status() == psutil.STATUS_ZOMBIE
+        return True
 
-def _alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
+    wait(ended, 20.0)

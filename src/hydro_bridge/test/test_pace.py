@@ -9,15 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hydro_bridge.safety.pace import (
-    COMMANDER_WINDOW,
-    FILTER_WINDOW,
-    RECORDER_WINDOW,
-    Pace,
-    PaceSettings,
-    parse_pace,
-    reject_speed_option,
-)
+from hydro_bridge.safety.pace import COMMANDER_WINDOW, FILTER_WINDOW, RECORDER_WINDOW, Pace, PaceSettings, parse_pace
 from hydro_core.settings import SettingsError
 from tests.checks import wait
 
@@ -29,12 +21,8 @@ class Plant:
         self.said: list[str] = []
         self.samples: list[int] = []
         self.again: list[int] = []
-        self.pace = Pace(PaceSettings(**settings), self.said.append)  # type: ignore[arg-type]
+        self.pace = Pace(PaceSettings(**settings), self.said.append)
         self.thread = threading.Thread(target=self._run, daemon=True)
-
-    def begin(self) -> Plant:
-        self.thread.start()
-        return self
 
     def _run(self) -> None:
         answered = threading.Event()
@@ -57,98 +45,80 @@ class Plant:
 
 @pytest.fixture
 def plant() -> Iterator[Callable[..., Plant]]:
+    """Start a plant that waits for `absent` and for the peers that are ready, by the window of each."""
     made: list[Plant] = []
 
-    def make(**settings: object) -> Plant:
-        made.append(Plant(**settings))
-        return made[-1]
+    def make(absent: str = "", *, silence_max: float = 60.0, meet_max: float = 300.0, **ready: int) -> Plant:
+        made.append(it := Plant(peers=" ".join((absent, *ready)), silence_max=silence_max, meet_max=meet_max))
+        for name, window in ready.items():
+            it.pace.on_answer(name, None, window)
+        it.thread.start()
+        return it
 
     yield make
     for one in made:
         one.pace.close()
-        if one.thread.ident:
-            one.thread.join(5.0)
-            assert not one.thread.is_alive()
+        one.thread.join(5.0)
+        assert not one.thread.is_alive()
 
 
-@pytest.mark.parametrize(
-    ("window", "answer", "stands"), [(FILTER_WINDOW, 0, 1), (COMMANDER_WINDOW, 0, 10), (RECORDER_WINDOW, 0, 100)]
-)
-def test_the_plant_is_never_a_window_ahead_of_a_peer(plant, window: int, answer: int, stands: int) -> None:
-    it = plant(peers="one")
-    it.pace.on_answer("one", None, window)
-    it.begin()
+@pytest.mark.parametrize("window", [FILTER_WINDOW, COMMANDER_WINDOW, RECORDER_WINDOW])
+def test_the_plant_is_never_a_window_ahead_of_a_peer_and_a_new_one_gets_the_sample_at_which_it_stands(plant, window):
+    it = plant(one=window)
     assert it.stands_at(0), "the first sample is answered by everybody"
-    it.pace.on_answer("one", answer, window)
-    assert it.stands_at(stands)
+    it.pace.on_answer("one", 0, window)
+    assert it.stands_at(window) and window not in it.again
+    it.pace.on_answer("another", None, RECORDER_WINDOW)
+    wait(lambda: window in it.again)
 
 
 def test_a_box_that_was_on_before_goes_to_the_end_of_the_step_that_a_commander_answers() -> None:
     pace = Pace(PaceSettings(), lambda _: None)
     pace.on_answer("one", None, COMMANDER_WINDOW)
-    pace.begin_sample(25605, lambda: None)
-    assert not pace.pending
-    pace.begin_sample(25610, lambda: None)
-    assert pace.pending
+    for sequence, waits in ((25605, False), (25610, True)):
+        pace.begin_sample(sequence, lambda: None)
+        assert pace.pending is waits
     pace.on_answer("one", 25610, COMMANDER_WINDOW)
     assert not pace.pending
 
 
-def test_who_comes_while_the_plant_stands_still_gets_its_newest_sample(plant) -> None:
-    it = plant(peers="one")
-    it.pace.on_answer("one", None, COMMANDER_WINDOW)
-    assert it.begin().stands_at(0)
-    it.pace.on_answer("one", 0, COMMANDER_WINDOW)
-    assert it.stands_at(10) and not it.again
-    it.pace.on_answer("recorder", None, RECORDER_WINDOW)
-    wait(lambda: it.again == [10])
-
-
-def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready(plant) -> None:
-    it = plant(peers="filter trainer").begin()
-    it.pace.on_answer("filter", None, FILTER_WINDOW)
+def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready_but_not_for_ever(plant) -> None:
+    it = plant("trainer", filter=FILTER_WINDOW)
     time.sleep(0.05)
     assert not it.samples
     it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
     assert it.stands_at(0)
-
-
-def test_who_never_comes_is_told_and_not_waited_for(plant) -> None:
-    it = plant(peers="filter", meet_max=0.3).begin()
+    it = plant("filter", meet_max=0.3)
     wait(lambda: it.samples)
     assert it.said == ["filter did not come: beginning without"]
 
 
 def test_a_correction_is_the_answer_of_the_filter(plant) -> None:
-    it = plant(peers="filter")
-    it.pace.on_answer("filter", None, FILTER_WINDOW)
-    it.begin()
+    it = plant(filter=FILTER_WINDOW)
     for sequence in range(50):
         assert it.samples[-1:] <= [sequence]
-        wait(lambda sequence=sequence: it.samples[-1] == sequence)
+        wait(lambda sequence=sequence: it.samples and it.samples[-1] == sequence)
         it.pace.on_correction(sequence)
     assert it.stands_at(50)
 
 
 def test_an_answer_counts_once_the_commands_that_it_names_have_arrived(plant) -> None:
-    it = plant(peers="trainer")
-    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
-    it.begin()
+    it = plant(trainer=COMMANDER_WINDOW)
+    assert it.stands_at(0)
     it.pace.on_answer("trainer", 0, COMMANDER_WINDOW, commands=2)
     it.pace.on_command()
     assert it.stands_at(0)
     it.pace.on_command()
     assert it.stands_at(10)
     it.pace.reset_commands()
-    it.pace.on_answer("trainer", 10, COMMANDER_WINDOW, commands=0)
-    assert it.stands_at(20), "another holder counts from nothing"
+    it.pace.on_answer("trainer", 10, COMMANDER_WINDOW, commands=1)
+    assert it.stands_at(10), "another holder counts from nothing"
+    it.pace.on_command()
+    assert it.stands_at(20)
 
 
 def test_a_silent_peer_is_told_and_left_behind_and_one_that_works_is_not(plant) -> None:
-    it = plant(peers="filter trainer", silence_max=0.6)
-    it.pace.on_answer("filter", None, FILTER_WINDOW)
-    it.pace.on_answer("trainer", 0, COMMANDER_WINDOW)
-    it.begin()
+    it = plant(silence_max=0.6, filter=FILTER_WINDOW, trainer=COMMANDER_WINDOW)
     for _ in range(8):
         it.pace.on_answer("filter", None, FILTER_WINDOW)  # still at it
         time.sleep(0.1)
@@ -159,10 +129,7 @@ def test_a_silent_peer_is_told_and_left_behind_and_one_that_works_is_not(plant) 
 
 
 def test_a_peer_that_is_gone_from_the_graph_is_not_waited_for(plant) -> None:
-    it = plant(peers="filter trainer")
-    it.pace.on_answer("filter", None, FILTER_WINDOW)
-    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
-    it.begin()
+    it = plant(filter=FILTER_WINDOW, trainer=COMMANDER_WINDOW)
     assert it.stands_at(0)
     it.pace.retain_peers({"filter"})
     assert it.stands_at(0)
@@ -171,7 +138,7 @@ def test_a_peer_that_is_gone_from_the_graph_is_not_waited_for(plant) -> None:
 
 
 def test_without_a_commander_it_goes_no_faster_than_real_time(plant) -> None:
-    it, begin = plant().begin(), time.monotonic()
+    begin, it = time.monotonic(), plant()
     wait(lambda: len(it.samples) > 300)
     assert time.monotonic() - begin > 0.28
     it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
@@ -179,9 +146,7 @@ def test_without_a_commander_it_goes_no_faster_than_real_time(plant) -> None:
 
 
 def test_until_an_arming_is_confirmed_nobody_is_waited_for(plant) -> None:
-    it = plant(peers="trainer")
-    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
-    it.begin()
+    it = plant(trainer=COMMANDER_WINDOW)
     assert it.stands_at(0)
     assert it.pace.run_until(lambda: it.samples[-1] >= 3)
     assert it.stands_at(3), "what comes after waits again: for the answer to the step of the first sample"
@@ -189,18 +154,8 @@ def test_until_an_arming_is_confirmed_nobody_is_waited_for(plant) -> None:
     assert 500 <= it.samples[-1] <= 510, "half a second of the plant's"
 
 
-@pytest.mark.parametrize(("text", "factor"), [("plant", None), ("real", 1.0), ("0.5", 0.5), ("20", 20.0)])
-def test_a_pace_is_the_plants_real_or_a_factor(text: str, factor: float | None) -> None:
-    assert parse_pace(text) == factor
-
-
-@pytest.mark.parametrize("text", ["", "fast", "0", "-1", "nan", "inf", "1000"])
-def test_other_paces_are_refused(text: str) -> None:
-    with pytest.raises(SettingsError, match="say plant, real, or a factor"):
-        parse_pace(text)
-
-
-def test_the_old_word_is_refused_with_the_new_one() -> None:
-    reject_speed_option(["--pace", "real"])
-    with pytest.raises(SettingsError, match="--speed is now --pace"):
-        reject_speed_option(["--speed=0"])
+def test_a_pace_is_the_plants_or_real_time_or_a_factor_of_it() -> None:
+    assert [parse_pace(text) for text in ("plant", "real", "0.5", "20")] == [None, 1.0, 0.5, 20.0]
+    for text in ("", "fast", "0", "-1", "nan", "inf", "1000"):
+        with pytest.raises(SettingsError, match="say plant, real, or a factor"):
+            parse_pace(text)

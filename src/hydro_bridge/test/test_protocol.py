@@ -1,38 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames and their stream."""
+"""Frames and their stream; the bytes of each frame are those of protocol.md (tests/test_protocol_page.py)."""
 
 from __future__ import annotations
+
+from math import inf
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.serial.protocol import (
-    HANDSHAKE,
-    MAX_ENCODED,
-    VERSION,
-    BoxDetails,
-    BoxInfo,
-    BoxLaw,
-    CheckSumError,
-    CommandFrame,
-    Hello,
-    LawState,
-    MalformedError,
-    State,
-    UnknownFrameError,
-    WrongVersionError,
-    decode,
-    encode_command,
-    encode_details,
-    encode_hello,
-    encode_law,
-    encode_state,
-    version_mismatch_message,
-)
+from hydro_bridge.serial import protocol
+from hydro_bridge.serial.protocol import MalformedError, WrongVersionError, decode
 from hydro_bridge.serial.stream import Decoder, SequenceTracker
-from hydro_core.signals import Command, Law
+from hydro_core.signals import Command
 from tests.fuzz_link import altered, sealed
+
+COMMAND = protocol.encode_command(1, 2, Command())
+STATE = protocol.encode_state(1, 2, [0.0] * 14, 3, 4)
 
 
 def inside(wire: bytes) -> bytes:
@@ -40,19 +24,22 @@ def inside(wire: bytes) -> bytes:
     return wire[1:-1]
 
 
-@pytest.mark.parametrize(("number", "form"), [(0, ""), (1, "paper"), (2, "bumpless"), (3, ""), (255, "")])
-def test_the_fourth_byte_of_a_hello_is_the_form_of_the_integral(number, form):
-    """What is not known here counts as not told: a newer box is not refused for it."""
-    told = encode_hello(1, 2, BoxInfo(integral="paper"))
+def wire(sequence: int) -> bytes:
+    return protocol.encode_state(sequence, 1000 * sequence, [float(sequence)] * 14, 0, 0)
+
+
+def test_a_greeting_is_read_whatever_version_and_form_of_the_integral_it_tells():
+    told = protocol.encode_hello(1, 2, protocol.BoxInfo(integral="paper"))
     assert altered(told, {17: 1}) == told
-    assert decode(inside(altered(told, {17: number}))).info.integral == form
+    hello = decode(inside(altered(told, {14: 1, 15: 2})))
+    assert (hello.version_min, hello.version_max) == (1, 2)
+    for number, form in ((0, ""), (1, "paper"), (2, "bumpless"), (3, ""), (255, "")):  # a newer box is not refused
+        assert decode(inside(altered(told, {17: number}))).info.integral == form
 
 
 def test_beyond_float32_becomes_infinity():
-    frame = decode(inside(encode_state(1, 2, [1e300, -1e300, *[0.0] * 12], 0, 0)))
-    assert isinstance(frame, State) and frame.values[:2] == (float("inf"), float("-inf"))
-    command = decode(inside(encode_command(1, 2, Command(delta_kp=1e300))))
-    assert isinstance(command, CommandFrame) and command.command.delta_kp == float("inf")
+    assert decode(inside(protocol.encode_state(1, 2, [1e300, -1e300, *[0.0] * 12], 0, 0))).values[:2] == (inf, -inf)
+    assert decode(inside(protocol.encode_command(1, 2, Command(delta_kp=1e300)))).command.delta_kp == inf
 
 
 @given(st.binary(max_size=120))
@@ -60,49 +47,37 @@ def test_decoding_hostile_bytes_with_a_valid_check_sum_raises_malformed_only(bod
     try:
         decode(inside(sealed(body)))
     except MalformedError as error:
-        assert not isinstance(error, CheckSumError)
+        assert not isinstance(error, protocol.CheckSumError)
 
 
-STATE = encode_state(1, 2, [0.0] * 14, 3, 4, (5, 6), LawState(Law.PAPER, 1.0, 2.0, (1.0,) * 4, 1.0, 1.0))
-UNREADABLE = (
-    (encode_details(1, 2, BoxDetails()), {0: 1}, WrongVersionError, "frame of version 1, here version 3"),
-    (STATE, {1: 200}, UnknownFrameError, None),
-    (STATE, {0: VERSION + 1}, WrongVersionError, f"frame of version {VERSION + 1}"),
-    (encode_command(1, 2, Command()), {34: 9}, MalformedError, "waveform 9"),
-    (encode_command(1, 2, Command()), {54: 2}, MalformedError, "law 2"),
-    (STATE, {86: 2}, MalformedError, "law 2"),
-    (encode_law(1, 2, BoxLaw()), {14: 2}, MalformedError, "law 2"),
+@pytest.mark.parametrize(
+    ("unreadable", "kind", "said"),
+    [
+        (
+            altered(protocol.encode_details(1, 2, protocol.BoxDetails()), {0: 1}),
+            WrongVersionError,
+            "of version 1, here",
+        ),
+        (altered(STATE, {0: protocol.VERSION + 1}), WrongVersionError, f"frame of version {protocol.VERSION + 1}"),
+        (altered(STATE, {1: 200}), protocol.UnknownFrameError, None),
+        (altered(COMMAND, {34: 9}), MalformedError, "waveform 9"),
+        (altered(COMMAND, {54: 2}), MalformedError, "law 2"),
+        (altered(STATE, {86: 2}), MalformedError, "law 2"),
+        (altered(protocol.encode_law(1, 2, protocol.BoxLaw()), {14: 2}), MalformedError, "law 2"),
+        (altered(COMMAND, {}, b"x"), MalformedError, "bytes in a COMMAND"),
+    ],
+    ids=range(8),
 )
-"""Frames, other bytes at places of them, and what is said: other versions, unknown types, waveforms, laws."""
-
-
-def test_what_cannot_be_read_is_told_by_its_kind():
-    for wire, bytes_at, kind, said in UNREADABLE:
-        with pytest.raises(kind, match=said):
-            decode(inside(altered(wire, bytes_at)))
-    with pytest.raises(MalformedError, match="bytes in a COMMAND"):
-        decode(inside(altered(encode_command(1, 2, Command()), {}, b"x")))
-
-
-def test_a_greeting_is_read_whatever_version_it_offers():
-    hello = decode(inside(altered(encode_hello(1, 2, BoxInfo()), {14: 1, 15: 2})))
-    assert isinstance(hello, Hello) and (hello.version_min, hello.version_max) == (1, 2)
-    assert (
-        HANDSHAKE == 0
-        and "rebuild its firmware" in version_mismatch_message(2)
-        and "update hydro" in version_mismatch_message(4)
-    )
-
-
-def wire(sequence: int) -> bytes:
-    return encode_state(sequence, 1000 * sequence, [float(sequence)] * 14, 0, 0)
+def test_what_cannot_be_read_is_told_by_its_kind(unreadable, kind, said):
+    with pytest.raises(kind, match=said):
+        decode(inside(unreadable))
 
 
 def test_a_stream_without_delimiter_is_counted_once_and_not_kept():
     decoder = Decoder()
     for _ in range(1000):
         assert decoder.feed(b"x" * 1000) == []
-        assert len(decoder._pending) <= MAX_ENCODED
+        assert len(decoder._pending) <= protocol.MAX_ENCODED
     assert decoder.counts.malformed == 1
     assert [frame.sequence for frame in decoder.feed(wire(5))] == [5]
 

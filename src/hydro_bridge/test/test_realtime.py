@@ -17,7 +17,7 @@ from tests.checks import ran
 pytest.importorskip("rclpy")
 
 NODE = """
-import time
+import os, time
 from rclpy.node import Node
 from hydro_core.cli.console import command
 from hydro_bridge.ros.node import request_realtime, run_node
@@ -34,14 +34,9 @@ class Spinning(Node):
             pass
 
     def close(self):
-        import os
         print("closed by", os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, flush=True)
 
-@command()
-def main():
-    run_node(Spinning)
-
-main()
+command()(lambda: run_node(Spinning))()
 """
 COMPILED = """
 import itertools, os, time
@@ -52,41 +47,29 @@ os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
 print("spins", time.monotonic(), flush=True)
 sum(itertools.repeat(0))  # never comes back to the interpreter
 """
-
-
 needs_fifo = pytest.mark.skipif(ran("chrt", "-f", 1, "true").returncode != 0, reason="no right to SCHED_FIFO")
 
 
-def run(program: str) -> tuple[int, str, str, float]:
-    """Exit status, standard output and error, and the seconds from the first 'spins' to the end."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    said, begin = "", time.monotonic()
-    for line in process.stdout:
-        said += line
-        if line.startswith("spins "):
-            begin = float(line.split()[1])  # the clock of both: a busy machine may show us the line late
-            break
-    out, err = process.communicate(timeout=30.0)
-    return process.returncode, said + out, err, time.monotonic() - begin
+def run(program: str) -> tuple[subprocess.CompletedProcess[str], float]:
+    """What has ended, and the seconds since its 'spins'."""
+    ended = ran(sys.executable, "-c", program, timeout=60.0)
+    return ended, time.monotonic() - float(ended.stdout.partition("spins ")[2].split()[0])
 
 
 @needs_fifo
 def test_a_node_whose_callback_spins_is_closed_and_ends_with_a_sentence() -> None:
-    status, out, err, seconds = run(NODE)
-    assert "SCHED_FIFO" in out
-    assert f"closed by {os.SCHED_OTHER}" in out, "what puts things in order holds up nobody"
-    assert err.splitlines()[-1].startswith("error: ran 1 s by SCHED_FIFO without a pause") and "Traceback" not in err
-    assert status == 128 + signal.SIGXCPU
+    node, seconds = run(NODE)
+    assert "SCHED_FIFO" in node.stdout
+    assert f"closed by {os.SCHED_OTHER}" in node.stdout, "what puts things in order holds up nobody"
+    assert node.stderr.splitlines()[-1].startswith("error: ran 1 s by SCHED_FIFO without a pause")
+    assert node.returncode == 128 + signal.SIGXCPU and "Traceback" not in node.stderr
     assert RUN_TIME_MAX - 0.1 < seconds < 10 * RUN_TIME_MAX, "CPU time is what counts; the machine may be busy"
 
 
 @needs_fifo
 def test_a_compiled_loop_that_spins_is_killed() -> None:
-    status, out, _, seconds = run(COMPILED)
-    assert "spins" in out and status == -signal.SIGKILL
-    assert seconds < 10 * KILL_TIME
+    process, seconds = run(COMPILED)
+    assert process.returncode == -signal.SIGKILL and seconds < 10 * KILL_TIME
 
 
 def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:

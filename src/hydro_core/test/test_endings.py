@@ -20,19 +20,22 @@ from hydro_core.cli.console import command
 
 def me(number):
     os.kill(os.getpid(), number)
+
+@command()
+def main():
 """
 
 
-def run(program: str, **more: object) -> subprocess.CompletedProcess[str]:
-    """In a session of its own: whatever it signals is not who runs the tests."""
-    return ran(sys.executable, "-c", BEGINNING + program, timeout=20.0, start_new_session=True, **more)
+def ended(body: str, **more: object) -> tuple[int, str, str]:
+    """Status and output of a command; in a session of its own: whatever it signals is not who runs the tests."""
+    program = f"{BEGINNING}{body}\nmain()\n"
+    process = ran(sys.executable, "-c", program, timeout=20.0, start_new_session=True, **more)
+    return process.returncode, process.stdout, process.stderr
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_unwinds_the_command_and_is_its_status_and_putting_in_order_is_not_disturbed(name: str) -> None:
-    ended = run(f"""
-@command()
-def main():
+    body = f"""
     try:
         me(signal.{name})
         time.sleep(10)
@@ -41,32 +44,17 @@ def main():
             for number in endings.SIGNALS:
                 me(number)
             print("put in order")
-main()
-""")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + getattr(signal, name), "put in order\n", "")
+"""
+    assert ended(body) == (128 + getattr(signal, name), "put in order\n", "")
 
 
 def test_a_hangup_that_nohup_ignores_stays_ignored() -> None:
-    ended = run(
-        """
-@command()
-def main():
-    me(signal.SIGHUP)
-    print("goes on")
-main()
-""",
-        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
-    )
-    assert (ended.returncode, ended.stdout) == (0, "goes on\n")
+    nohup = lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)  # noqa: E731
+    assert ended("    me(signal.SIGHUP); print('goes on')", preexec_fn=nohup) == (0, "goes on\n", "")
 
 
 def test_a_terminal_that_has_gone_is_no_error() -> None:
-    ours, theirs = pty.openpty()
-    script = (
-        BEGINNING
-        + """
-@command()
-def main():
+    body = """
     try:
         print("runs", flush=True)
         time.sleep(20)
@@ -76,10 +64,9 @@ def main():
         open(sys.argv[1], "w").write("put in order")
 main()
 """
-    )
-    read, write = os.pipe()
+    (ours, theirs), (read, write) = pty.openpty(), os.pipe()
     process = subprocess.Popen(
-        [sys.executable, "-c", script, f"/dev/fd/{write}"],
+        [sys.executable, "-c", BEGINNING + body, f"/dev/fd/{write}"],
         stdin=theirs, stdout=theirs, stderr=theirs, pass_fds=(write,), start_new_session=True,
         preexec_fn=lambda: os.close(os.open(os.ttyname(theirs), os.O_RDWR)),  # its controlling terminal
     )  # fmt: skip
@@ -93,9 +80,7 @@ main()
 
 
 def test_an_exception_that_compiled_code_drops_comes_again_but_not_into_the_clean_up() -> None:
-    ended = run("""
-@command()
-def main():
+    body = """
     try:
         try:
             me(signal.SIGTERM)  # as PyObject_HasAttr and PyDict_GetItem do with an exception of Python code below them
@@ -105,6 +90,5 @@ def main():
     finally:
         time.sleep(1.2)
         print("put in order")
-main()
-""")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "put in order\n", "")
+"""
+    assert ended(body) == (128 + signal.SIGTERM, "put in order\n", "")

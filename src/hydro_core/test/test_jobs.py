@@ -36,11 +36,12 @@ def marked(number: int, folder: Path) -> tuple[int, float, int]:
 def cluster(tmp_path: Path) -> Iterator[str]:
     """A scheduler and two workers, as started by hand."""
     file = tmp_path / "scheduler.json"
-    dask, to = [sys.executable, "-m", "dask"], ["--scheduler-file", str(file)]
-    scheduler = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", *to]
-    workers = [*dask, "worker", "--nworkers", "2", "--nthreads", "1", "--no-dashboard", *to]
-    both = (scheduler, workers)
-    started = [subprocess.Popen(each, stderr=subprocess.DEVNULL, start_new_session=True) for each in both]
+    dask, to = [sys.executable, "-m", "dask"], ["--no-dashboard", "--scheduler-file", str(file)]
+    scheduler = [*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", *to]
+    workers = [*dask, "worker", "--nworkers", "2", "--nthreads", "1", *to]
+    started = [
+        subprocess.Popen(each, stderr=subprocess.DEVNULL, start_new_session=True) for each in (scheduler, workers)
+    ]
     try:
         while not file.exists():
             time.sleep(0.1)
@@ -49,13 +50,6 @@ def cluster(tmp_path: Path) -> Iterator[str]:
         for process in started:  # workers without a scheduler do not end for a while
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-
-
-def test_finished_jobs_are_not_done_again(tmp_path: Path) -> None:
-    kept = tmp_path / "rows"
-    assert jobs.run_all(pow, {"a": (2, 3), "b": (2, 4)}, kept=kept, at_once=1) == {"a": 8, "b": 16}
-    assert jobs.run_all(divmod, {"b": (1, 0), "a": (1, 0)}, kept=kept, at_once=1) == {"b": 16, "a": 8}
-    assert jobs.run_all(pow, {"a": (2, 3), "c": (3, 3)}, kept=kept, at_once=1) == {"a": 8, "c": 27}
 
 
 def test_poisoned_job_is_named_and_the_rest_is_done(capsys: pytest.CaptureFixture[str]) -> None:
@@ -124,10 +118,12 @@ def test_scheduler_is_killed_and_the_same_jobs_are_completed_without_it(cluster:
     assert [name for name in wanted if missing[name] is None] == sorted(done), "what was done is not done again"
 
 
-def test_full_disk_is_told_and_the_same_jobs_are_completed_with_room(tmp_path: Path) -> None:
-    kept = tmp_path / "kept"
+def test_finished_jobs_are_not_done_again_and_after_a_full_disk_only_those_that_are_missing(tmp_path: Path) -> None:
+    kept, wanted = tmp_path / "kept", {str(k): (2, k) for k in range(20)}
     with files_of_at_most(90), pytest.raises(OSError, match="File too large"):
-        jobs.run_all(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)
+        jobs.run_all(pow, wanted, kept=kept, at_once=1)
     assert kept.stat().st_size == 90 and not kept.read_bytes().endswith(b"\n")
-    assert jobs.run_all(pow, {str(k): (2, k) for k in range(20)}, kept=kept, at_once=1)["19"] == 2**19
+    assert jobs.run_all(pow, wanted, kept=kept, at_once=1)["19"] == 2**19
     assert len(kept.read_text().splitlines()) == 20
+    again = jobs.run_all(divmod, {"4": (1, 0), "3": (1, 0), "new": (7, 2)}, kept=kept, at_once=1)
+    assert list(again.items()) == [("4", 16), ("3", 8), ("new", (3, 1))], "in this order"

@@ -12,18 +12,12 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from hydro_core.cli.console import (
-    FIXED_ON_RESUME,
-    UserError,
-    command,
-    reject_changed_options,
-    writable_file,
-    writable_folder,
-)
+from hydro_core.cli.console import FIXED_ON_RESUME, command, reject_changed_options
+from hydro_core.errors import UserError, writable_file, writable_folder
 from hydro_core.files.atomic import write_whole
 from hydro_core.files.tensors import InvalidTensorError, check_numbers
 from hydro_core.settings import SettingsError, from_mapping, quantity, to_mapping
-from tests.checks import files_of_at_most
+from tests.checks import files_of_at_most, status_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,34 +37,35 @@ class Example:
     parts: tuple[Part, ...] = ()
 
 
-REFUSED = (
-    ({"rate": 2}, "file.rate must be within [-1, 1] 1/s, not 2: How fast"),
-    ({"rate": "fast"}, "file.rate must be a number in 1/s, not 'fast'"),
-    ({"count": 1.5}, "file.count must be a whole number, not 1.5"),
-    ({"limit": True}, "file.limit must be a number in A, not True"),
-    ({"rate": 10**400}, f"file.rate must be a number in 1/s, not {10**400}"),
-    ({"tones": [1, 20]}, "file.tones must be numbers within [0.05, 10] Hz, not [1, 20]"),
-    ({"form": "round"}, "file.form must be one of hard, soft, not 'round'"),
-    ({"on": "often"}, "file.on must be true or false, not 'often'"),
-    ({"rat": 1}, "file.rat is not a known setting; did you mean rate?"),
-    ({"parts": [{"size": 0.1}, {}]}, "file.parts lacks size [m]"),
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        ({"rate": 2}, "file.rate must be within [-1, 1] 1/s, not 2: How fast"),
+        ({"rate": "fast"}, "file.rate must be a number in 1/s, not 'fast'"),
+        ({"count": 1.5}, "file.count must be a whole number, not 1.5"),
+        ({"limit": True}, "file.limit must be a number in A, not True"),
+        ({"rate": 10**400}, f"file.rate must be a number in 1/s, not {10**400}"),
+        ({"tones": [1, 20]}, "file.tones must be numbers within [0.05, 10] Hz, not [1, 20]"),
+        ({"form": "round"}, "file.form must be one of hard, soft, not 'round'"),
+        ({"on": "often"}, "file.on must be true or false, not 'often'"),
+        ({"rat": 1}, "file.rat is not a known setting; did you mean rate?"),
+        ({"parts": [{"size": 0.1}, {}]}, "file.parts lacks size [m]"),
+    ],
+    ids=range(10),
 )
-
-
-def test_a_file_that_cannot_be_used_is_told_in_one_sentence():
-    for data, sentence in REFUSED:
-        with pytest.raises(SettingsError) as error:
-            from_mapping(Example, data, "file")
-        assert str(error.value) == sentence
+def test_a_file_that_cannot_be_used_is_told_in_one_sentence(data, sentence):
+    with pytest.raises(SettingsError) as error:
+        from_mapping(Example, data, "file")
+    assert str(error.value) == sentence
 
 
 def test_what_is_written_is_read_back_and_numbers_may_be_written_as_yaml_reads_them():
     found = from_mapping(Example, {"rate": "1e-1", "count": "1e3", "limit": None, "parts": {"size": 1}}, "file")
     assert (found.rate, found.count, found.limit, found.parts) == (0.1, 1000, None, (Part(size=1.0),))
     assert isinstance(found.count, int)
-    settings = Example(rate=0.25, limit=0.5, tones=(0.5, 2.0), form="soft", parts=(Part(size=0.1), Part(size=0.2)))
-    assert from_mapping(Example, to_mapping(settings), "file") == settings
-    assert from_mapping(Example, to_mapping(Example(tones=())), "file") == Example(tones=())
+    full = Example(rate=0.25, limit=0.5, tones=(0.5, 2.0), form="soft", parts=(Part(size=0.1), Part(size=0.2)))
+    for settings in (full, Example(tones=())):
+        assert from_mapping(Example, to_mapping(settings), "file") == settings
 
 
 def test_words_that_say_otherwise_than_a_run_that_goes_on_are_refused():
@@ -90,36 +85,26 @@ def test_words_that_say_otherwise_than_a_run_that_goes_on_are_refused():
     assert told in str(refused.value)
 
 
-def test_a_file_that_the_system_refuses_is_one_sentence_without_a_number(tmp_path, capsys):
+def test_a_file_that_the_system_refuses_is_one_sentence_and_a_reader_that_has_seen_enough_none(
+    tmp_path, capsys, monkeypatch
+):
     (tmp_path / "file").touch()
-
-    @command()
-    def main() -> None:
-        (tmp_path / "file" / "x").mkdir()
-
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
+    assert status_of(command()((tmp_path / "file" / "x").mkdir)) == 2
     assert capsys.readouterr().err == f"error: {tmp_path / 'file' / 'x'}: Not a directory: choose another place\n"
 
-
-def test_a_reader_that_has_seen_enough_is_no_error(monkeypatch, capsys):
     @command(OSError)
-    def main() -> None:
+    def piped() -> None:
         raise BrokenPipeError(32, "Broken pipe")
 
     monkeypatch.setattr("sys.stderr.close", lambda: None)
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0 and capsys.readouterr().err == ""
+    assert status_of(piped) == 0 and capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize(("check", "done"), [(writable_file, "written"), (writable_folder, "made")])
 def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(check, done, tmp_path, monkeypatch):
     (tmp_path / "file").touch()
-    with pytest.raises(
-        UserError, match=f"x cannot be {done}: {tmp_path / 'file'} is not a folder: choose another place"
-    ):
+    refusal = f"x cannot be {done}: {tmp_path / 'file'} is not a folder: choose another place"
+    with pytest.raises(UserError, match=refusal):
         check(str(tmp_path / "file" / "deep" / "x"))
     assert str(check(str(tmp_path / "new" / "x"))) == str(tmp_path / "new" / "x")
     monkeypatch.setattr("os.access", lambda path, mode: False)  # root may write anywhere
@@ -139,7 +124,7 @@ def test_a_file_is_replaced_whole_or_stays_and_nothing_is_left_beside_it(tmp_pat
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
-def test_numbers_that_are_none_are_found_and_counted() -> None:
-    for number in (math.nan, math.inf, -math.inf, 1e31):
-        with pytest.raises(InvalidTensorError, match=r"weights holds 2 of 12 values"):
-            check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 1e31])
+def test_numbers_that_are_none_are_found_and_counted(number: float) -> None:
+    with pytest.raises(InvalidTensorError, match=r"weights holds 2 of 12 values"):
+        check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})
