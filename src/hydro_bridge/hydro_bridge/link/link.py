@@ -281,10 +281,11 @@ class Link(PlantSide):
                 if now >= next_sign:
                     self._give_sign()
                     next_sign = now + _SIGN_PERIOD
-            if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
-                self._complain(protocol.version_mismatch_message(self._decoder.foreign_version))
-            elif self.state is LinkState.OPEN and frames and now - opened > self.port.settings.silence_max:
-                self._complain(NO_HELLO_REPLY)
+            if self.state is LinkState.OPEN:
+                if self._decoder.foreign_version is not None:
+                    self._complain(protocol.version_mismatch_message(self._decoder.foreign_version))
+                elif frames and self._greeted is None and now - opened > self.port.settings.silence_max:
+                    self._complain(NO_HELLO_REPLY)
             waits = self.state is LinkState.CONNECTED and self.paced
             if time.monotonic() - alive > (limit := (self.pace if waits else self.port).settings.silence_max):
                 raise _MuteError(f"{self.port.settings.path}: {no_frames_message(self.counts, self._framed, limit)}")
