@@ -13,7 +13,8 @@ from hydro_filter.correction_qp import LEAST_IMPROVEMENT, solve_qp
 from hydro_filter.validation.osqp_solver import Osqp
 
 U_MAX = 0.05
-LIMIT = 1e-6  # A, of the issue's 1e-4
+SOLVED = {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
+UNSOLVED = {CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE, CorrectionStatus.NAN}
 
 
 def cases(count: int, seed: int) -> np.ndarray:
@@ -30,21 +31,17 @@ def cases(count: int, seed: int) -> np.ndarray:
     return np.column_stack([a, b, -U_MAX - applied, U_MAX - applied])
 
 
-def spoiled(problems: np.ndarray, seed: int) -> np.ndarray:
-    """Some problems with an entry that is not finite, or with bounds that leave out zero: u_nom beyond the valve."""
-    rng, count = np.random.default_rng(seed), len(problems)
-    problems = problems.copy()
-    rows = np.flatnonzero(rng.random(count) < 0.05)
-    problems[rows, rng.integers(0, 4, len(rows))] = rng.choice([nan, inf, -inf], len(rows))
-    rows = np.flatnonzero(rng.random(count) < 0.05)
-    problems[rows, 2:] += rng.choice([-1.0, 1.0], (len(rows), 1)) * 10.0 * U_MAX
-    return problems
-
-
 def test_osqp_agrees_with_the_closed_form() -> None:
-    """One solver, all problems in turn: what a bad one leaves behind would show in the next."""
-    osqp, seen = Osqp(), set()
-    for a, b, low, high in spoiled(cases(10_000, seed=1), seed=1):
+    """One solver, all problems in turn: what a bad one leaves behind would show in the next.
+
+    Bad: an entry that is not finite, or bounds that leave out zero, as of a u_nom beyond the valve.
+    """
+    rng, problems, osqp, seen = np.random.default_rng(1), cases(10_000, seed=1), Osqp(), set()
+    rows = np.flatnonzero(rng.random(len(problems)) < 0.05)
+    problems[rows, rng.integers(0, 4, len(rows))] = rng.choice([nan, inf, -inf], len(rows))
+    rows = np.flatnonzero(rng.random(len(problems)) < 0.05)
+    problems[rows, 2:] += rng.choice([-1.0, 1.0], (len(rows), 1)) * 10.0 * U_MAX
+    for a, b, low, high in problems:
         osqp.compare(a, b, low, high)
         assert not osqp.differed, (a, b, low, high)
         delta_u, status = solve_qp(a, b, low, high)
@@ -52,8 +49,7 @@ def test_osqp_agrees_with_the_closed_form() -> None:
         assert (status is CorrectionStatus.NAN) == unusable, (a, b, low, high)
         assert delta_u == 0.0 if unusable else low <= delta_u <= high
         seen.add(status)
-    assert not seen & {CorrectionStatus.STALE, CorrectionStatus.BYPASSED, CorrectionStatus.MISMATCH} and len(seen) == 5
-    assert osqp.agreed > 4000
+    assert seen == SOLVED | UNSOLVED and osqp.agreed > 4000
 
 
 def test_a_wrong_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,10 +64,9 @@ def test_closed_form_is_feasible_and_smallest() -> None:
     for a, b, low, high in cases(2000, seed=3):
         delta_u, status = solve_qp(a, b, low, high)
         grid = np.concatenate([np.linspace(low, high, 401), [0.0]])
-        slack = 1e-9 * (abs(b) + abs(a) * U_MAX)
         fitting = grid[a * grid <= b]
-        if status in (CorrectionStatus.PASS, CorrectionStatus.MODIFIED):
-            assert a * delta_u <= b + slack
+        if status in SOLVED:
+            assert a * delta_u <= b + 1e-9 * (abs(b) + abs(a) * U_MAX)
             assert fitting.size == 0 or abs(delta_u) <= np.abs(fitting).min() + 1e-12
         else:
             assert fitting.size == 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -36,29 +36,22 @@ main()
 """A simulation with its filter, of which one method fails once a file is there: at no time that a test must keep."""
 
 
-@pytest.fixture
-def failing(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str], Probe]]]:
-    @contextmanager
-    def begin(**words: object) -> Iterator[tuple[subprocess.Popen[str], Probe]]:
-        with own_domain():
-            said = (tmp_path / "said").open("w+")
-            process = subprocess.Popen(
-                [sys.executable, "-c", FAILS.format(trigger=tmp_path / "fail", **words)], stdout=said, stderr=said
-            )
-            probe = Probe()
-            try:
-                yield process, probe
-            finally:
-                process.kill()
-                process.wait()
-                probe.close()
-
-    yield begin
+@contextmanager
+def failing(folder: Path, module: str, name: str, method: str) -> Iterator[tuple[subprocess.Popen[bytes], Probe]]:
+    """The process, which fails once `folder`/fail is there and prints to `folder`/said, and who listens to it."""
+    program = FAILS.format(module=module, name=name, method=method, trigger=folder / "fail")
+    with own_domain(), (folder / "said").open("w+") as said:
+        process, probe = subprocess.Popen([sys.executable, "-c", program], stdout=said, stderr=said), Probe()
+        try:
+            yield process, probe
+        finally:
+            process.kill()
+            process.wait()
+            probe.close()
 
 
-def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(failing, tmp_path: Path) -> None:
-    words = {"module": "hydro_filter.controller.loop_filter", "name": "LoopFilter", "method": "correct"}
-    with failing(**words) as (process, probe):
+def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(tmp_path: Path) -> None:
+    with failing(tmp_path, "hydro_filter.controller.loop_filter", "LoopFilter", "correct") as (process, probe):
         probe.wait(lambda: probe.node.count_publishers(CORRECTION) == 1, 60.0)
         probe.take()
         probe.arm(True)
@@ -77,11 +70,9 @@ def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(
     assert "[FATAL]" in said and "ArithmeticError: a defect" in said
 
 
-def test_a_plant_whose_thread_fails_ends_its_node_with_the_error(failing, tmp_path: Path) -> None:
-    words = {"module": "hydro_sim.simulation.realtime", "name": "Simulation", "method": "_show"}
-    with failing(**words) as (process, probe):
+def test_a_plant_whose_thread_fails_ends_its_node_with_the_error(tmp_path: Path) -> None:
+    with failing(tmp_path, "hydro_sim.simulation.realtime", "Simulation", "_show") as (process, probe):
         probe.wait(lambda: len(probe.states) > 100, 60.0)
         (tmp_path / "fail").touch()
-        probe.wait(lambda: process.poll() is not None, 60.0)
-        assert process.returncode == 1 and probe.states
+        assert process.wait(60.0) == 1
     assert "ArithmeticError: a defect" in (tmp_path / "said").read_text()

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The truth's YAML: strict keys, ranges, profiles, and every effect of the contract."""
+"""The emulator: the truth's YAML, recordings offline, and the box's end of the line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,12 @@ from hydro_bridge.serial.stream import Decoder
 from hydro_core.settings import SettingsError
 from hydro_core.signals import STATE_DTYPE, Command, StateArray
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.emulator import offline
 from hydro_sim.emulator.command import main
 from hydro_sim.emulator.line.faults import FAULT_NAMES, FaultyLine, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.offline import load_truth_config, record_offline
 from hydro_sim.emulator.realtime import execute_command
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
@@ -37,31 +37,20 @@ def test_the_emulated_bench_is_the_box_s_where_the_truth_does_not_say_otherwise(
     own = replace(Bench.nominal(), piston_area=1e-3, moving_mass=9.0, load_cell_bandwidth=None)
     file = tmp_path / "truth.yaml"
     file.write_text("profile: nominal\nbench: {moving_mass: 8}\n")
-    emulated = vars(offline.load_truth_config(str(file), own).bench)
+    emulated = vars(load_truth_config(str(file), own).bench)
     assert {name: emulated[name] for name in own.to_mapping()} == own.to_mapping() | {"moving_mass": 8.0}
     assert emulated["load_cell_bandwidth"] is None
-    assert offline.load_truth_config(None, own).bench.piston_area == 1e-3
-    assert offline.load_truth_config(None, Bench.nominal()) == profile("default")
+    assert load_truth_config(None, own).bench.piston_area == 1e-3
+    assert load_truth_config(None, Bench.nominal()) == profile("default")
 
 
+CUSHION = {"position": 0.06, "stiffness": 1e3}
 REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
     ({"effect": {}}, "truth.effect is not a known setting; did you mean effects?"),
     ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be within [0, 1e-10] m3/s/Pa, not -1"),
     ({"effects": {"load_cell_gain": [{"ratio": 1.1}, {"ratio": 1.2}]}}, "names the same cell twice"),
-    (
-        {"effects": {"end_cushion": [{"position": 0.06, "stiffness": 1e3}, {"position": 0.07, "stiffness": 1e3}]}},
-        "one for each end",
-    ),
-    (
-        {
-            "effects": {
-                "end_cushion": [
-                    {"position": p, "stiffness": 1e3, "form": f} for p, f in ((0.01, "linear"), (0.07, "quadratic"))
-                ]
-            }
-        },
-        "both of one form",
-    ),
+    ({"effects": {"end_cushion": [CUSHION, {**CUSHION, "position": 0.07}]}}, "one for each end"),
+    ({"effects": {"end_cushion": [CUSHION, {**CUSHION, "position": 0.01, "form": "quadratic"}]}}, "both of one form"),
     ({"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}}, "give friction_coulomb form"),
     ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
     ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
@@ -70,23 +59,17 @@ REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
 )
 
 
-def test_bad_truth_is_refused_in_one_sentence() -> None:
-    for data, sentence in REFUSED:
-        with pytest.raises(SettingsError) as caught:
-            truth_from_mapping(data)
-        assert sentence in str(caught.value) and "\n" not in str(caught.value)
+@pytest.mark.parametrize(("data", "sentence"), REFUSED)
+def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        truth_from_mapping(data)
+    assert sentence in str(caught.value) and "\n" not in str(caught.value)
 
 
 SEGMENTS = [
     Segment(seconds=0.6, amplitude=250.0, frequency=2.0),
     Segment(seconds=0.4, waveform="hold", offset=-80.0, kp=60.0, ki=5.0),
 ]
-EVERYTHING = truth_from_mapping(
-    {
-        "effects": {"transport_delay": {"time": 1.3e-3}, "entrained_air": {"volume_fraction": 0.005}},
-        "outside": {"load_walk": {"force": 10.0}},
-    }
-)
 
 
 def columns(states: StateArray) -> dict[str, bytes]:
@@ -95,37 +78,34 @@ def columns(states: StateArray) -> dict[str, bytes]:
 
 
 def test_offline_is_bitwise_what_the_real_time_loop_steps() -> None:
+    effects = {"transport_delay": {"time": 1.3e-3}, "entrained_air": {"volume_fraction": 0.005}}
+    everything = truth_from_mapping({"effects": effects, "outside": {"load_walk": {"force": 10.0}}})
     box = BoxConfig()
-    offline = record_offline(EVERYTHING, SEGMENTS, box=box, seed=7)
-    machine = Machine(EVERYTHING, box=box, seed=7)
+    offline = record_offline(everything, SEGMENTS, box=box, seed=7)
+    machine = Machine(everything, box=box, seed=7)
     machine.warm_up()
-    stepped = np.empty(1000, STATE_DTYPE)
-    physical = np.empty((1000, len(TRUTH_FIELDS)))
+    stepped, physical = np.empty(1000, STATE_DTYPE), np.empty((1000, len(TRUTH_FIELDS)))
     for k in range(1000):
         segment = SEGMENTS[0] if k < 600 else SEGMENTS[1]
         changes = {"delta_kp": segment.kp - box.base_kp, "delta_ki": segment.ki - box.base_ki}
         armed = Command(arm=True, reference=segment.signal, filter_fresh=True, **changes)
         machine.receive(armed if k else Command())
-        stepped[k] = machine.tick()
-        physical[k] = machine.physical
+        stepped[k], physical[k] = machine.tick(), machine.physical
     assert columns(offline.states) == columns(stepped)
     assert offline.physical.tobytes() == physical.tobytes()
     assert np.ptp(stepped["load_force"]) > 100.0
 
 
 def test_a_seed_gives_one_recording_and_another_seed_another_noise() -> None:
-    first, again, other = (record_offline(profile("default"), SEGMENTS, seed=seed) for seed in (1, 1, 2))
-    assert columns(first.states) == columns(again.states)
-    difference = first.states["pressure_a"] - other.states["pressure_a"]
-    assert difference[:50].std() == pytest.approx(np.sqrt(2) * 6e3, rel=0.5)
+    first, again, other = (record_offline(profile("default"), SEGMENTS, seed=seed).states for seed in (1, 1, 2))
+    assert columns(first) == columns(again)
+    assert (first["pressure_a"] - other["pressure_a"])[:50].std() == pytest.approx(np.sqrt(2) * 6e3, rel=0.5)
 
 
 def test_command_writes_a_bag_and_keeps_the_truth_out_of_it(tmp_path: Path) -> None:
-    truth = tmp_path / "truth.yaml"
+    truth, bag, log = tmp_path / "truth.yaml", tmp_path / "bag", tmp_path / "free.npz"
     truth.write_text("profile: nominal\neffects: {leakage_internal: {coefficient: 1e-12}}\n")
-    bag, log = tmp_path / "bag", tmp_path / "free.npz"
-    words = ["--offline", "--truth", str(truth), "--seconds", "1", "--out", str(bag), "--noise-free", str(log)]
-    assert status_of(main, *words) == 0
+    assert status_of(main, "--offline", "--truth", truth, "--seconds", 1, "--out", bag, "--noise-free", log) == 0
     states = read_bag(bag).state
     assert np.array_equal(states["sequence"], np.arange(1000))
     with np.load(log) as free:
@@ -133,16 +113,15 @@ def test_command_writes_a_bag_and_keeps_the_truth_out_of_it(tmp_path: Path) -> N
         assert np.array_equal(free["noise_free"]["valve_current"], states["valve_current"])
         assert free["physical"].shape == (1000, len(TRUTH_FIELDS))
         assert tuple(free["physical_fields"]) == TRUTH_FIELDS
-    for file in bag.iterdir():
-        assert b"leakage" not in file.read_bytes()
+    assert not any(b"leakage" in file.read_bytes() for file in bag.iterdir())
 
 
-def test_each_fault_comes_as_often_as_it_says_and_changes_what_passes() -> None:
+@pytest.mark.parametrize("name", FAULT_NAMES)
+def test_each_fault_comes_as_often_as_it_says_and_changes_what_passes(name: str) -> None:
     frames = [bytes([0, *([1 + k % 200] * 20), 0]) for k in range(2000)]
-    for name in FAULT_NAMES:
-        line = FaultyLine(LinkFaults(**{name: 0.2}), np.random.default_rng(0))
-        changed = sum(line.transmit(frame, 0.0) != frame for frame in frames)
-        assert line.counts[name] == pytest.approx(370, abs=80) and changed >= 0.9 * line.counts[name], name
+    line = FaultyLine(LinkFaults(**{name: 0.2}), np.random.default_rng(0))
+    changed = sum(line.transmit(frame, 0.0) != frame for frame in frames)
+    assert line.counts[name] == pytest.approx(370, abs=80) and changed >= 0.9 * line.counts[name]
 
 
 @pytest.fixture
@@ -157,60 +136,55 @@ def link(tmp_path: Path, machine: Machine) -> Iterator[BoxLink]:
     made.terminal.unplug()
 
 
-def sampled(link: BoxLink, machine: Machine, now: float = 0.0) -> None:
-    """One sample, and what it sends."""
-    machine.tick()
-    link.send(now)
+def send(link: BoxLink, machine: Machine, samples: int = 1) -> None:
+    for _ in range(samples):
+        machine.tick()
+        link.send(machine.time)
 
 
-def opened(link: BoxLink) -> Port:
+def opened(link: BoxLink) -> closing[Port]:
     port = Port(PortSettings(path=str(link.terminal.path)))
     port.open()
-    return port
+    return closing(port)
 
 
 def test_nobody_listening_costs_nothing_and_leaves_nothing_stale(link: BoxLink, machine: Machine) -> None:
-    for _ in range(200):
-        sampled(link, machine)
+    send(link, machine, 200)
     assert (link.unheard, link.sent) == (200, 0)
-    port = opened(link)
-    sampled(link, machine)
-    hello, details, law, state = Decoder().feed(port.read(1.0))
+    with opened(link) as port:
+        send(link, machine)
+        hello, details, law, state = Decoder().feed(port.read(1.0))
     assert isinstance(hello, Hello) and hello.info is not None and hello.info.delta_u_max == pytest.approx(0.1)
     assert isinstance(details, Details) and isinstance(law, LawFrame)
     assert isinstance(state, State) and state.sequence >= 200
-    port.close()
 
 
 def test_a_reader_that_does_not_read_loses_whole_frames_only(link: BoxLink, machine: Machine) -> None:
-    port = opened(link)
-    for _ in range(2000):
-        sampled(link, machine)
-    assert link.blocked > 1000
     decoder = Decoder()
-    for _ in range(20):
-        decoder.feed(port.read(0.05))
-        sampled(link, machine)
-    while piece := port.read(0.2):
-        decoder.feed(piece)
+    with opened(link) as port:
+        send(link, machine, 2000)
+        assert link.blocked > 1000
+        for _ in range(20):
+            decoder.feed(port.read(0.05))
+            send(link, machine)
+        while piece := port.read(0.2):
+            decoder.feed(piece)
     assert decoder.counts.crc_errors == decoder.counts.malformed == 0
     assert decoder.counts.frames == link.sent + 3, "HELLO, DETAILS and LAW go with the first"
-    port.close()
 
 
 def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link: BoxLink, machine: Machine) -> None:
-    port = opened(link)
-    link.unplug(2.0, now=10.0)
-    assert not link.terminal.path.exists()
-    with pytest.raises(PortLostError):
-        port.read(0.5)
+    with opened(link) as port:
+        link.unplug(2.0, now=10.0)
+        assert not link.terminal.path.exists()
+        with pytest.raises(PortLostError):
+            port.read(0.5)
     link.poll(11.9)
     assert not link.terminal.plugged
     link.poll(12.0)
-    again = opened(link)
-    sampled(link, machine, 12.0)
-    assert again.read(1.0)
-    again.close()
+    with opened(link) as again:
+        send(link, machine)
+        assert again.read(1.0)
 
 
 def test_a_place_taken_by_a_file_is_refused_and_the_file_kept(tmp_path: Path) -> None:

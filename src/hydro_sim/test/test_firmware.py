@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import struct
-import subprocess
 from collections.abc import Iterator
 from dataclasses import astuple, replace
 from math import inf, nan
@@ -15,31 +14,21 @@ import numpy as np
 import pytest
 
 from hydro_bridge.conformance.reference import evaluate_signal
-from hydro_bridge.serial.protocol import (
-    CommandFrame,
-    Details,
-    Frame,
-    Hello,
-    LawFrame,
-    decode,
-    encode_command,
-    encode_hello,
-    encode_state,
-)
+from hydro_bridge.serial import protocol
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.settings import SettingsError
 from hydro_core.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_sim.box import firmware
 from hydro_sim.box.box import NAME, Box, BoxConfig, box_info, law_state
 from hydro_sim.box.firmware import STRUCTURES, Precision, reference_force
-from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
-from tests.checks import compiled
+from tests.checks import compiled, ran
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
 BROKEN = (nan, inf, -inf, 1e30, -1e30, 5001.0)
+NOMINAL = Bench.nominal()
 
 
 def drawn_number(random: Random, scale: float) -> float:
@@ -48,26 +37,19 @@ def drawn_number(random: Random, scale: float) -> float:
 
 def drawn_command(random: Random) -> Command:
     signal = ReferenceSignal(
-        waveform=random.choice(tuple(Waveform)),
-        amplitude=abs(drawn_number(random, 200.0)),
+        waveform=random.choice(tuple(Waveform)), amplitude=abs(drawn_number(random, 200.0)),
         offset=drawn_number(random, 100.0),
         frequency=random.choice((0.3, 2.0, 999.0, 1000.0, 0.0, -1.0, nan, random.uniform(0.1, 20.0))),
         phase=drawn_number(random, 3.0),
-    )
-    scales = (1.0, 0.05, 2e-3, 30.0)
+    )  # fmt: skip
     return Command(
-        arm=random.random() < 0.8,
-        delta_kp=drawn_number(random, 100.0),
-        delta_ki=drawn_number(random, 30.0),
-        delta_u=drawn_number(random, 0.02),
-        reference=signal,
+        arm=random.random() < 0.8, delta_kp=drawn_number(random, 100.0), delta_ki=drawn_number(random, 30.0),
+        delta_u=drawn_number(random, 0.02), reference=signal,
         law=random.choice((Law.PAPER, Law.COMPENSATED, Law.COMPENSATED)),
-        coefficients=tuple(drawn_number(random, scale) for scale in scales),  # type: ignore[arg-type]
-        velocity_compensation=drawn_number(random, 0.4),
-        valve_gain_scale=drawn_number(random, 2.0),
-        corrects=random.getrandbits(32),
-        filter_fresh=random.random() < 0.5,
-    )
+        coefficients=tuple(drawn_number(random, scale) for scale in (1.0, 0.05, 2e-3, 30.0)),  # type: ignore[arg-type]
+        velocity_compensation=drawn_number(random, 0.4), valve_gain_scale=drawn_number(random, 2.0),
+        corrects=random.getrandbits(32), filter_fresh=random.random() < 0.5,
+    )  # fmt: skip
 
 
 def streams(seed: int, samples: int) -> Iterator[tuple[Command | None, FloatArray]]:
@@ -103,19 +85,19 @@ def places(kind: np.dtype[np.void], within: str = "") -> Iterator[tuple[str, int
 
 @pytest.mark.parametrize("precision", STRUCTURES)
 def test_the_records_lie_in_memory_as_the_c_compiler_lays_them_out(precision: Precision, tmp_path: Path) -> None:
-    names = {"config": "hydro_config", "command": "hydro_command", "box": "hydro_box"}
-    kinds = {c: getattr(STRUCTURES[precision], name) for name, c in names.items()}
-    expected = [(c, path, place) for c, kind in kinds.items() for path, place in places(kind)]
-    lines = "".join(f'    printf("%zu\\n", offsetof({c}, {path}));\n' for c, path, _ in expected)
+    expected = [
+        (f"hydro_{kind}, {path}", place)
+        for kind in ("config", "command", "box")
+        for path, place in places(getattr(STRUCTURES[precision], kind))
+    ]
+    lines = "".join(f'    printf("%zu\\n", offsetof({what}));\n' for what, _ in expected)
     source = tmp_path / "offsets.c"
     source.write_text(f'#include <stdio.h>\n#include "hydro/box.h"\n\nint main(void)\n{{\n{lines}    return 0;\n}}\n')
     words = ("-DHYDRO_SINGLE",) if precision == "single" else ()
-    done = subprocess.run(
-        [compiled(source, tmp_path / "offsets", f"-I{FIRMWARE}", *words)], capture_output=True, check=True
-    )
-    found = list(map(int, done.stdout.split()))
-    assert [(c, path) for (c, path, place), at in zip(expected, found, strict=True) if place != at] == []
-    assert len(found) > 150
+    done = ran(compiled(source, tmp_path / "offsets", f"-I{FIRMWARE}", *words), check=True)
+    found = map(int, done.stdout.split())
+    assert [what for (what, place), at in zip(expected, found, strict=True) if place != at] == []
+    assert len(expected) > 150
 
 
 def test_a_library_that_is_missing_or_of_another_version_is_refused_in_a_sentence(
@@ -131,33 +113,35 @@ def test_a_library_that_is_missing_or_of_another_version_is_refused_in_a_sentenc
         firmware.library.__wrapped__("double")
 
 
-def test_a_greeted_box_tells_what_it_was_configured_with() -> None:
-    bench, config, sensors = (
-        Bench.nominal(),
-        BoxConfig(integral="paper", feedback="hydraulic"),
-        Sensors(velocity_age=2e-3),
-    )
-    box = Box(bench, config, sensors, epoch=7)
-    box.feed(encode_hello(0, 0))
-    box.tick(np.zeros(8), 0.25)
-    frames: dict[type[Frame], Frame] = {type(frame): frame for frame in Decoder().feed(b"\0" + box.frames())}
-    hello, details, law = frames[Hello], frames[Details], frames[LawFrame]
-    assert isinstance(hello, Hello) and isinstance(details, Details) and isinstance(law, LawFrame)
-    assert hello.time_us == details.time_us == law.time_us == 250_000
-    assert single(astuple(hello.info)) == single(astuple(box_info(bench, config, NAME)))
-    told = details.details
-    assert (told.epoch, told.bench_digest, told.feedback, told.laws) == (7, bench.digest, "hydraulic", 3)
-    assert single(astuple(told)[4:]) == single((
-        config.load_force_limit, config.force_range, config.pressure_min, config.pressure_max, -config.position_margin,
-        bench.stroke + config.position_margin, config.hold_timeout, config.trip_timeout, sensors.force_rate_age, 2e-3,
-    ))  # fmt: skip
-    assert single(astuple(law.record)) == single(astuple(config.compensated))
-
-
 def single(values: tuple[object, ...]) -> list[object]:
     """Numbers as float32."""
     flat = [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
     return [np.float32(one) if isinstance(one, float) else one for one in flat]
+
+
+def test_a_greeted_box_tells_what_it_was_configured_with() -> None:
+    config, sensors = BoxConfig(integral="paper", feedback="hydraulic"), Sensors(velocity_age=2e-3)
+    box = Box(NOMINAL, config, sensors, epoch=7)
+    box.feed(protocol.encode_hello(0, 0))
+    box.tick(np.zeros(8), 0.25)
+    frames: dict[type[protocol.Frame], protocol.Frame] = {
+        type(frame): frame for frame in Decoder().feed(b"\0" + box.frames())
+    }
+    hello, details, law = frames[protocol.Hello], frames[protocol.Details], frames[protocol.LawFrame]
+    assert (
+        isinstance(hello, protocol.Hello)
+        and isinstance(details, protocol.Details)
+        and isinstance(law, protocol.LawFrame)
+    )
+    assert hello.time_us == details.time_us == law.time_us == 250_000
+    assert single(astuple(hello.info)) == single(astuple(box_info(NOMINAL, config, NAME)))
+    told, margin = details.details, config.position_margin
+    assert (told.epoch, told.bench_digest, told.feedback, told.laws) == (7, NOMINAL.digest, "hydraulic", 3)
+    assert single(astuple(told)[4:]) == single((
+        config.load_force_limit, config.force_range, config.pressure_min, config.pressure_max, -margin,
+        NOMINAL.stroke + margin, config.hold_timeout, config.trip_timeout, sensors.force_rate_age, 2e-3,
+    ))  # fmt: skip
+    assert single(astuple(law.record)) == single(astuple(config.compensated))
 
 
 @pytest.mark.parametrize("waveform", Waveform)
@@ -179,14 +163,14 @@ def bits(sample: np.void) -> bytes:
 def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(seed: int, integral: str) -> None:
     """Hostile commands and measurements; the frames are the bytes that the Python codec makes of the same sample."""
     config = BoxConfig(integral=integral)  # type: ignore[arg-type]
-    line, past = Box(Bench.nominal(), config), Box(Bench.nominal(), config)
+    line, past = Box(NOMINAL, config), Box(NOMINAL, config)
     moved = cut = 0
     seen: set[int] = set()
     for k, (command, x) in enumerate(streams(seed, 20_000)):
         if command is not None:
-            frame = encode_command(k + 1, 0, command)
-            sent = decode(frame[1:-1])
-            assert isinstance(sent, CommandFrame)
+            frame = protocol.encode_command(k + 1, 0, command)
+            sent = protocol.decode(frame[1:-1])
+            assert isinstance(sent, protocol.CommandFrame)
             line.feed(frame)
             past.receive(sent.command, k * 1e-3)
         sample = line.tick(x, k * 1e-3)
@@ -194,9 +178,9 @@ def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(
         acting = law_state(line.state[0])
         assert repr(acting) == repr(law_state(past.state[0])), k  # with NaN where a sensor shows it
         _, sequence, *values, flags = sample.item()
-        last = int(line.state["confirmed"][0])
-        told = line.refused, acting
-        state = encode_state(sequence, 1000 * k, values, flags, last, *told)
+        state = protocol.encode_state(
+            sequence, 1000 * k, values, flags, int(line.state["confirmed"][0]), line.refused, acting
+        )
         assert line.frames()[-len(state) :] == state, k
         seen.add(flags)
         if flags & Flag.ARMED and acting.law is Law.COMPENSATED:
@@ -207,48 +191,40 @@ def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(
     assert moved > 1000 and cut > 10
 
 
-def calm(seed: int, samples: int, law: Law) -> Iterator[tuple[bytes, FloatArray]]:
-    """Commands that a guard lets through, every millisecond, and a bench that is where it was believed."""
-    random, command, bench = Random(seed), Command(), Bench.nominal()
-    plant = AnalyticPlant(bench)
-    x = plant.reset(seed)
-    for k in range(samples):
-        if k % 700 == 1:
-            shape = Segment(
-                seconds=1.0, waveform=random.choice(("hold", "sine", "multisine", "smooth_step")),
-                amplitude=random.uniform(0.0, 250.0), frequency=random.uniform(0.2, 8.0), kp=60.0, ki=10.0,
-            ).signal  # fmt: skip
-            command = Command(arm=True, delta_kp=45.0, delta_ki=5.0, delta_u=1e-4, reference=shape, filter_fresh=True)
-            if law is Law.COMPENSATED:
-                shaping = (random.uniform(0.9, 1.1), random.uniform(0.0, 0.03), random.uniform(0.0, 4e-4), -5.0)
-                slow = replace(
-                    shape, amplitude=0.6 * shape.amplitude, frequency=0.25 * shape.frequency
-                )  # never cut off
-                command = replace(command, law=law, delta_kp=0.0, reference=slow, coefficients=shaping)
-                command = replace(command, velocity_compensation=0.3)
-        current = yield encode_command(k + 1, 0, command), x
-        x = plant.step(current)
+def drawn_law(random: Random, law: Law) -> Command:
+    """One that a guard lets through, and whose reference is never cut off."""
+    share, slower = (0.6, 0.25) if law is Law.COMPENSATED else (1.0, 1.0)
+    shape = ReferenceSignal(
+        waveform=random.choice(tuple(Waveform)), amplitude=share * random.uniform(0.0, 250.0),
+        frequency=slower * random.uniform(0.2, 8.0),
+    )  # fmt: skip
+    command = Command(arm=True, delta_ki=5.0, delta_u=1e-4, reference=shape, filter_fresh=True)
+    if law is Law.PAPER:
+        return replace(command, delta_kp=45.0)
+    shaping = (random.uniform(0.9, 1.1), random.uniform(0.0, 0.03), random.uniform(0.0, 4e-4), -5.0)
+    return replace(command, law=law, coefficients=shaping, velocity_compensation=0.3)
 
 
 @pytest.mark.parametrize("law", Law)
 def test_single_precision_stays_within_its_rounding(law: Law) -> None:
     """Both boxes see the bench that the double one moves: each sample's difference is rounding, none is chaos."""
-    bench = Bench.nominal()
-    double, single = Box(bench), Box(bench, precision="single")
-    source, worst = calm(5, 20_000, law), dict.fromkeys((*STATE_FIELDS, "f_c", "f_c'"), 0.0)
-    data, x = next(source)
-    for k in range(20_000 - 1):
+    random, plant, command = Random(5), AnalyticPlant(NOMINAL), Command()
+    double, single = Box(NOMINAL), Box(NOMINAL, precision="single")
+    x, worst = plant.reset(5), dict.fromkeys((*STATE_FIELDS, "f_c", "f_c'"), 0.0)
+    for k in range(20_000):
+        if k % 700 == 1:
+            command = drawn_law(random, law)
         for box in (double, single):
-            box.feed(data)
+            box.feed(protocol.encode_command(k + 1, 0, command))
         a, b = double.tick(x, k * 1e-3), single.tick(x, k * 1e-3)
         assert (int(a["flags"]) ^ int(b["flags"])) & ~Flag.SATURATED == 0
-        for name in STATE_FIELDS:
-            worst[name] = max(worst[name], abs(float(a[name]) - float(b[name])))
         acting, other = law_state(double.state[0]), law_state(single.state[0])
         assert acting.law is other.law is (law if k else Law.PAPER)
-        worst["f_c"] = max(worst["f_c"], abs(acting.compensated_reference - other.compensated_reference))
-        worst["f_c'"] = max(worst["f_c'"], abs(acting.compensated_reference_rate - other.compensated_reference_rate))
-        data, x = source.send(float(a["valve_current"]))  # type: ignore[attr-defined]
+        apart = {name: float(a[name]) - float(b[name]) for name in STATE_FIELDS}
+        apart["f_c"] = acting.compensated_reference - other.compensated_reference
+        apart["f_c'"] = acting.compensated_reference_rate - other.compensated_reference_rate
+        worst = {name: max(worst[name], abs(change)) for name, change in apart.items()}
+        x = plant.step(float(a["valve_current"]))
     print(worst)
     assert worst["valve_current"] < 1e-7 and worst["reference_force"] < 1e-4
     assert worst["reference_force_rate"] < 1e-2 and worst["f_c"] < 2e-3 and worst["f_c'"] < 2.0

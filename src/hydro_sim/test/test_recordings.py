@@ -13,7 +13,7 @@ import yaml
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.files import bench_digest
-from hydro_core.signals import STATE_DTYPE, Flag, ReferenceSignal, StateArray, Waveform, to_matrix
+from hydro_core.signals import STATE_DTYPE, Flag, StateArray, to_matrix
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import profile, truth_from_mapping
 from hydro_sim.excitation import draw_schedule
@@ -35,16 +35,12 @@ def recording(samples: int) -> StateArray:
     return states
 
 
-def span(run: Run) -> tuple[int, int]:
-    return run.first, run.first + len(run)
-
-
 @pytest.mark.parametrize("samples", [4000, 4500, 6500, 7000, 13_000, 20_000, 62_000])
 def test_validation_begins_a_second_after_training_ends(samples: int) -> None:
     data = recordings.split({"one": recording(samples)})
     (training,), (validation,) = data.training, data.validation
-    assert span(training)[0] == 0 and span(validation)[1] == samples
-    assert span(validation)[0] - span(training)[1] == 1000
+    assert training.first == 0 and validation.first + len(validation) == samples
+    assert validation.first - len(training) == 1000
     assert len(training) >= 2000 and len(validation) >= 1000
 
 
@@ -78,17 +74,12 @@ def test_the_law_that_the_box_told_last_counts(tmp_path: Path) -> None:
 
 def test_the_filter_refuses_a_file_by_its_worst_reading(tmp_path: Path) -> None:
     bench = Bench.nominal()
-    learned = {"bench": bench.digest, **Quality.of([1.0, 1.0, 1.0, 1.0, 240.0]).to_mapping()}
-    file = tmp_path / "learnt.yaml"
-    file.write_text(yaml.safe_dump(replace(bench, learned=learned).to_mapping()), encoding="utf-8")
+    for worst in (2.0, 240.0):
+        learned = {"bench": bench.digest, **Quality.of([1.0, 1.0, 1.0, 1.0, worst]).to_mapping()}
+        (tmp_path / f"{worst:g}.yaml").write_text(yaml.safe_dump(replace(bench, learned=learned).to_mapping()))
+    assert isinstance(load_model(tmp_path / "2.yaml"), Bench)
     with pytest.raises(ValueError, match="240 times the noise of piston_position"):
-        load_model(file)
-    learned["worst"] = 2.0
-    file.write_text(yaml.safe_dump(replace(bench, learned=learned).to_mapping()), encoding="utf-8")
-    assert isinstance(load_model(file), Bench)
-
-
-BOX = BoxIdentity(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
+        load_model(tmp_path / "240.yaml")
 
 
 def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tmp_path: Path) -> None:
@@ -101,10 +92,11 @@ def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tm
 
 
 def test_what_was_made_for_another_integral_does_not_fit_and_what_is_not_known_does() -> None:
+    box = BoxIdentity(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
     made = MadeFor(box="a", model="m", base_kp=15.0, base_ki=5.0, integral="bumpless")
-    assert mismatch("it", made, BOX, "remedy", model="m") == ""
-    assert mismatch("it", replace(made, base_kp=None, base_ki=None, integral=""), BOX, "remedy", model="m") == ""
-    assert "made for the paper integral" in mismatch("it", replace(made, integral="paper"), BOX, "remedy", model="m")
+    unknown, other = replace(made, base_kp=None, base_ki=None, integral=""), replace(made, integral="paper")
+    fitting, unsaid, foreign = (mismatch("it", one, box, "remedy", model="m") for one in (made, unknown, other))
+    assert fitting == unsaid == "" and "made for the paper integral" in foreign
 
 
 def test_a_stamp_changes_no_tensor(tmp_path: Path) -> None:
@@ -190,10 +182,7 @@ def test_the_usual_effects_are_learnt_where_a_file_names_none() -> None:
 
 def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordings.Data) -> None:
     """On the truth itself: rates and readings of a prediction are off by little more than noise, the position by um."""
-    effects = (
-        {"id": "spring_stiffness", "parameters": {"ratio": 1.6}},
-        {"id": "valve_deadband", "parameters": {"half_width": 3e-4}},
-    )
+    effects = {**SPRING, "parameters": {"ratio": 1.6}}, {**DEADBAND, "parameters": {"half_width": 3e-4}}
     predictor = BenchPrediction(replace(Bench.nominal(), effects=effects), data.validation)
     run = data.validation[0]
     starts = np.arange(700, len(run) - 71, 100)
@@ -204,9 +193,6 @@ def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordin
     left = np.sqrt(np.mean(error**2, axis=(0, 1)))
     assert (left[[0, 2, 4, 5]] < 1.3 * noise[:4]).all() and left[6] < 3e-6 and predictor.quality.unfit == ""
     assert (left[[1, 3]] < 2.0 * rates).all()
-
-
-SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -223,10 +209,12 @@ def shipped(held_out):
 
 
 def test_predictions_reach_the_papers_level(shipped, held_out):
-    states, analytic_bench = [shipped.estimate(held_out.run)], AnalyticModel(Bench.nominal())
-    how = {"recorded": False, "horizon": 70, "stride": 41}
-    clean = validate.prediction_errors(shipped, states, [held_out], **how)
-    analytic = validate.prediction_errors(analytic_bench, [analytic_bench.estimate(held_out.run)], [held_out], **how)
+    clean, analytic = (
+        validate.prediction_errors(
+            model, [model.estimate(held_out.run)], [held_out], recorded=False, horizon=70, stride=41
+        )
+        for model in (shipped, AnalyticModel(Bench.nominal()))
+    )
     share = clean.rmse / np.ptp(held_out.truth, axis=0)
     for column, level in {0: 0.0006, 2: 0.0009, 4: 0.0004, 5: 0.0002, 6: 0.0031}.items():
         assert share[column] <= level
@@ -235,6 +223,5 @@ def test_predictions_reach_the_papers_level(shipped, held_out):
 
 
 def test_estimates_look_only_back(shipped, held_out):
-    whole = shipped.estimate(held_out.run)
-    part = shipped.estimate(held_out.run.slice(0, 2500))
+    whole, part = shipped.estimate(held_out.run), shipped.estimate(held_out.run.slice(0, 2500))
     assert np.array_equal(whole[:2500], part)
