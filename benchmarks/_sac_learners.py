@@ -17,7 +17,7 @@ from torch import nn
 
 from hydro_core.signals import FloatArray
 from hydro_policy.env import ID
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac
 from hydro_policy.sac.settings import SacSettings

@@ -31,10 +31,10 @@ SHARED = 3
 SETTINGS: dict[str, tuple[tuple[str, str], ...]] = {
     "bridge": (("", "hydro_bridge.serial.port.PortSettings"),),
     "sim": (("", "hydro_sim.simulation.realtime.SimSettings"), ("box.", "hydro_sim.box.box.BoxConfig")),
-    "guard of bridge and sim": (("guard.", "hydro_bridge.safety.limits.GuardSettings"),),
+    "guard of bridge and sim": (("guard.", "hydro_bridge.safety.guard_settings.GuardSettings"),),
     "filter": (("", "hydro_filter.controller.loop_filter.LoopFilterSettings"),),
     "trainer": (
-        ("", "hydro_policy.runs.run.TrainingSettings"),
+        ("", "hydro_policy.runs.run_directory.TrainingSettings"),
         ("task.", "hydro_policy.task.mdp.TaskSettings"),
         ("task.gains.", "hydro_policy.task.mdp.GainRange"),
         ("sac.", "hydro_policy.sac.settings.SacSettings"),

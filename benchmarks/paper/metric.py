@@ -28,12 +28,12 @@ from benchmarks.paper.models import NetworkModel, NetworkPlant
 from benchmarks.paper.store import PRINTED, Result, Store
 from hydro_core.signals import CorrectionStatus, FloatArray
 from hydro_filter.controller.loop_filter import Result as Correction
-from hydro_filter.correction_qp import solve_qp
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import make_loop, make_samples
 from hydro_filter.model.records import law_gradient
 from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
+from hydro_filter.validation.closed_form import solve_qp
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 

@@ -30,7 +30,7 @@ _STAND_INS = {"stroke": 5.0, "valve_current_max": 10.0}
 
 @dataclass(frozen=True, kw_only=True)
 class PartialBench(Bench):
-    """A bench some of whose numbers are not known, or that has no spring."""
+    """A bench with unknown parameters, or without a spring."""
 
     spring_stiffness: Annotated[float, quantity("N/m", 0.0, 1e8)]
     """0: no spring."""

@@ -34,7 +34,7 @@ from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table
 from hydro_core.errors import UserError
 from hydro_diagnosis.bench_numbers import read_bench
-from hydro_diagnosis.column_proposal import as_yaml
+from hydro_diagnosis.column_matching import as_yaml
 from hydro_diagnosis.inspect_command import COLUMNS, ROWS, improbable, listed, missing
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import Columns

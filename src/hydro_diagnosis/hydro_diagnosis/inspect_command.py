@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run hydro_diagnosis inspect FILE...`: contents of recordings, and a proposed column map (`column_proposal`)."""
+"""`ros2 run hydro_diagnosis inspect FILE...`: contents of recordings, and a proposed column map (`column_matching`)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_core.cli.console import Table, add_json_argument, command, writable_f
 from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
-from hydro_diagnosis.column_proposal import as_yaml, propose_sources
+from hydro_diagnosis.column_matching import as_yaml, propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import Columns, is_time
 from hydro_diagnosis.io.table import columns_of, table_of
@@ -164,7 +164,7 @@ def _advice(proposal: ColumnMap, bench: Path | None) -> str:
 
 
 def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> list[str]:
-    """Return which fields of a map have numbers that the bench cannot have, a sentence each; `found`: the columns."""
+    """Return a warning for each mapped field with values that are implausible for the bench; `found`: the columns."""
     try:
         doubts = inspect_table(table_of(path, found, columns), bench).doubts
     except InputError:

@@ -12,11 +12,11 @@ from hydro_core.cli.console import progress
 READING = "reading"
 CURVES = "reading curves off"
 SEARCHING = "searching"
-JUDGING = "judging"
+SELECTING = "selecting effects"
 CHECKING = "checking on held-out recordings"
 MODELLING = "modelling what has no name"
 FORECASTING = "forecasting control"
-STAGES = (READING, CURVES, SEARCHING, JUDGING, CHECKING, MODELLING, FORECASTING)
+STAGES = (READING, CURVES, SEARCHING, SELECTING, CHECKING, MODELLING, FORECASTING)
 """In order; the last but one is passed over where names explain everything."""
 LABEL = "diagnosing"
 LINES = 10.0

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from hydro_bridge.plant_clock import COMMANDER_WINDOW, FILTER_WINDOW, Pace, PaceSettings
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.pace import COMMANDER_WINDOW, FILTER_WINDOW, Pace, PaceSettings
 from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench

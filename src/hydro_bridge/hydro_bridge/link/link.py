@@ -25,8 +25,8 @@ from enum import Enum
 from functools import partial
 from math import inf, isclose
 
+from hydro_bridge.plant_clock import Pace
 from hydro_bridge.safety.guard import CommandGuard, intersect_limits
-from hydro_bridge.safety.pace import Pace
 from hydro_bridge.safety.plant_side import PlantSide
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port, PortLostError

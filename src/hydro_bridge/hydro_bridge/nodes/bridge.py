@@ -16,11 +16,11 @@ from typing import Any
 
 from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
+from hydro_bridge.plant_clock import Pace, PaceSettings
 from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import bench_mismatches, known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, describe_non_port
 from hydro_bridge.serial.protocol import BoxInfo, State
 from hydro_core.cli.console import UserError, command

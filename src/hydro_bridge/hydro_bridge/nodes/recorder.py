@@ -22,12 +22,12 @@ from rclpy.task import Future
 from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter, code_version
+from hydro_bridge.plant_clock import RECORDER_WINDOW
 from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox, type_name
-from hydro_bridge.safety.pace import RECORDER_WINDOW
 from hydro_bridge.serial.stream import SequenceTracker
 from hydro_core.cli.console import command, writable_folder
 from hydro_core.signals import Flag

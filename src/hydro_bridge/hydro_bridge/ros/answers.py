@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Acknowledgement of samples to a plant that runs by its own clock (`hydro_bridge.safety.pace`)."""
+"""Acknowledgement of samples to a plant that runs by its own clock (`hydro_bridge.plant_clock`)."""
 
 from __future__ import annotations
 

@@ -18,8 +18,8 @@ from math import inf, isfinite
 
 import numpy as np
 
+from hydro_bridge.safety.guard_settings import PAPER_RANGES, GuardSettings, intersect_limits, reference_error
 from hydro_bridge.safety.lease import Lease
-from hydro_bridge.safety.limits import PAPER_RANGES, GuardSettings, intersect_limits, reference_error
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
 

@@ -8,8 +8,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+from hydro_bridge.plant_clock import Pace, PaceSettings
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.pace import Pace, PaceSettings
 from hydro_core.clock import HostClock
 from hydro_core.signals import Flag, flag_names
 

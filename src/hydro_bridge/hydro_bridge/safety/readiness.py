@@ -8,7 +8,9 @@
     after 8 s      reports what is awaited, why it may take long, and the time allowed
     after `within` the wait ends: in `NotReadyError`, or with a report that the run continues without it
 
-A requirement's time runs while no earlier one is missing: a recorder without a plant has nothing to record.
+A requirement's time runs while no earlier one is missing: a recorder without a plant has nothing to record. The
+requirements themselves: `hydro_policy.supervision.plant_supervisor` (plant, filter, learner), `box_info` (box),
+`hydro_bridge.ros.companion` (recorder).
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ class FrameType(IntEnum):
 
 
 class MalformedError(ValueError):
-    """A frame with a valid check sum whose content does not follow the byte tables."""
+    """A frame with a valid check sum whose content does not follow its layout in protocol.md."""
 
 
 class CheckSumError(MalformedError):

@@ -66,7 +66,7 @@ def nominal_flows(into_a, into_b, gain, spool, p_a, p_b, supply, tank):
 
 @njit
 def first_moments(gain, moment, spool, p_a, p_b, supply, tank):
-    """Sums over the substeps of `moment` (substeps,) times the flow [m3/s] into chamber A and into chamber B."""
+    """Flows [m3/s] into chambers A and B, summed over a sample's substeps with weights `moment`, (substeps,)."""
     into_a, into_b = np.empty_like(p_a), np.empty_like(p_b)
     for k in range(len(p_a)):
         positive, negative = 0.0, 0.0

@@ -178,7 +178,7 @@ def advance(field: str, delay: float) -> Repair:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Residuals that the best causes leave, for one reading of the recordings."""
+    """Residuals of the best causes under one wiring hypothesis: the recordings as they are, or repaired."""
 
     fitted: FloatArray
     """`residual_sums` of the fitted recordings."""

@@ -75,7 +75,7 @@ def name_causes(case: Case, search: Search) -> StageResult:
     progress(stage_bar.SEARCHING)
     outcome = search.run()
     problem = outcome.problem
-    progress(stage_bar.JUDGING)
+    progress(stage_bar.SELECTING)
     holdout = problem.for_segments(case.held)
     kept, bounds = retain_claims(problem, holdout, outcome.fit, outcome.nothing)
     progress(stage_bar.CHECKING)
@@ -124,7 +124,7 @@ def _by_curve(
     others: Sequence[Claim],
 ) -> StageResult:  # fmt: skip
     """Return names read off the curve of the force, together with claims of other equations."""
-    search.progress(stage_bar.JUDGING)
+    search.progress(stage_bar.SELECTING)
     holdout = problem.for_segments(held)
     read = claims_from_curve(curve, moving_motions(holdout), problem, search.library)
     others_fit = fit(problem, others)

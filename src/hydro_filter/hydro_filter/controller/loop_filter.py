@@ -89,7 +89,7 @@ class Result(NamedTuple):
 
     @classmethod
     def uncorrected(cls, status: CorrectionStatus) -> Result:
-        """Return no correction, and no certificate that was evaluated."""
+        """Return a result with zero correction, its certificate not evaluated (NaN)."""
         return cls(0.0, math.nan, math.nan, status)
 
 

@@ -44,6 +44,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
+from hydro_bridge.plant_clock import FILTER_WINDOW
 from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
@@ -63,7 +64,6 @@ from hydro_bridge.ros.messages import (
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import AUTHORITY, CORRECTION, LAW_STATE, STATE, create_publisher, create_subscription
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.pace import FILTER_WINDOW
 from hydro_core.cli.console import UserError, command
 from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.process import endings

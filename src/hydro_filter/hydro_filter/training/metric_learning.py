@@ -183,7 +183,10 @@ by one side's g while the valve has the other's."""
 
 
 def refine(metric: ScheduledMetric, windows: Windows, correction: RiccatiCorrection, seed: int) -> ScheduledMetric:
-    """Return the metric with a table that decays on drawn samples, at the law's gains and under the correction."""
+    """Return the metric with its factors refined so that the loop contracts at the required rate on drawn windows.
+
+    Each factor for one gain of the force law; the last for any other gains, under the Riccati correction.
+    """
     rng, stable = np.random.default_rng(seed), windows.subset(windows.label == STABLE)
     chosen = rng.choice(len(stable), min(SAMPLES, len(stable)), replace=False)
     transition, push = stable.transition[chosen, 0], stable.push[chosen, 0]

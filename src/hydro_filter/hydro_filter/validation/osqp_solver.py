@@ -10,7 +10,7 @@ import osqp
 from scipy.sparse import csc_matrix
 
 from hydro_core.signals import CorrectionStatus
-from hydro_filter.correction_qp import solve_qp
+from hydro_filter.validation.closed_form import solve_qp
 
 AGREEMENT = 1e-6
 """Distance between both solutions, relative to the bounds, up to which they agree; OSQP's own tolerance is 1e-9."""
@@ -39,7 +39,7 @@ class Osqp:
         self._solver.setup(csc_matrix([[1.0]]), np.zeros(1), rows, self._lower, self._upper, **SETTINGS)
 
     def compare(self, a: float, b: float, low: float, high: float) -> None:
-        """Solve the QP of `correction_qp.solve_qp` and count whether both agree; skipped where du = 0 solves it."""
+        """Solve the QP of `closed_form.solve_qp` and count whether both agree; skipped where du = 0 solves it."""
         exact = solve_qp(a, b, low, high)
         if exact.status in (CorrectionStatus.PASS, CorrectionStatus.NAN) or not high > low:
             return

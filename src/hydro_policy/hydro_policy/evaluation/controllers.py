@@ -10,7 +10,7 @@ import numpy as np
 
 from hydro_core.signals import FloatArray, LawCommand
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run_directory import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
 
@@ -84,7 +84,7 @@ class Compensated(Controller):
 
 
 class PolicyController(Controller):
-    """Mean action of a trained policy."""
+    """Controller that applies the mean action of a trained policy."""
 
     def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
         self.name, self.reach = name, gains

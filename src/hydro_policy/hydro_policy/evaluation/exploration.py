@@ -14,7 +14,7 @@ import numpy as np
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import FloatArray
 from hydro_policy.evaluation.controllers import Controller
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, Step, observe, rewards

@@ -26,7 +26,7 @@ from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
-from hydro_policy.runs.run import RunRecord
+from hydro_policy.runs.run_directory import RunRecord
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE, FALLBACK, TRIALS, PlantSupervisor
 from hydro_policy.task.cases import DISTURBED_SHARE_MAX, Score, Trace, score

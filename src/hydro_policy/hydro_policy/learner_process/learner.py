@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydro_core.files.atomic import write_whole
-from hydro_policy.runs.run import RunDirectory, TrainingSettings, save_checkpoint
+from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import Losses, ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.sac.settings import SacSettings

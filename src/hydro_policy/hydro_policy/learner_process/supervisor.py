@@ -31,7 +31,7 @@ from hydro_policy.learner_process.learner import (
     run_learner,
     write_run,
 )
-from hydro_policy.runs.run import Checkpoint, RunDirectory, TrainingSettings
+from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, TrainingSettings
 from hydro_policy.sac.sac import Losses, dump
 
 NICENESS = 10  # of a learner for which the plant does not wait

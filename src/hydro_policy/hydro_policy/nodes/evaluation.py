@@ -50,7 +50,7 @@ from hydro_policy.nodes.plant_options import (
 from hydro_policy.nodes.plants import describe_policy, guard_range, start_plant
 from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.runs.report import write_page
-from hydro_policy.runs.run import RunDirectory, RunRecord
+from hydro_policy.runs.run_directory import RunDirectory, RunRecord
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor, corrections_requirement

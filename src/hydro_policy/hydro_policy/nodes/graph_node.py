@@ -25,6 +25,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
+from hydro_bridge.plant_clock import COMMANDER_WINDOW
 from hydro_bridge.ros.answers import PaceResponder
 from hydro_bridge.ros.commander import LEASE_WAIT_MAX, Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
@@ -46,7 +47,6 @@ from hydro_bridge.ros.topics import (
 )
 from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.lease import BY_HAND
-from hydro_bridge.safety.pace import COMMANDER_WINDOW
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import terminal_lines

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from rclpy.node import Node
 
 from hydro_bridge.ros.node import declare_parameters
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run_directory import TrainingSettings
 
 T = TypeVar("T")
 

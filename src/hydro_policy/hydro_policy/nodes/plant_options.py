@@ -12,15 +12,15 @@ from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
 
+from hydro_bridge.plant_clock import parse_pace
 from hydro_bridge.ros.companion import add_dashboard_option
 from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.pace import parse_pace
 from hydro_core.cli.console import UserError
 from hydro_core.files import site
 from hydro_core.settings import read_yaml
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.evaluation.controllers import policy_file
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run_directory import RunDirectory
 from hydro_policy.task.mdp import BASE
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched, read_provenance
 

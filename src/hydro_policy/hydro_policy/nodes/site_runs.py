@@ -33,7 +33,7 @@ from hydro_policy.nodes.graph_node import Ending, GraphNode
 from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions, box_mismatch
 from hydro_policy.nodes.plants import commands, guard_range, recorder_arguments
 from hydro_policy.runs.report import write_page
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run_directory import RunDirectory
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import corrections_requirement
 from hydro_policy.task.cases import EvaluationSettings

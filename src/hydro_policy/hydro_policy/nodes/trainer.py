@@ -16,7 +16,7 @@ from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import FIXED_ON_RESUME, command, explicit_options, make_parser, reject_changed_options
 from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_site, restore_plant_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
-from hydro_policy.runs.run import RunDirectory
+from hydro_policy.runs.run_directory import RunDirectory
 
 DEMO = {"plant": "emulator", "configuration": "wide", "episodes": 6, "exam_every": 3, "evaluate": True}
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""

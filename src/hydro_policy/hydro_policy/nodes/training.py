@@ -44,7 +44,7 @@ from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs import report as curves
 from hydro_policy.runs.digest import circumstances, run_digest
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
-from hydro_policy.runs.run import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
+from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.supervision import plant_supervisor

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hydro_core.size import Size, rescale
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
 from hydro_sim.model.bench import NOMINAL

@@ -32,7 +32,7 @@ from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
 from hydro_policy.runs.initial_agent import AGENT
 from hydro_policy.runs.report import write_page
-from hydro_policy.runs.run import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
+from hydro_policy.runs.run_directory import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import actor_parameters, dump
 from hydro_policy.task.cases import EvaluationSettings

@@ -27,7 +27,7 @@ from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.environment import Environment, Episodes, Transitions
 from hydro_policy.envs.vector_env import VectorBench, fleet_filter
 from hydro_policy.envs.vector_runs import Chooser
-from hydro_policy.runs.run import Checkpoint, TrainingSettings
+from hydro_policy.runs.run_directory import Checkpoint, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, dump, restore
 from hydro_policy.task.cases import EvaluationSettings

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hydro_core.size import Size, rescale
-from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.sac import Sac, dump, restore, settings_of
 from hydro_policy.sac.settings import SacSettings

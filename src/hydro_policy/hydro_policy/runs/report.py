@@ -13,7 +13,7 @@ from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import Table, plural, print_above_progress
 from hydro_core.files.atomic import write_whole
-from hydro_policy.runs.run import RunDirectory, RunRecord
+from hydro_policy.runs.run_directory import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 NONE_BETTER = "no policy trained here was better, by more than noise, than the one it started from: that is kept"

@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hydro_bridge.safety.limits import PAPER_RANGES
+from hydro_bridge.safety.guard_settings import PAPER_RANGES
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import FAULTS, CorrectionStatus, Flag, LawCommand, ReferenceSignal

@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import get_args
 
-from hydro_bridge.safety.pace import parse_pace, reject_speed_option
+from hydro_bridge.plant_clock import parse_pace, reject_speed_option
 from hydro_core.cli.console import bounded_number, command, writable_file, writable_folder
 from hydro_core.process import endings
 from hydro_core.settings import SettingsError

@@ -96,7 +96,7 @@ DEFAULT_SCHEDULE = (
 
 
 def default_schedule(bench: Bench) -> list[Segment]:
-    """Return the default schedule for a bench of this size."""
+    """Return the default excitation, 20 s, with forces and frequencies rescaled to a bench of this size."""
     return [rescale(segment, NOMINAL, bench.size) for segment in DEFAULT_SCHEDULE]
 
 

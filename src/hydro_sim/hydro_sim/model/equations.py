@@ -28,7 +28,7 @@ READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston
 """Names of the sensors' readings, in the order of every array of readings."""
 LOAD_CELL_DAMPING = math.sqrt(0.5)
 """Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
-LAMINAR = 100.0
+TRANSITION_DROP = 100.0
 """Pressure drop [Pa] below which flow through an edge is proportional to the pressure drop, so that its slope is
 finite. With this little, p_a = p_s of a blocked cylinder is reached as by the square root, except the last 100 Pa."""
 
@@ -71,7 +71,9 @@ def signed_root(drop: Symbol) -> Symbol:
 def orifice(opening: Symbol, drop: Symbol) -> Symbol:
     """Flow [m3/s] through an edge open by `opening` [m3/s/sqrt(Pa)] at a pressure drop [Pa]; reverses with it."""
     size = np.abs(drop)
-    return opening * np.copysign(np.sqrt(np.fmax(size, LAMINAR)) * np.fmin(size * (1.0 / LAMINAR), 1.0), drop)
+    return opening * np.copysign(
+        np.sqrt(np.fmax(size, TRANSITION_DROP)) * np.fmin(size * (1.0 / TRANSITION_DROP), 1.0), drop
+    )
 
 
 # --- the chambers ----------------------------------------------------------------------------------------------------

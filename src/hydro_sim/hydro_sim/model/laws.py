@@ -31,7 +31,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hydro_sim.model.equations import LAMINAR, Symbol, edge_drops, orifice
+from hydro_sim.model.equations import TRANSITION_DROP, Symbol, edge_drops, orifice
 
 SIGN_VELOCITY = 1e-3
 """Velocity [m/s] over which a term reverses that follows the velocity's sign, unless its law has it as a number."""
@@ -132,7 +132,7 @@ _SIGNALS = {
     "p_a": "at.pressure_a", "p_b": "at.pressure_b", "across": "at.pressure_difference", "sign_v": "at.direction",
     "turn": "at.turn", "drop": "at.drop", "both": "at.both", "opened": "at.opened", "feeds": "at.feeds",
     "K": "n.valve_gain", "L": "n.stroke", "x_rest": "n.spring_rest_position", "A_p": "n.piston_area",
-    "alpha": "n.area_ratio", "p_s": "n.supply_pressure", "p_t": "n.tank_pressure", "laminar": repr(LAMINAR),
+    "alpha": "n.area_ratio", "p_s": "n.supply_pressure", "p_t": "n.tank_pressure", "laminar": repr(TRANSITION_DROP),
     "one": "(1.0 + 0.0 * (at.position + at.pressure_a + at.pressure_b + at.current + at.force))",
 }  # fmt: skip
 """Signals of a formula (`Signals`) and the bench's numbers; `one`: 1 of their shape."""
@@ -145,7 +145,7 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True)
 class Law:
-    """One term: `coefficient` times the formula."""
+    """Candidate term of a model equation: a coefficient times a formula of signals (not the box's force law)."""
 
     equation: str
     form: str

@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
+from hydro_bridge.plant_clock import Pace, PaceSettings, reject_speed_option
 from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.safety.pace import Pace, PaceSettings, reject_speed_option
 from hydro_core.cli.console import command
 from hydro_core.files import site
 from hydro_core.settings import describe

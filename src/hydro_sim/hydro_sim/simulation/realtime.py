@@ -8,7 +8,7 @@ counterpart.
 ======== ==========================================================================================================
 pace     when the next sample follows, and the clock on which commands age
 ======== ==========================================================================================================
-plant    once the graph has answered the last one (`hydro_bridge.safety.pace`); the simulation's
+plant    once the graph has answered the last one (`hydro_bridge.plant_clock`); the simulation's
 real     a millisecond later; the host's
 number   that many simulated seconds per second; the simulation's
 ======== ==========================================================================================================
@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
+from hydro_bridge.plant_clock import Pace, parse_pace
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.pace import Pace, parse_pace
 from hydro_bridge.safety.plant_side import PlantSide
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.process.realtime import Pacer, disable_timer_slack

@@ -67,7 +67,7 @@ def content_of(p, pressure, volume):
     return (volume + p.wall_compliance * pressure) / v
 
 
-LAMINAR_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that its slope at zero drop is finite
+TRANSITION_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that its slope at zero drop is finite
 
 
 @njit
@@ -98,8 +98,8 @@ def null_leak(p, spool):
 
 @njit
 def orifice_flow(coefficient, drop):
-    """Flow [m3/s] with sqrt(|drop|) and the drop's sign, laminar below `LAMINAR_DROP`."""
-    return coefficient * drop / math.sqrt(math.sqrt(drop * drop + LAMINAR_DROP * LAMINAR_DROP))
+    """Flow [m3/s] with sqrt(|drop|) and the drop's sign, laminar below `TRANSITION_DROP`."""
+    return coefficient * drop / math.sqrt(math.sqrt(drop * drop + TRANSITION_DROP * TRANSITION_DROP))
 
 
 @njit

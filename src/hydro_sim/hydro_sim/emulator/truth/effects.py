@@ -322,7 +322,7 @@ class CellCrosstalk:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoadHum:
+class SinusoidalLoad:
     """Sinusoidal force on the mass."""
 
     amplitude: Annotated[float, quantity("N", 0.0, 500.0)]
@@ -362,7 +362,7 @@ class UnnamedEffects:
     valve_temperature: ValveTemperature | None = None
     valve_underlap: ValveUnderlap | None = None
     cell_crosstalk: CellCrosstalk | None = None
-    load_hum: LoadHum | None = None
+    load_hum: SinusoidalLoad | None = None
     load_walk: LoadWalk | None = None
     wall_flexibility: WallFlexibility | None = None
     supply_ripple: SupplyRipple | None = None

@@ -107,7 +107,7 @@ def _load(config: TruthConfig) -> dict[str, Any]:
     bench, effects, outside = config.bench, config.effects, config.outside
     backlash = effects.backlash or kinds.Backlash(width=0.0)
     hysteresis = outside.spring_hysteresis or kinds.SpringHysteresis(force=0.0)
-    hum, walk = outside.load_hum or kinds.LoadHum(amplitude=0.0), outside.load_walk or kinds.LoadWalk(force=0.0)
+    hum, walk = outside.load_hum or kinds.SinusoidalLoad(amplitude=0.0), outside.load_walk or kinds.LoadWalk(force=0.0)
     cushions = {"low": (-OFF, 0.0), "high": (OFF, 0.0)}
     quadratic = False
     for cushion in effects.end_cushion:

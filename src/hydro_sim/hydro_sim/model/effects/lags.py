@@ -26,10 +26,10 @@ SQUARINGS, TERMS = 6, 14
 Pair = tuple[Symbol, Symbol]
 
 
-def step_constant_input(
+def step_zero_order_hold(
     at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol
 ) -> tuple[Pair, Symbol]:
-    """Return the state after a step with constant input, and the mean of s over the step."""
+    """Return the state after a sample under a zero-order hold of the input, and the mean of s over the sample."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
     # s, s'/w, the signal, the integral of s: time in units of 1/w
@@ -41,8 +41,10 @@ def step_constant_input(
     return (moved, turned), mean
 
 
-def step_linear_input(at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Symbol, late: Symbol) -> Pair:
-    """Return the state after a step with input linear from `early` to `late`."""
+def step_first_order_hold(
+    at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Symbol, late: Symbol
+) -> Pair:
+    """Return the state after a sample under a first-order hold of the input, from `early` to `late`."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
     # s, s'/w, the signal, its slope: time in units of 1/w

@@ -66,7 +66,7 @@ class SensorLag(Sensor):
         if channel != self.sensor:
             return early, late
         state = self.signal, self.rate
-        self.next["signal"], self.next["rate"] = lags.step_linear_input(
+        self.next["signal"], self.next["rate"] = lags.step_first_order_hold(
             self.at, self.bandwidth, self.damping, state, early, late
         )
         return self.signal, self.next["signal"]
@@ -103,7 +103,7 @@ class LoadCellBias(_Bias):
 
 
 class PressureSensorBias(_Bias):
-    """A pressure sensor's zero is wrong."""
+    """Zero offset of a chamber's pressure sensor."""
 
     id = "pressure_sensor_bias"
     options = {"chamber": ("a", "b")}

@@ -56,7 +56,7 @@ class ValveLag(_Valve):
     rate = hidden("A/s", scale=0.1)
 
     def command(self, spool: Symbol) -> Symbol:
-        moved, mean = lags.step_constant_input(self.at, self.bandwidth, self.damping, (self.spool, self.rate), spool)
+        moved, mean = lags.step_zero_order_hold(self.at, self.bandwidth, self.damping, (self.spool, self.rate), spool)
         self.next["spool"], self.next["rate"] = moved
         return mean
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_core.signals import CorrectionStatus
-from hydro_filter.correction_qp import LEAST_IMPROVEMENT, solve_qp
+from hydro_filter.validation.closed_form import LEAST_IMPROVEMENT, solve_qp
 from hydro_filter.validation.osqp_solver import Osqp
 
 U_MAX = 0.05

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hydro_bridge.safety.pace import COMMANDER_WINDOW, FILTER_WINDOW, RECORDER_WINDOW, Pace, PaceSettings, parse_pace
+from hydro_bridge.plant_clock import COMMANDER_WINDOW, FILTER_WINDOW, RECORDER_WINDOW, Pace, PaceSettings, parse_pace
 from hydro_core.settings import SettingsError
 from tests.checks import wait
 
