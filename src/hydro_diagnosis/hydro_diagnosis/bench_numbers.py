@@ -37,7 +37,7 @@ class PartialBench(Bench):
     unknown: frozenset[str] = frozenset()
     """Numbers that hold stand-ins."""
     absent: frozenset[str] = frozenset()
-    """Numbers of `NONE` that were not given: none, unless a diagnosis finds some."""
+    """Numbers of `OPTIONAL_NUMBERS` that were not given: none, unless a diagnosis finds some."""
 
     def to_mapping(self) -> dict[str, Any]:
         """Return keys and values of what is known."""
@@ -73,7 +73,7 @@ def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Ben
     """Read a bench file that may lack numbers: a `Bench` where it holds all, else a `PartialBench`.
 
     `path`: bench.yaml or corrected.yaml. `estimated`: numbers that will be estimated: those that are not given hold
-    stand-ins, also of `NONE`. Raises ValueError: as `Bench.load`.
+    stand-ins, also of `OPTIONAL_NUMBERS`. Raises ValueError: as `Bench.load`.
     """
     content = read_yaml(path)
     try:

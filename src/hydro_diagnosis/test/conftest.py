@@ -12,7 +12,6 @@ import pytest
 
 import hydro_diagnosis
 from hydro_core.signals import StateArray, Waveform
-from hydro_diagnosis.cli import run
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model.bench import Bench
 from tests.segments import frame, problem_in, record
@@ -29,13 +28,6 @@ def problem(nominal: StateArray) -> Problem:
 
 
 @pytest.fixture(scope="session")
-def csv(tmp_path_factory: pytest.TempPathFactory, nominal: StateArray) -> Path:
-    path = tmp_path_factory.mktemp("recordings") / "nominal.csv"
-    frame(nominal).to_csv(path, index=False)
-    return path
-
-
-@pytest.fixture(scope="session")
 def worn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Two recordings of a bench with a soft spring, and one to hold out."""
     folder = tmp_path_factory.mktemp("worn")
@@ -48,18 +40,8 @@ def worn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.fixture(scope="session")
-def written(worn: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the command writes about the soft spring."""
-    folder = tmp_path_factory.mktemp("written")
-    assert run([str(worn[0]), str(worn[1]), "--holdout", str(worn[2]), "--out", str(folder), "--quiet"]) == 0
-    return folder
-
-
-SCHEMA = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
-
-
-@pytest.fixture(scope="session")
 def valid() -> Callable[[Any], Any]:
     """Raises JsonSchemaValueException on what the contract does not allow."""
-    compiled: Callable[[Any], Any] = fastjsonschema.compile(json.loads(SCHEMA.read_text()))
+    schema = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
+    compiled: Callable[[Any], Any] = fastjsonschema.compile(json.loads(schema.read_text()))
     return compiled

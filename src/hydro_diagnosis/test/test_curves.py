@@ -26,7 +26,6 @@ from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.shapes import FittedShape, curve_shape, drop_uncertain, missing_sign, simplest_shape
 from hydro_sim.model.bench import Bench
 
-NOMINAL = Bench.nominal()
 BENCH = parse_bench({"moving_mass": 1.0}, frozenset())
 STEP = 1e-3
 NAMES = frozenset({"dry", "viscous", "constant", "stribeck"})
@@ -47,9 +46,12 @@ def strokes(law: Law, *, seed: int = 0, seconds: float = 40.0, noise: float = 0.
     return RawTable(f"run{seed}", time, None, columns)
 
 
+def in_motion(*tables: RawTable, bench: Bench = BENCH) -> list[Motion]:
+    return motions(Problem([one for table in tables for one in check_recording(table, bench).segments], bench).models)
+
+
 def recorded(law: Law, **how: Any) -> list[Motion]:
-    tables = [strokes(law, seed=seed, **how) for seed in (0, 1, 2)]
-    return motions(Problem([one for table in tables for one in check_recording(table, BENCH).segments], BENCH).models)
+    return in_motion(*(strokes(law, seed=seed, **how) for seed in (0, 1, 2)))
 
 
 def rubbing(dry: float = 10.0, viscous: float = 0.0, constant: float = 0.0, rise: float = 0.0) -> Law:
@@ -69,63 +71,51 @@ def test_the_curve_is_that_of_the_truth_within_its_errors() -> None:
     assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
+@pytest.mark.parametrize("scale", [0.01, 1.0, 1000.0])
 @pytest.mark.parametrize(
-    ("truth", "names"),
+    "truth",
     [
-        ({"dry": 10.0}, ["dry"]),
-        ({"dry": 10.0, "viscous": 100.0}, ["dry", "viscous"]),
-        ({"dry": 10.0, "constant": -4.0}, ["dry", "constant"]),
-        ({"dry": 10.0, "viscous": 150.0, "rise": 8.0}, ["dry", "viscous", "stribeck"]),
+        {"dry": 10.0},
+        {"dry": 10.0, "viscous": 100.0},
+        {"dry": 10.0, "constant": -4.0},
+        {"dry": 10.0, "viscous": 150.0, "stribeck": 8.0},
     ],
 )
-@pytest.mark.parametrize("scale", [0.01, 1.0, 1000.0])
-def test_the_simplest_shape_is_named_whatever_the_size_of_the_machine(
-    truth: dict[str, float], names: list[str], scale: float
-) -> None:
-    law = rubbing(**{name: scale * size for name, size in truth.items()})
-    table = strokes(law, noise=0.01 * scale, drift=0.3 * scale, seconds=60.0)
-    table.columns["hydraulic_force"] -= (1.0 - scale) * np.gradient(
-        np.gradient(table.columns["piston_position"], STEP), STEP
-    )
-    bench = parse_bench({"moving_mass": scale}, frozenset())
-    found = shape_of(ForceCurve.over_speed(motions(Problem(check_recording(table, bench).segments, bench).models)))
-    assert found.shape.names == names
-    right = dict(zip(("dry", "viscous", "constant", "stribeck"),
-                     (truth.get(one, 0.0) for one in ("dry", "viscous", "constant", "rise")), strict=True))  # fmt: skip
-    for k, name in enumerate(names):
-        assert found.low[k] <= scale * right[name] <= found.high[k], name
-
-
-def points(*of: tuple[float, float, float]) -> list[Point]:
-    return [Point(at=at, force=force, error=error, strokes=5) for at, force, error in of]
+def test_the_simplest_shape_is_named_whatever_the_size_of_the_machine(truth: dict[str, float], scale: float) -> None:
+    sizes = {name: scale * size for name, size in truth.items()}
+    table = strokes(rubbing(**{name.replace("stribeck", "rise"): size for name, size in sizes.items()}),
+                    noise=0.01 * scale, drift=0.3 * scale, seconds=60.0)  # fmt: skip
+    acceleration = np.gradient(np.gradient(table.columns["piston_position"], STEP), STEP)
+    table.columns["hydraulic_force"] -= (1.0 - scale) * acceleration
+    found = shape_of(ForceCurve.over_speed(in_motion(table, bench=parse_bench({"moving_mass": scale}, frozenset()))))
+    assert found.shape.names == list(sizes)
+    for low, size, high in zip(found.low, sizes.values(), found.high, strict=True):
+        assert low <= size <= high
 
 
 def test_one_number_that_misses_few_points_grossly_does_not_stand() -> None:
-    # eha_loaded of benchmarks.real_recordings: a load that acts one way
-    loaded = points((-0.0131, -1995.0, 12.0), (0.0127, 6569.0, 8.9), (0.0179, 6953.0, 29.0))
-    names = frozenset({"dry", "viscous", "constant", "stribeck", "directional"})
-    found = drop_uncertain(loaded, simplest_shape(loaded, 0.0137, allowed=names), 0.0137)
-    assert found.shape.names == ["dry", "constant"] and not found.missed
-    assert all(low >= 0.0 for low in found.low)
-    alike = points((-0.0131, -4200.0, 12.0), (0.0127, 4100.0, 8.9), (0.0179, 4500.0, 29.0))
-    assert drop_uncertain(alike, simplest_shape(alike, 0.0137, allowed=names), 0.0137).shape.names == ["dry"]
+    def named(*forces: float) -> FittedShape:
+        at, errors = (-0.0131, 0.0127, 0.0179), (12.0, 8.9, 29.0)
+        points = [Point(at=v, force=f, error=e, strokes=5) for v, f, e in zip(at, forces, errors, strict=True)]
+        return drop_uncertain(points, simplest_shape(points, 0.0137, allowed=NAMES | {"directional"}), 0.0137)
 
-
-def elastic(level: float, rise: float, *, sharp: bool) -> Law:
-    """Dry friction behind an elastic beginning: Dahl's, or Prandtl's, which yields at once."""
-
-    def law(position: FloatArray, _v: FloatArray, _a: FloatArray) -> FloatArray:
-        memory = Memory(STEP)
-        if sharp:
-            return level * (position - memory.play("x", position, 2.0 * rise)) / rise
-        return memory.bristle("x", position, level / rise, np.full_like(position, level))
-
-    return law
+    loaded = named(-1995.0, 6569.0, 6953.0)  # eha_loaded of benchmarks.real_recordings: a load that acts one way
+    assert loaded.shape.names == ["dry", "constant"] and not loaded.missed
+    assert all(low >= 0.0 for low in loaded.low)
+    assert named(-4200.0, 4100.0, 4500.0).shape.names == ["dry"]
 
 
 @pytest.mark.parametrize("sharp", [False, True])
 def test_an_elastic_beginning_is_found_with_its_distance(sharp: bool) -> None:
-    curve = ForceCurve(recorded(elastic(10.0, 0.003, sharp=sharp)))
+    """Dry friction behind an elastic beginning: Dahl's, or Prandtl's, which yields at once."""
+
+    def elastic(position: FloatArray, _v: FloatArray, _a: FloatArray) -> FloatArray:
+        memory, level, rise = Memory(STEP), 10.0, 0.003
+        if sharp:
+            return level * (position - memory.play("x", position, 2.0 * rise)) / rise
+        return memory.bristle("x", position, level / rise, np.full_like(position, level))
+
+    curve = ForceCurve(recorded(elastic))
     assert curve.terms.sharp == sharp and not curve.terms.cell
     assert curve.terms.rise == pytest.approx(0.003, rel=0.1)
     found = shape_of(curve)
@@ -143,10 +133,8 @@ def test_a_slow_cell_is_no_elastic_beginning() -> None:
 def test_a_spring_and_a_mass_are_terms_beside_the_speed() -> None:
     sprung = ForceCurve(recorded(lambda x, v, _a: 10.0 * np.sign(v) + 2000.0 * (x - 0.05)))
     assert sprung.terms == Terms(position="straight")
-    low, high = sprung.limits
-    assert np.ptp(splines(np.array([0.0, 1.0])) @ sprung.over_position) == pytest.approx(
-        2000.0 * (high - low), rel=0.02
-    )
+    rise = np.ptp(splines(np.array([0.0, 1.0])) @ sprung.over_position)
+    assert rise == pytest.approx(2000.0 * np.ptp(sprung.limits), rel=0.02)
     heavy = ForceCurve(recorded(lambda _x, v, a: 10.0 * np.sign(v) + 80.0 * a))
     assert heavy.terms == Terms(mass=True)
     value, error = heavy.mass
@@ -163,8 +151,7 @@ def test_what_does_not_oppose_the_motion_is_not_named_and_the_missing_sign_is_to
     assert "opposes the motion in" in missing_sign(tank) and curve_shape(tank, 0.0, NAMES) is None
     table = strokes(rubbing())
     table.columns["piston_position"] = 0.02 + 1e-3 * table.time
-    one_way = motions(Problem(check_recording(table, BENCH).segments, BENCH).models)
-    assert "hardly a speed" in missing_sign(ForceCurve.over_speed(one_way))
+    assert "hardly a speed" in missing_sign(ForceCurve.over_speed(in_motion(table)))
 
 
 @pytest.mark.parametrize(("viscous", "names"), [(0.0, None), (300.0, ["dry", "viscous"])])
@@ -175,20 +162,17 @@ def test_one_way_only_what_follows_the_speed_is_named(viscous: float, names: lis
         return RawTable(f"{seed}", time, None, {"piston_position": 0.01 + speed * time, "hydraulic_force": force})
 
     tables = [one_way(speed, seed) for seed, speed in enumerate((0.004, 0.008, 0.016, 0.03))]
-    segments = [one for table in tables for one in check_recording(table, BENCH).segments]
-    found = curve_shape(ForceCurve.over_speed(motions(Problem(segments, BENCH).models)), 0.0, NAMES)
+    found = curve_shape(ForceCurve.over_speed(in_motion(*tables)), 0.0, NAMES)
     assert (found and found.shape.names) == names
 
 
 def test_what_is_pushed_at_rest_is_no_friction() -> None:
     table = strokes(rubbing(10.0))
-    position, force = table.columns["piston_position"], table.columns["hydraulic_force"]
-    rests = [slice(4000, 7000), slice(15000, 19000), slice(30000, 33000)]
-    moved = np.gradient(position)
-    for rest, push in zip(rests, (60.0, -80.0, 40.0), strict=True):
+    force, moved = table.columns["hydraulic_force"], np.gradient(table.columns["piston_position"])
+    for rest, push in ((slice(4000, 7000), 60.0), (slice(15000, 19000), -80.0), (slice(30000, 33000), 40.0)):
         moved[rest], force[rest] = 0.0, push
     table.columns["piston_position"] = 0.05 + np.cumsum(moved)
-    found = shape_of(ForceCurve.over_speed(motions(Problem(check_recording(table, BENCH).segments, BENCH).models)))
+    found = shape_of(ForceCurve.over_speed(in_motion(table)))
     assert found.shape.names == ["dry"] and found.values[0] == pytest.approx(10.0, rel=0.05)
 
 
@@ -203,10 +187,15 @@ def test_segments_that_follow_on_each_other_are_one_motion() -> None:
     assert [len(one.models) for one in motions(Problem(parts, BENCH).models)] == [2, 1]
 
 
+def write(table: RawTable, path: Path) -> str:
+    pd.DataFrame({"time": table.time, **table.columns}).to_csv(path, index=False)
+    return str(path)
+
+
 @pytest.mark.parametrize("dry", [0.0, 40.0])
 def test_a_load_cell_at_the_rod_is_part_of_the_balance_of_two_pressures(tmp_path: Path, dry: float) -> None:
     """A load that no spring makes was refused: without it the machine's own force was missing from the motion."""
-    area, ratio = 2e-3, 0.6
+    area, ratio, paths = 2e-3, 0.6, []
     for seed in (0, 1):
         table = strokes(rubbing(dry), seed=seed, noise=0.0, seconds=25.0)
         rng, driving = np.random.default_rng(seed + 7), table.columns.pop("hydraulic_force")
@@ -215,9 +204,9 @@ def test_a_load_cell_at_the_rod_is_part_of_the_balance_of_two_pressures(tmp_path
         pressures = {"pressure_a": (driving + load) / area + ratio * into_b, "pressure_b": into_b}
         noisy = {name: one + 300.0 * rng.standard_normal(len(one)) for name, one in pressures.items()}
         table.columns.update(noisy, load_force=load + 0.5 * rng.standard_normal(len(load)))
-        pd.DataFrame({"time": table.time, **table.columns}).to_csv(tmp_path / f"{seed}.csv", index=False)
+        paths.append(write(table, tmp_path / f"{seed}.csv"))
     bench = {"moving_mass": 1.0, "piston_area": area, "area_ratio": ratio}
-    report = diagnose([tmp_path / "0.csv"], holdout=[tmp_path / "1.csv"], bench=bench).report
+    report = diagnose(paths[:1], holdout=paths[1:], bench=bench).report
     assert report.checked == ["motion"] and any("at the rod" in note for note in report.data_quality)
     sizes = {one.id: [two.value for two in one.parameters.values()] for one in report.effects}
     assert sizes == ({"friction_coulomb": [pytest.approx(dry, rel=0.02)]} if dry else {})
@@ -225,14 +214,16 @@ def test_a_load_cell_at_the_rod_is_part_of_the_balance_of_two_pressures(tmp_path
 
 def test_a_rough_recording_gets_its_names_its_share_and_its_curve(tmp_path: Path) -> None:
     """Seen before: 98 % of the squares were demanded, and on real rigs no name was left."""
-    for seed in (0, 1, 2):
-        table = strokes(rubbing(9000.0, 20_000.0), seed=seed, noise=1.0, drift=900.0)
-        pd.DataFrame({"time": table.time, **table.columns}).to_csv(tmp_path / f"{seed}.csv", index=False)
-    bench = tmp_path / "bench.yaml"
-    bench.write_text("moving_mass: 1.0\n", encoding="utf-8")
-    words = [str(tmp_path / f"{seed}.csv") for seed in (0, 1)] + ["--holdout", str(tmp_path / "2.csv"), "--quiet"]
-    assert run([*words, "--bench", str(bench), "--out", str(tmp_path)]) == 0
-    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    (tmp_path / "bench.yaml").write_text("moving_mass: 1.0\n", encoding="utf-8")
+    tables = [strokes(rubbing(9000.0, 20_000.0), seed=seed, noise=1.0, drift=900.0) for seed in (0, 1, 2)]
+    paths = [write(table, tmp_path / f"{table.name}.csv") for table in tables]
+
+    def reported(bench: str, out: Path) -> dict[str, Any]:
+        words = [*paths[:2], "--holdout", paths[2], "--quiet", "--bench", str(tmp_path / bench), "--out", str(out)]
+        assert run(words) == 0
+        return dict(json.loads((out / "report.json").read_text(encoding="utf-8")))
+
+    report = reported("bench.yaml", tmp_path)
     assert report["verdict"] == "partly_explained"
     sizes = {one["id"]: one["parameters"] for one in report["effects"]}
     assert sizes.keys() == {"friction_coulomb", "friction_viscous"}
@@ -244,6 +235,5 @@ def test_a_rough_recording_gets_its_names_its_share_and_its_curve(tmp_path: Path
     assert np.abs(np.subtract(curve["named"], curve["y"])).max() < 1500.0
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "% of the force on the moving mass that your simulation misses" in page
-    assert run([*words, "--bench", str(tmp_path / "corrected.yaml"), "--out", str(tmp_path / "again")]) == 0
-    again = json.loads((tmp_path / "again" / "report.json").read_text(encoding="utf-8"))
+    again = reported("corrected.yaml", tmp_path / "again")
     assert again["effects"] == [], "what the corrected bench file holds was claimed once more"

@@ -60,9 +60,7 @@ def test_each_part_of_a_long_bag_is_diagnosed_by_itself(tmp_path: Path) -> None:
     assert (tmp_path / "study/reports/day/12,/report.html").is_file()
 
 
-def test_no_part_reaches_across_a_gap_or_a_clock_that_was_set(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_no_part_reaches_across_a_gap_or_a_set_clock(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     states = record(Bench.nominal(), seed=0, seconds=8.0)
     states["time"] += 1e9
     begin = float(states["time"][0])
@@ -118,14 +116,7 @@ def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path) -> No
     assert status_of(trends.main, worn, "--limit", "leek.coefficient=1") == 2
 
 
-def test_a_cause_that_is_not_claimed_counts_as_absent(tmp_path: Path) -> None:
-    (series,) = trends.series_of(study(tmp_path / "study", np.where(np.arange(DAYS) < 30, 0.0, 2e-13)))
-    assert len(series.time) == DAYS and np.median(series.value[:30]) == 0.0
-    found = course(series.time, series.value, series.sd)
-    assert found and [change.time for change in found.changes] == [20030.0]
-
-
-@pytest.mark.parametrize("scale", [1e-15, 1.0, 1e6])  # a leak and a pressure
+@pytest.mark.parametrize("scale", [1e-15, 1e6])  # a leak and a pressure
 def test_wear_and_repair_are_both_dated_and_scatter_is_not(scale: float) -> None:
     rng, time = np.random.default_rng(1), np.arange(200.0)
     noise, sd = rng.standard_normal(200), np.full(200, 0.3)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import gc
 import re
 import struct
 from collections.abc import Callable, Mapping, Sequence
@@ -13,14 +12,14 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
+from hydro_core.signals import FloatArray
 from hydro_diagnosis import inspect_command
-from hydro_diagnosis.column_proposal import propose_sources
+from hydro_diagnosis.column_matching import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table, table_of
@@ -38,26 +37,22 @@ F = 900.0 * np.sin(0.02 * K) + 0.5
 X = 40.0 + 12.0 * np.sin(0.02 * K)
 """mm."""
 BENCH = Bench.nominal()
-Array = npt.NDArray[np.float64]
+Cells = Sequence[str] | FloatArray
 
 
-def lines(head: str, *columns: Sequence[str] | Array, sign: str = ",", form: str = "{:.6f}") -> str:
+def lines(head: str, *columns: Cells, sign: str = ",", form: str = "{:.6f}") -> str:
     """A text table: a header, then rows; numbers are written by `form`."""
     cells = [[one if isinstance(one, str) else form.format(one) for one in column] for column in columns]
     return "\n".join([*([head] if head else []), *(sign.join(row) for row in zip(*cells, strict=True))]) + "\n"
 
 
-def quoted(values: Array, form: str = "{:,.3f}", signs: str = ",.") -> list[str]:
+def quoted(values: FloatArray, signs: str = ",.") -> list[str]:
     """Numbers with thousands, by their signs for thousands and decimals."""
-    return [f'"{form.format(one).translate(str.maketrans(",.", signs))}"' for one in values]
+    return [f'"{f"{one:,.3f}".translate(str.maketrans(",.", signs))}"' for one in values]
 
 
-def german(values: Array, form: str = "{:,.3f}") -> list[str]:
+def german(values: FloatArray, form: str = "{:,.3f}") -> list[str]:
     return [form.format(one).translate(str.maketrans(",.", ".,")) for one in values]
-
-
-def clock(form: Callable[[float], str]) -> list[str]:
-    return [form(36000.0 + one) for one in T]
 
 
 def hms(at: float, sign: str) -> str:
@@ -65,30 +60,34 @@ def hms(at: float, sign: str) -> str:
     return f"{ms // 3600000:02d}:{ms // 60000 % 60:02d}:{ms // 1000 % 60:02d}{sign}{ms % 1000:03d}"
 
 
-HEAD, SEMICOLONS = "time,load_force,piston_position [mm]", "time;load_force;piston_position [mm]"
+HEAD = "time,load_force,piston_position [mm]"
 BIG = 5.0 * F
 SERIAL = 45000.0 + (36000.0 + T) / 86400.0
 PLACE = {"piston_position": 1e-3 * X}
 TWO_MS = {"time": 2.0 * T, "load_force": F}
 
 
-def table(*columns: Sequence[str] | Array, head: str = HEAD) -> str:
+def table(*columns: Cells) -> str:
     """Time, force and position, of which the first are given."""
-    return lines(head, *columns, *(T, F, X)[len(columns) :])
+    return lines(HEAD, *columns, *(T, F, X)[len(columns) :])
+
+
+def stamped(stamp: Callable[[float], str]) -> str:
+    return table([stamp(36000.0 + one) for one in T])
 
 
 def europe(force: Sequence[str], times: Sequence[str] = ()) -> str:
     """The same between semicolons and by decimal commas."""
-    return lines(SEMICOLONS, times or german(T), force, german(X), sign=";")
+    return lines(HEAD.replace(",", ";"), times or german(T), force, german(X), sign=";")
 
 
-TEXTS: dict[str, tuple[str, dict[str, Array]]] = {
+TEXTS: dict[str, tuple[str, dict[str, FloatArray]]] = {
     # kind 4: thousands and decimal signs
     "thousands, quoted": (table(T, quoted(BIG)), {"load_force": BIG}),
     "thousands in the time": (table(quoted(999.8 + T)), {"time": 999.8 + T}),
     "German thousands": (europe(german(BIG)), {"load_force": BIG}),
-    "Swiss thousands": (table(T, quoted(BIG, signs="'.")), {"load_force": BIG}),
-    "narrow spaces": (europe(quoted(BIG, signs="\u202f,")), {"load_force": BIG}),
+    "Swiss thousands": (table(T, quoted(BIG, "'.")), {"load_force": BIG}),
+    "narrow spaces": (europe(quoted(BIG, "\u202f,")), {"load_force": BIG}),
     "Indian groups": (table(T, [f'"1,23,{400 + k % 99}.5"' for k in K]), {"load_force": 123400.5 + K % 99}),
     "whole thousands in a German file": (europe(german(np.round(BIG), "{:,.0f}")), {"load_force": np.round(BIG)}),
     "points among decimal commas": (europe([f"{one:.6f}" for one in F]), {"load_force": F}),
@@ -102,20 +101,19 @@ TEXTS: dict[str, tuple[str, dict[str, Array]]] = {
         lines("", T, F, X, sign=" ", form="{:.9E}").replace("E", "D"), {"load_force": F} | PLACE),
     # kind 8: separators, times, names
     "numpy.savetxt": (lines("", T, F, X, sign=" ", form="{:.18e}"), {"time": T, "load_force": F} | PLACE),
-    "blanks at both ends": (
-        "".join(f"  {a:.3f}   {b:.6f}  {c:.6f} \n" for a, b, c in zip(T, F, X, strict=True)), {"time": T} | PLACE),
+    "blanks at both ends": (lines("", [""] * N, T, F, X, [""] * N, sign="  "), {"time": T} | PLACE),
     "names between commas above blanks": (
         lines("#time(s),Pos(in),Force(lbf)", T, X / 25.4, F / 4.4482216152605, sign="  ", form="{:.9f}"),
         {"load_force": F} | PLACE),
-    "bars between the columns": (lines(HEAD.replace(",", "|"), T, F, X, sign="|"), {"load_force": F}),
+    "bars between the columns": (table().replace(",", "|"), {"load_force": F}),
     "Excel serial days": (table([f"{one:.11f}" for one in SERIAL]), {"time": T}),
     "Excel's clock alone": (table([f"{one % 1.0:.12f}" for one in SERIAL]), {"time": T}),
     "MATLAB's datenum": (table([f"{one + 693960.0:.11f}" for one in SERIAL]), {"time": T}),
-    "milliseconds behind a colon": (table(clock(lambda at: hms(at, ":"))), {"time": T}),
-    "milliseconds behind a comma": (europe(german(F), clock(lambda at: hms(at, ","))), {"time": T}),
-    "dates with a colon": (table(clock(lambda at: f"2024-05-01 {hms(at, ':')}")), {"time": T}),
+    "milliseconds behind a colon": (stamped(lambda at: hms(at, ":")), {"time": T}),
+    "milliseconds behind a comma": (europe(german(F), [hms(36000.0 + one, ",") for one in T]), {"time": T}),
+    "dates with a colon": (stamped(lambda at: f"2024-05-01 {hms(at, ':')}"), {"time": T}),
     "halves of days": (table([f"5/1/2024 10:00:{one:06.3f} AM" for one in T]), {"time": T}),
-    "ISO 8601 with a zone": (table(clock(lambda at: f"2024-05-01T{hms(at, '.')}+02:00")), {"time": T}),
+    "ISO 8601 with a zone": (stamped(lambda at: f"2024-05-01T{hms(at, '.')}+02:00"), {"time": T}),
     "minutes and seconds": (table([hms(3599.8 + one, ".")[3:] for one in T]), {"time": T}),
     "CamelCase": (
         lines("Name,JibPaCyl,JibPbCyl,JibPistonPosition,JibXRef", 10.0 * K, X, 2.0 * X, 1e-3 * X, 1e-3 * X),
@@ -158,11 +156,10 @@ def as_proposed(path: Path) -> RawTable:
     return table_of(path, found, propose_sources(found, BENCH))
 
 
-def holds(table: RawTable, answer: Mapping[str, Array], within: float = 1e-5) -> None:
+def holds(table: RawTable, answer: Mapping[str, FloatArray], within: float = 1e-5) -> None:
     for field, values in answer.items():
-        read = table.time if field == "time" else table.columns[field]
-        wanted, read = (values - values[0], read - read[0]) if field == "time" else (values, read)
-        size = 1.0 if field == "time" else float(np.max(np.abs(values)))
+        read = table.time - table.time[0] if field == "time" else table.columns[field]
+        wanted, size = (values - values[0], 1.0) if field == "time" else (values, float(np.nanmax(np.abs(values))))
         np.testing.assert_allclose(read, wanted, rtol=0.0, atol=within * size, err_msg=field)
 
 
@@ -171,14 +168,12 @@ def test_a_text_is_read_as_a_person_reads_it(case: str, tmp_path: Path) -> None:
     text, answer = TEXTS[case]
     path = tmp_path / "run.csv"
     path.write_text(text, encoding="utf-8")
-    unnamed = "time='column 0',load_force='column 1',piston_position='column 2'[mm]"
-    holds(
-        as_proposed(path) if "column 0" not in columns_of(path).series else read_table(path, ColumnMap.load(unnamed)),
-        answer,
-    )
+    unnamed = ColumnMap.load("time='column 0',load_force='column 1',piston_position='column 2'[mm]")
+    named = "column 0" not in columns_of(path).series
+    holds(as_proposed(path) if named else read_table(path, unnamed), answer)
 
 
-def spoilt(values: Array, at: int, cell: str) -> list[str]:
+def spoilt(values: FloatArray, at: int, cell: str) -> list[str]:
     return [cell if k == at else f"{one:.3f}" for k, one in enumerate(values)]
 
 
@@ -231,59 +226,36 @@ def test_what_cannot_be_read_is_refused_with_the_cell_or_the_step_that_helps(cas
     assert "\n" not in str(raised.value)
 
 
-def mdf(path: Path) -> dict[str, Array]:
+def test_an_mdf_file_says_which_samples_are_invalid_and_that_it_was_started_again(tmp_path: Path) -> None:
     """Every seventh force is marked as invalid; the second group was recorded after a pause."""
     from asammdf import MDF, Signal
 
-    invalid = K % 7 == 3
-    file = MDF(version="4.10")
-    for begin, part in ((0.0, slice(0, 250)), (3.0, slice(250, N))):
-        times = begin + T[part] - T[part][0]
-        bad = np.where(invalid[part], 1e6, F[part])
-        file.append([Signal(bad, times, name="F_load", unit="N", invalidation_bits=invalid[part]),
-                     Signal(X[part], times, name="x", unit="mm")])  # fmt: skip
-    file.save(path, overwrite=True)
-    file.close()
-    return {
-        "time": np.r_[T[:250], 3.0 + T[:150]],
-        "load_force": np.where(invalid, np.nan, F),
-        "piston_position": 1e-3 * X,
-    }
-
-
-def tdms(path: Path, starts: Mapping[str, float], again: float = 0.0) -> None:
-    """Channels with starts of their own [s]; where `again`, acquisition begins anew at that time."""
-    numbers = {"F_load": (F, "N"), "x": (X, "mm")}
-    base = np.datetime64("2024-05-01T10:00:00", "us")
-
-    def channels(part: slice, at: float) -> list[ChannelObject]:
-        def properties(name: str, unit: str) -> dict[str, object]:
-            start = base + np.timedelta64(round(1e6 * (at + starts[name])), "us")
-            return {"wf_start_time": start, "wf_increment": 1e-3, "wf_start_offset": 0.0, "unit_string": unit}
-
-        return [ChannelObject("card", name, values[part], properties=properties(name, unit))
-                for name, (values, unit) in numbers.items()]  # fmt: skip
-
-    with TdmsWriter(path) as writer:
-        if again:
-            writer.write_segment(channels(slice(0, 250), 0.0))
-            writer.write_segment(channels(slice(250, N), again))
-        else:
-            writer.write_segment(channels(slice(0, N), 0.0))
-
-
-def test_an_mdf_file_says_which_samples_are_invalid_and_that_it_was_started_again(tmp_path: Path) -> None:
-    answer = mdf(tmp_path / "run.mf4")
+    invalid, times = K % 7 == 3, np.r_[T[:250], 3.0 + T[:150]]
+    force = np.where(invalid, 1e6, F)
+    with MDF(version="4.10") as file:
+        for part in (slice(0, 250), slice(250, N)):
+            marked = Signal(force[part], times[part], name="F_load", unit="N", invalidation_bits=invalid[part])
+            file.append([marked, Signal(X[part], times[part], name="x", unit="mm")])
+        file.save(tmp_path / "run.mf4")
     found = as_proposed(tmp_path / "run.mf4")
-    holds(found, answer)
+    holds(found, {"time": times, "load_force": np.where(invalid, np.nan, F)} | PLACE)
     assert any("samples of 'F_load' are marked as invalid" in note for note in found.notes)
     assert any("stopped and started again" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(("late", "again"), [(0.012, 0.0), (0.0, 5.0), (0.0, 0.25), (0.0504, 0.0)])
 def test_tdms_channels_begin_when_they_say_so(late: float, again: float, tmp_path: Path) -> None:
-    """12 ms late, on a fraction of a sample late, stopped and started again 5 s later, and written in two segments."""
-    tdms(tmp_path / "run.tdms", {"F_load": late, "x": 0.0}, again)
+    """12 ms late, stopped and started again 5 s later, written in two segments, and a fraction of a sample late."""
+
+    def channel(name: str, part: slice, begin: float) -> ChannelObject:
+        start = np.datetime64("2024-05-01T10:00:00", "us") + np.timedelta64(round(1e6 * begin), "us")
+        properties = {"wf_start_time": start, "wf_increment": 1e-3, "wf_start_offset": 0.0}
+        return ChannelObject("card", name, F[part], properties=properties)
+
+    parts = [(slice(0, 250), 0.0), (slice(250, N), again)] if again else [(slice(0, N), 0.0)]
+    with TdmsWriter(tmp_path / "run.tdms") as writer:
+        for part, begin in parts:
+            writer.write_segment([channel("F_load", part, begin + late), channel("x", part, begin)])
     found = columns_of(tmp_path / "run.tdms")
     times = found.series[found.clocks["F_load"]] - found.series[found.clocks["x"]][0]
     np.testing.assert_allclose(times, late + np.r_[T[:250], again + T[:150]] if again else late + T, atol=1e-9)
@@ -306,16 +278,12 @@ def test_a_frame_of_pandas_is_read_with_its_index_dates_and_texts(tmp_path: Path
 
 
 def test_a_step_among_the_attributes_makes_the_times(tmp_path: Path) -> None:
-    for key, value in (
-        ("dt", 0.002),
-        ("wf_increment", 0.002),
-        ("sample_rate", 500.0),
-        ("Sampling frequency [kHz]", 0.5),
-    ):
+    steps = {"dt": 0.002, "wf_increment": 0.002, "sample_rate": 500.0, "Sampling frequency [kHz]": 0.5}
+    for key, value in steps.items():
         with h5py.File(tmp_path / "run.h5", "w") as file:
             file["load_force"], file["x_mm"] = F, X
             file.attrs[key] = value
-        holds(as_proposed(tmp_path / "run.h5"), {"time": 2.0 * T, "load_force": F, "piston_position": 1e-3 * X})
+        holds(as_proposed(tmp_path / "run.h5"), TWO_MS | PLACE)
 
 
 def opaque(name: str) -> bytes:
@@ -324,12 +292,8 @@ def opaque(name: str) -> bytes:
     def element(kind: int, data: bytes) -> bytes:
         return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
 
-    numbers = (
-        element(6, struct.pack("<II", 13, 0))
-        + element(5, struct.pack("<ii", 6, 1))
-        + element(1, b"")
-        + element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
-    )
+    numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 6, 1)) + element(1, b"")
+    numbers += element(6, struct.pack("<6I", 0xDD000000, 2, 1, 1, 1, 1))
     body = element(6, struct.pack("<II", 17, 0)) + element(1, name.encode()) + element(1, b"MCOS")
     body += element(1, b"timetable") + element(14, numbers)
     return b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + element(14, body)
@@ -343,10 +307,6 @@ def test_objects_of_matlab_are_called_so(tmp_path: Path) -> None:
     for name in ("v7", "v73"):
         with pytest.raises(InputError, match="timetable2table"):
             columns_of(tmp_path / f"{name}.mat")
-    savemat(tmp_path / "rate.mat", {"fs": 500.0, "load_force": F})
-    with pytest.raises(InputError, match=r"time=row/fs") as raised:
-        read_table(tmp_path / "rate.mat")
-    holds(read_table(tmp_path / "rate.mat", ColumnMap.load(advised(str(raised.value)))), {"time": 2.0 * T})
 
 
 def advised(sentence: str) -> str:
@@ -354,6 +314,13 @@ def advised(sentence: str) -> str:
     found = re.search(r'--columns "([^"]+)"', sentence)
     assert found, sentence
     return found[1]
+
+
+def test_a_single_number_that_may_be_the_rate_is_advised_as_such(tmp_path: Path) -> None:
+    savemat(tmp_path / "rate.mat", {"fs": 500.0, "load_force": F})
+    with pytest.raises(InputError, match=r"time=row/fs") as raised:
+        read_table(tmp_path / "rate.mat")
+    holds(read_table(tmp_path / "rate.mat", ColumnMap.load(advised(str(raised.value)))), TWO_MS)
 
 
 def test_inspect_writes_no_map_that_diagnose_refuses_and_its_advice_helps(
@@ -378,26 +345,7 @@ def test_what_is_printed_survives_a_terminal_of_latin_1(tmp_path: Path, monkeypa
     monkeypatch.setattr("sys.stdout", terminal)
     assert status_of(inspect_command.main, tmp_path / "run.csv") == 0
     terminal.flush()
-    assert "Öl ?" in terminal.buffer.getvalue().decode("latin-1")  # type: ignore[attr-defined]
-
-
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-@pytest.mark.parametrize("suffix", ["tdms", "mf4"])
-def test_a_file_that_was_cut_off_is_read_as_far_as_it_goes_or_one_sentence(
-    suffix: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / f"run.{suffix}"
-    _ = mdf(path) if suffix == "mf4" else tdms(path, {"F_load": 0.0, "x": 0.0})
-    content = path.read_bytes()
-    for share in (0.05, 0.3, 0.9):
-        path.write_bytes(content[: int(share * len(content))])
-        try:
-            found = columns_of(path)
-            assert any("cut off" in note for note in found.notes)
-        except InputError as error:
-            assert "\n" not in str(error)
-    gc.collect()
-    assert capfd.readouterr() == ("", "")
+    assert "Öl ?" in terminal.buffer.getvalue().decode("latin-1")
 
 
 def test_bags_of_other_formats_are_told_with_what_makes_them_readable(tmp_path: Path) -> None:
@@ -412,40 +360,37 @@ def test_bags_of_other_formats_are_told_with_what_makes_them_readable(tmp_path: 
             read_table(tmp_path / name)
 
 
-def test_a_lone_force_is_the_springs_only_where_it_goes_with_the_position(tmp_path: Path) -> None:
+def test_a_lone_force_is_the_springs_only_where_it_goes_with_the_position() -> None:
     spring = BENCH.spring_stiffness * (1e-3 * X - BENCH.spring_rest_position)
     for force, field in ((spring, "load_force"), (400.0 * np.sign(np.cos(0.02 * K)), "hydraulic_force")):
         found = propose_sources(Columns({"t [s]": T, "x [mm]": X, "Force [N]": force}), BENCH).sources
         assert found[field].column == "Force [N]" and len(found) == 3
 
 
-def test_a_position_out_of_the_stroke_is_called_so(tmp_path: Path) -> None:
+def test_a_position_out_of_the_stroke_is_called_so() -> None:
     time = 1e-3 * np.arange(6000)
-    place = 0.13 * np.sin(2.0 * time)
-    table = RawTable(
-        "run", time, None, {"piston_position": place, "hydraulic_force": 900.0 * np.sign(np.cos(2.0 * time))}
-    )
+    place, force = 0.13 * np.sin(2.0 * time), 900.0 * np.sign(np.cos(2.0 * time))
+    table = RawTable("run", time, None, {"piston_position": place, "hydraulic_force": force})
     with pytest.raises(InputError, match=r"piston_position runs from -130 to 130 mm.*stroke of the bench.*80 mm"):
         check_recording(table, BENCH)
     larger = replace(BENCH, stroke=0.4)
     with pytest.raises(InputError, match=r"zero is elsewhere.*piston_position=piston_position\+0\.2"):
         check_recording(table, larger)
-    moved = replace(table, columns={**table.columns, "piston_position": place + 0.2})
-    assert check_recording(moved, larger).segments
+    table.columns["piston_position"] = place + 0.2
+    assert check_recording(table, larger).segments
 
 
 def test_a_channel_that_was_dropped_for_its_clock_is_named_with_the_clock_that_keeps_it(tmp_path: Path) -> None:
     fast, slow = 5e-3 * np.arange(1000), 1e-2 * np.arange(500)
-    noise, path = np.random.default_rng(1), tmp_path / "run.h5"
+    noise, path = np.random.default_rng(1).normal(size=(2, 1000)), tmp_path / "run.h5"
     with h5py.File(path, "w") as file:
         file["a/time"], file["b/time"] = fast, slow
-        file["a/pA_bar"], file["a/pB_bar"] = (
-            80.0 + sign * np.sin(6.0 * fast) + noise.normal(size=1000) for sign in (1, -1)
-        )
+        file["a/pA_bar"], file["a/pB_bar"] = 80.0 + np.sin(6.0 * fast) + noise[0], 80.0 - np.sin(6.0 * fast) + noise[1]
         file["b/x_mm"] = 40.0 + 12.0 * np.sin(6.0 * slow)
     text = "time=a.time,pressure_a=a.pA_bar,pressure_b=a.pB_bar,piston_position=b.x_mm"
     with pytest.raises(InputError, match=r"lacking is piston_position.*piston_position is sampled 100 times") as raised:
         load_dataset([path], [], BENCH, ColumnMap.load(text))
     advice = re.search(r"--columns time='(\S+)' brings", str(raised.value))
     assert advice is not None
-    assert "piston_position" in read_table(path, ColumnMap.load(text.replace("a.time", advice[1]))).columns
+    kept = read_table(path, ColumnMap.load(text.replace("a.time", advice[1]))).columns["piston_position"]
+    np.testing.assert_allclose(kept, 0.04 + 0.012 * np.sin(6.0 * slow))

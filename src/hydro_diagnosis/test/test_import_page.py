@@ -36,32 +36,23 @@ def address() -> Iterator[str]:
 
 @pytest.fixture
 def recordings(tmp_path: Path, nominal: StateArray) -> list[Path]:
-    paths = []
-    for name, part in (("monday", nominal[:6000]), ("tuesday", nominal[6000:10000])):
+    paths = [tmp_path / "monday.csv", tmp_path / "tuesday.csv"]
+    for path, part in zip(paths, (nominal[:6000], nominal[6000:10000]), strict=True):
         rows = np.column_stack([1e3 * part["time"], *(part[field] * scale for field, scale in FIELDS.values())])
-        path = tmp_path / f"{name}.csv"
         np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=",".join(["t", *FIELDS]), comments="")
-        paths.append(path)
     return paths
 
 
-class Page:
-    """Speaks as the page does."""
+def asked(page: ClientConnection, kind: str, file: bytes = b"", **content: Any) -> dict[str, Any]:
+    """What the page is answered."""
+    page.send(msgspec.json.encode({"type": kind, **content}).decode())
+    for at in range(0, len(file), 100_000):
+        page.send(file[at : at + 100_000])
+    return dict(msgspec.json.decode(page.recv(timeout=120.0)))
 
-    def __init__(self, connection: ClientConnection) -> None:
-        self.connection = connection
 
-    def send(self, kind: str, **content: Any) -> None:
-        self.connection.send(msgspec.json.encode({"type": kind, **content}).decode())
-
-    def upload(self, name: str, content: bytes) -> dict[str, Any]:
-        self.send("upload", name=name, size=len(content))
-        for at in range(0, len(content), 100_000):
-            self.connection.send(content[at : at + 100_000])
-        return self.answer()
-
-    def answer(self) -> dict[str, Any]:
-        return dict(msgspec.json.decode(self.connection.recv(timeout=120.0)))
+def uploaded(page: ClientConnection, name: str, file: bytes) -> dict[str, Any]:
+    return asked(page, "upload", file, name=name, size=len(file))
 
 
 REFUSED = (
@@ -71,34 +62,29 @@ REFUSED = (
 )  # fmt: skip
 
 
-def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on_to_a_map(
-    address: str, recordings: list[Path]
-) -> None:
-    with connect(f"ws://{address}/socket", max_size=None) as connection:
-        page = Page(connection)
+def test_what_is_no_recording_is_one_sentence_and_the_page_goes_on(address: str, recordings: list[Path]) -> None:
+    with connect(f"ws://{address}/socket", max_size=None) as page:
         for name, content, sentence in REFUSED:
-            refused = page.upload(name, content)
+            refused = uploaded(page, name, content)
             assert sentence in refused["sentence"] and refused["name"] == name
-        found = page.upload("monday.csv", recordings[0].read_bytes())
+        found = uploaded(page, "monday.csv", recordings[0].read_bytes())
         proposed = found["proposed"]
         assert proposed["time"] == {"column": "t", "unit": "ms"} and proposed["load_force"]["unit"] == "kN"
         assert len(found["rows"]) == 6 and any("hydraulic_force" in sentence for sentence in found["missing"])
-        page.send("check", columns={**proposed, "pressure_a": {"column": "pa", "unit": "kPa"}})
-        assert "pressure_a is in bar, not kPa" in page.answer()["doubts"][0]
-        assert page.upload("known.yaml", b"piston_area: 4.9e-4")["kind"] == "bench"
-        page.send("diagnose", columns={"time": {"column": "t"}}, fit=["../monday.csv"], check=[])
-        assert page.answer()["kind"] in ("error", "progress")
+        checked = asked(page, "check", columns={**proposed, "pressure_a": {"column": "pa", "unit": "kPa"}})
+        assert "pressure_a is in bar, not kPa" in checked["doubts"][0]
+        assert uploaded(page, "known.yaml", b"piston_area: 4.9e-4")["kind"] == "bench"
+        begun = asked(page, "diagnose", columns={"time": {"column": "t"}}, fit=["../monday.csv"], check=[])
+        assert begun["kind"] in ("error", "progress")
 
 
 def test_a_page_of_another_host_is_refused(address: str) -> None:
-    with pytest.raises(InvalidStatus, match="403"), connect(f"ws://{address}/socket", origin="http://example.org"):  # type: ignore[arg-type]
+    with pytest.raises(InvalidStatus, match="403"), connect(f"ws://{address}/socket", origin="http://example.org"):
         pass
 
 
 @pytest.mark.skipif(bool(browser.MISSING), reason=browser.MISSING)
-def test_a_person_gets_from_files_to_the_report_in_a_browser(
-    address: str, recordings: list[Path], tmp_path: Path
-) -> None:
+def test_a_person_gets_from_files_to_the_report(address: str, recordings: list[Path], tmp_path: Path) -> None:
     with browser.browser(tmp_path / "profile") as page:
         page.open(f"http://{address}/")
         assert page.text("bench") == "the nominal one"

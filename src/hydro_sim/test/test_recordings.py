@@ -174,7 +174,7 @@ def test_the_usual_effects_are_learnt_where_a_file_names_none() -> None:
     found = {one.name: one.value for one in result.parameters}
     assert found["spring_stiffness.ratio"] == pytest.approx(1.0, abs=2e-3)
     assert found["friction_coulomb.force"] == pytest.approx(12.0, rel=0.02)
-    assert found["leakage_internal.coefficient"] == pytest.approx(1e-13, rel=0.01)
+    assert found["leakage_internal.coefficient"] == pytest.approx(1e-13, rel=0.01, abs=0.0)
     assert found["valve_lag.bandwidth"] == pytest.approx(110.0, rel=0.03)
     assert found["sensor_lag sensor=load_force.bandwidth"] == pytest.approx(25.0, rel=0.02)
     assert result.quality.over_noise < 1.1 and result.quality.unfit == ""

@@ -94,7 +94,7 @@ def read_bag_within(
 ) -> Recording:
     """Read a recording that can be diagnosed, whole if it is short, else its informative windows.
 
-    `column_map` is applied to its fields (`table.mapped`); `inspected` sees its first stretches.
+    `columns` is applied to its fields (`table.mapped`); `inspected` sees its first stretches.
 
     Raises InputError: in one sentence that names the path.
     """
