@@ -20,7 +20,7 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import Companion, executable_path
-from hydro_bridge.ros.topics import GRAPH, REFERENCE, STATE
+from hydro_bridge.ros.topics import REFERENCE, STATE, create_subscription
 from hydro_core.signals import Flag
 from hydro_policy.nodes.collect import SchedulePlan
 from hydro_policy.supervision.plant_supervisor import HOW_TO_ARM, TOO_EARLY
@@ -65,40 +65,46 @@ def fresh(listener: Probe) -> int:
     return listener.flags()
 
 
-def _collect(folder: Path, segments: list[dict[str, object]], *words: str) -> list[str]:
-    (folder / "s.yaml").write_text(yaml.safe_dump({"segments": segments}))
-    return ["--out", str(folder / "bag"), "--schedule", str(folder / "s.yaml"), *words]
-
-
-HOLD = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}
+@pytest.fixture
+def words(tmp_path: Path) -> list[str]:
+    """Words of `collect`, to record two seconds of (80, 12) at 300 N in `bag`."""
+    segment = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 80.0, "ki": 12.0}
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump({"segments": [segment] * 2}))
+    return ["--out", str(tmp_path / "bag"), "--schedule", str(tmp_path / "s.yaml")]
 
 
 @pytest.mark.graph
-def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_n(
-    plant: Callable[..., None], listener: Probe, tmp_path: Path
+def test_a_bench_armed_before_is_recorded_at_rest_before_a_person_is_asked_and_the_recording_says_how_it_was_made(
+    plant, listener, words, tmp_path: Path
 ) -> None:
-    plant("-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
-    words = _collect(tmp_path, [{**HOLD, "kp": 80.0, "ki": 12.0}] * 2)
-    ended = subprocess.run([str(executable_path("hydro_policy", "collect")), *words], timeout=60, check=False)
-    assert ended.returncode == 0
-    listener.wait(lambda: listener.heard[STATE])
+    plant("-r", "__node:=bench", "-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
+    arm = [str(executable_path("hydro_bridge", "arm"))]
     assert not fresh(listener) & Flag.ARMED
+    subprocess.run(arm, timeout=60, check=True)
+    output = io.StringIO()
+    collect = Companion("hydro_policy", "collect", words, output=output.write)
+    listener.wait(lambda: HOW_TO_ARM in collect.last_line)
+    assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
+    subprocess.run(arm, timeout=30, check=True)
+    listener.wait(lambda: not collect.running)
+    assert collect.stop() == 0 and not fresh(listener) & Flag.ARMED
     bag = read_bag(tmp_path / "bag")
-    assert bag.metadata["hydro"]["plant"] == "sim"
+    assert bag.metadata["hydro"]["plant"] == "hydro sim" and "/diagnostics" in bag.topics
     assert [s["offset"] for s in yaml.safe_load(bag.attachments["schedule.yaml"])["segments"]] == [300.0, 300.0]
     assert yaml.safe_load(bag.attachments["bench.yaml"]) == Bench.nominal().to_mapping()
-    assert bag.state["load_force"].max() > 250.0
-    assert bag.state["flags"][-1] & Flag.ARMED == 0
-    played = bag.state[(bag.state["flags"] & Flag.ARMED) != 0][200:-200]  # arming fades in
-    gains = {(round(float(s["proportional_gain"]), 6), round(float(s["integral_gain"]), 6)) for s in played}
-    assert gains == {(80.0, 12.0)}, "in all, whatever the box's base gains"
-    assert "/diagnostics" in bag.topics
+    armed = (bag.state["flags"] & Flag.ARMED) != 0
+    begun = np.flatnonzero(np.diff(armed.astype(int)) == 1)[-1] + 1
+    played = bag.state[begun:][armed[begun:]]
+    assert len(played) > 1800 and not armed[begun - 900 : begun].any() and not armed[-1]
+    assert played["load_force"].max() > 250.0
+    for name, gain in (("proportional_gain", 80.0), ("integral_gain", 12.0)):  # arming fades in
+        np.testing.assert_allclose(played[name][200:-200], gain, rtol=1e-6, err_msg="in all, whatever the base gains")
 
 
 @pytest.mark.graph
-def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener: Probe, tmp_path: Path) -> None:
+def test_a_crash_leaves_the_plant_disarmed(plant, listener, words) -> None:
     references: list[Any] = []
-    listener.node.create_subscription(GRAPH[REFERENCE][0], REFERENCE, references.append, GRAPH[REFERENCE][1])
+    create_subscription(listener.node, REFERENCE, references.append)
     plant()
     crash = (
         "import hydro_bridge.ros.commander as node; from hydro_policy.nodes.collect import main\n"
@@ -110,7 +116,6 @@ def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener:
         "node.reference_to_message = second\n"
         "main()\n"
     )
-    words = _collect(tmp_path, [HOLD, HOLD])
     process = subprocess.Popen([sys.executable, "-c", crash, *words], stderr=subprocess.PIPE, text=True)
     listener.wait(lambda: listener.flags() & Flag.ARMED)
     assert "KeyError: 'FOO'" in process.communicate(timeout=60)[1]
@@ -120,58 +125,22 @@ def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener:
 
 
 @pytest.mark.graph
-def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a_person_is_asked(
-    plant: Callable[..., None], listener: Probe, tmp_path: Path
+def test_refused_for_the_box_or_who_commands_it_or_interrupted_before_it_plays_it_leaves_no_folder(
+    plant, listener, words, tmp_path: Path
 ) -> None:
-    plant("-r", "__node:=bench")
-    arm = [str(executable_path("hydro_bridge", "arm"))]
-    assert not fresh(listener) & Flag.ARMED
-    subprocess.run(arm, timeout=60, check=True)
-    output = io.StringIO()
-    collect = Companion("hydro_policy", "collect", _collect(tmp_path, [HOLD]), output=output.write)
-    listener.wait(lambda: HOW_TO_ARM in collect.last_line)
-    assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
-    subprocess.run(arm, timeout=30, check=True)
-    listener.wait(lambda: not collect.running)
-    assert collect.stop() == 0
-    armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
-    begun = np.flatnonzero(np.diff(armed.astype(int)) == 1)[-1] + 1
-    assert armed[begun:].sum() > 900 and not armed[begun - 900 : begun].any()
-
-
-@pytest.mark.graph
-def test_beside_another_who_commands_it_refuses_to_start(
-    plant: Callable[..., None], listener: Probe, tmp_path: Path
-) -> None:
-    plant()
-    listener.take()
-    collect = [str(executable_path("hydro_policy", "collect")), *_collect(tmp_path, [HOLD])]
-    with subprocess.Popen(collect, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
-        listener.wait(lambda: process.poll() is not None, 60.0)
-        assert process.returncode == 2 and process.stderr is not None
-        assert process.stderr.read().splitlines()[-1].startswith("error: probe commands this plant: end it")
-    assert not (tmp_path / "bag").exists()
-
-
-@pytest.mark.graph
-def test_a_bench_file_that_is_not_the_boxs_is_refused(plant: Callable[..., None], tmp_path: Path) -> None:
     own = replace(Bench.nominal(), spring_stiffness=2.5e4)
-    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
-    (tmp_path / "nominal.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
+    for name, bench in (("own", own), ("nominal", Bench.nominal())):
+        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(bench.to_mapping()))
     plant("--", "--bench", str(tmp_path / "own.yaml"))
-    words = (*_collect(tmp_path, [HOLD]), "--bench", tmp_path / "nominal.yaml")
-    refused = ran(executable_path("hydro_policy", "collect"), *words, timeout=60)
-    assert refused.returncode == 2
-    assert f"the box believes {own.digest}" in refused.stderr.splitlines()[-1]
+    refused = ran(executable_path("hydro_policy", "collect"), *words, "--bench", tmp_path / "nominal.yaml")
+    assert refused.returncode == 2 and f"the box believes {own.digest}" in refused.stderr.splitlines()[-1]
     assert not (tmp_path / "bag").exists()
-
-
-@pytest.mark.graph
-def test_interrupted_before_anything_is_played_it_leaves_no_folder(plant: Callable[..., None], tmp_path: Path) -> None:
-    plant()
-    output = io.StringIO()
-    collect = Companion("hydro_policy", "collect", _collect(tmp_path, [HOLD]), output=output.write)
+    collect = Companion("hydro_policy", "collect", words)
     wait(lambda: (tmp_path / "bag").exists(), 60.0)
-    assert collect.stop(30.0) == 2
-    assert collect.last_line == "error: interrupted: nothing was played"
+    assert collect.stop(30.0) == 2 and collect.last_line == "error: interrupted: nothing was played"
+    assert not (tmp_path / "bag").exists()
+    listener.take()
+    collect = Companion("hydro_policy", "collect", words)
+    listener.wait(lambda: not collect.running, 60.0)
+    assert collect.stop() == 2 and collect.last_line.startswith("error: probe commands this plant: end it")
     assert not (tmp_path / "bag").exists()

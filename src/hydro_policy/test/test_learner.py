@@ -14,7 +14,7 @@ import pytest
 
 from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
-from hydro_policy.runs.run import RunDirectory, TrainingSettings, load_checkpoint
+from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, load_checkpoint
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.sac import Sac, dump, restore
 from hydro_policy.sac.settings import SacSettings
@@ -30,6 +30,11 @@ def compiled() -> None:
     compile_updates(SETTINGS.sac)
 
 
+@pytest.fixture
+def run(tmp_path: Path) -> RunDirectory:
+    return RunDirectory(tmp_path / "run").create()
+
+
 def transitions(count: int) -> np.ndarray:
     rows = np.random.default_rng(count).normal(size=(count, 30)).astype(np.float32)
     rows[:, -1] = 0.0
@@ -40,31 +45,32 @@ wait = partial(checks.wait, timeout=120.0)
 """On a fresh machine the learner compiles first."""
 
 
-def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> None:
-    run = RunDirectory(tmp_path / "run").create()
+def kill(learner: LearnerSupervisor) -> None:
+    os.kill(learner.pid, signal.SIGKILL)
+    wait(lambda: not learner.alive)
+
+
+def test_learner_learns_dies_revives_and_leaves_a_checkpoint(run: RunDirectory) -> None:
     learner = LearnerSupervisor(SETTINGS, run)
-    try:
-        wait(lambda: learner.ready)
-        assert learner.new_weights() is not None
-        learner.replay.extend(transitions(600))
-        wait(lambda: learner.updates == 500)  # one update per step after the warm-up
-        assert learner.new_weights() is not None
-        assert learner.new_weights() is None, "the same weights are not news"
-        os.kill(learner.pid, signal.SIGKILL)
-        wait(lambda: not learner.alive)
-        learner.replay.extend(transitions(100))  # acting goes on meanwhile
-        message = learner.restart_if_dead()
-        assert message is not None and "signal 9" in message and learner.restarts == 1
-        assert learner.restart_if_dead() is None
-        wait(lambda: learner.ready)
-        assert learner.updates >= 500, "it starts from the last state, not from nothing"
-        wait(lambda: learner.updates == 600)
-    finally:
-        learner.stop({"episode": 5})
+    wait(lambda: learner.ready)
+    assert learner.new_weights() is not None
+    learner.replay.extend(transitions(600))
+    wait(lambda: learner.updates == 500)  # one update per step after the warm-up
+    assert learner.new_weights() is not None
+    assert learner.new_weights() is None, "the same weights are not news"
+    kill(learner)
+    learner.replay.extend(transitions(100))  # acting goes on meanwhile
+    message = learner.restart_if_dead()
+    assert message is not None and "signal 9" in message and learner.restarts == 1
+    assert learner.restart_if_dead() is None
+    wait(lambda: learner.ready)
+    assert learner.updates >= 500, "it starts from the last state, not from nothing"
+    wait(lambda: learner.updates == 600)
+    learner.stop({"episode": 5})
     assert not learner.alive
     checkpoint = load_checkpoint(run.latest)
     assert checkpoint.produced == 700 and checkpoint.trainer == {"episode": 5}
-    sac = Sac(OBSERVATIONS, 2, SETTINGS.sac)
+    sac = Sac(OBSERVATIONS, ACTIONS, SETTINGS.sac)
     restore(sac, checkpoint.learner)
     assert sac.updates == 600
     policy, _, notes = load_policy(run.policy)
@@ -73,37 +79,30 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
     assert notes["episode"] == 5
 
     resumed = LearnerSupervisor(SETTINGS, run, checkpoint)
-    try:
-        wait(lambda: resumed.ready)
-        assert resumed.updates == 600 and resumed.replay.produced == 700
-        os.kill(resumed.pid, signal.SIGKILL)
-        wait(lambda: not resumed.alive)
-    finally:
-        resumed.stop({"episode": 6})  # nobody there: the acting side writes the checkpoint itself
+    wait(lambda: resumed.ready)
+    assert resumed.updates == 600 and resumed.replay.produced == 700
+    kill(resumed)
+    resumed.stop({"episode": 6})  # nobody there: the acting side writes the checkpoint itself
     assert load_checkpoint(run.latest).trainer == {"episode": 6}
 
 
-def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:
-    run = RunDirectory(tmp_path / "run").create()
+def test_a_learner_that_cannot_begin_says_why_at_once(run: RunDirectory) -> None:
     with pytest.raises(ValueError, match="not a whole agent"):
         LearnerSupervisor(SETTINGS, run, start=dump(Sac(OBSERVATIONS, ACTIONS, SETTINGS.sac))[:-100])
     settings = replace(SETTINGS)
     object.__setattr__(settings, "sac", SacSettings(batch_size=1024))  # as a setting that only the learner refuses
     learner = LearnerSupervisor(settings, run)
-    try:
-        wait(lambda: not learner.alive)
-        with pytest.raises(LearnerError, match="the learner cannot begin: a batch of 1024"):
-            learner.restart_if_dead()
-    finally:
-        learner.stop({})
+    wait(lambda: not learner.alive)
+    with pytest.raises(LearnerError, match="the learner cannot begin: a batch of 1024"):
+        learner.restart_if_dead()
+    learner.stop({})
     assert not run.policy.exists(), "there was nothing to write"
 
 
 def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is_written_without_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: RunDirectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hydro_policy.learner_process.supervisor.STOP_TIMEOUT", 1.0)
-    run = RunDirectory(tmp_path / "run").create()
     learner = LearnerSupervisor(SETTINGS, run)
     wait(lambda: learner.ready)
     os.kill(learner.pid, signal.SIGSTOP)
@@ -122,13 +121,9 @@ def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is
     assert load_checkpoint(run.latest).trainer == {"episode": 200}
 
 
-def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
-    learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create())
-    try:
-        with pytest.raises(LearnerError, match="died 6 times"):
-            for _ in range(6):
-                os.kill(learner.pid, signal.SIGKILL)
-                wait(lambda: not learner.alive)
-                learner.restart_if_dead()
-    finally:
-        learner.stop({})
+def test_learner_that_keeps_dying_is_given_up(run: RunDirectory) -> None:
+    learner = LearnerSupervisor(SETTINGS, run)
+    with pytest.raises(LearnerError, match="died 6 times"):
+        for _ in range(6):
+            kill(learner)
+            learner.restart_if_dead()

@@ -21,127 +21,95 @@ from hydro_policy.supervision.plant_supervisor import (
     PlantSupervisor,
 )
 
-ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
+ARMED, STALE, TRIPPED = int(Flag.ARMED), int(Flag.FILTER_STALE), int(Flag.TRIPPED | Flag.FORCE_LIMIT)
+OFF, ON = False, True
+ANEW = [OFF, ON]
+"""How a plant is armed: disarmed first."""
 
 
 class Watched:
-    """A watch, and what it asked for: it sends no gains, commands no law and learns nothing."""
+    """A supervisor, what it asked for and what it said; `needs_learner`: once `learner` is set, all is ready."""
 
-    def __init__(self, rearm: bool = True, *needed: Requirement, override: GainOverride | None = None) -> None:
+    def __init__(
+        self, rearm: bool = True, *, needs_learner: bool = False, override: GainOverride | None = None
+    ) -> None:
+        self.learner, self.now = not needs_learner, 0.0
         self.armings: list[bool] = []
         self.references: list[ReferenceSignal] = []
         self.said: list[str] = []
-        self.watch, self.now = PlantSupervisor(self, rearm, needed, override), 0.0
-
-    def reference(self, signal: ReferenceSignal) -> None:
-        self.references.append(signal)
-
-    def arm(self, arm: bool) -> None:
-        self.armings.append(arm)
+        learner = Requirement(
+            name="the learner", ready=lambda: self.learner, hint="", within=300.0, missing="the learner never came"
+        )
+        self.reference, self.arm = self.references.append, self.armings.append
+        self.watch = PlantSupervisor(self, rearm, [learner], override)
 
     def report(self, sentence: str, warning: bool = False) -> None:
         self.said.append(sentence)
 
-    def run(self, flags: int | None, until: float) -> None:
-        """Samples with these flags, or none, and ticks."""
+    def run(self, flags: int | None, until: float) -> list[bool]:
+        """Samples with these flags, or none, and ticks; returns the requests to disarm and to arm."""
+        before = len(self.armings)
         for tick in range(round(20 * self.now), round(20 * until)):
             if flags is not None:
                 self.watch.on_sample(flags, tick / 20)
             self.watch.on_tick(tick / 20)
         self.now = until
+        return self.armings[before:]
 
     @property
     def may_begin(self) -> bool:
         return self.watch.may_begin(self.now)
 
-    @property
-    def asks(self) -> int:
-        return sum(HOW_TO_ARM in sentence for sentence in self.said)
 
-
-class Slow:
-    """Something that is ready when it says so."""
-
-    def __init__(self) -> None:
-        self.ready = False
-        self.requirement = Requirement(
-            name="the learner", ready=lambda: self.ready, hint="", within=300.0, missing="the learner never came"
-        )
-
-
-def armed(*, rearm: bool, override: GainOverride | None = None) -> Watched:
+def armed(rearm: bool = True, override: GainOverride | None = None) -> Watched:
     """Armed at 1 s, with all ready before."""
     at = Watched(rearm, override=override)
     at.run(0, 1.0)
     at.run(ARMED, 1.1)
-    at.armings.clear()
+    assert at.may_begin
     at.said.clear()
     return at
 
 
 def test_a_box_that_trips_whenever_it_is_armed_is_not_armed_again() -> None:
-    at, tripped = armed(rearm=True), int(Flag.TRIPPED | Flag.FORCE_LIMIT)
+    at = armed()
     for trial in range(TRIALS):
         at.now = 2.0 + trial
-        at.run(tripped, 2.5 + trial)
+        at.run(TRIPPED, 2.5 + trial)
         at.run(ARMED, 3.0 + trial)
     with pytest.raises(NotReadyError, match="base gains do not hold this bench"):
-        at.run(tripped, 3.0 + TRIALS)
+        at.run(TRIPPED, 3.0 + TRIALS)
 
 
 def test_a_plant_that_a_person_disarmed_is_asked_for_now_and_then_until_a_person_arms_it() -> None:
-    at = armed(rearm=True)
-    at.run(0, 1.3)
-    assert at.armings == [False, True]
+    at = armed()
+    assert at.run(0, 1.3) == ANEW
     at.watch.defer_to_person(1.3)
-    at.run(0, 31.0)
-    assert at.armings == [False, True]
-    at.run(0, 32.0)
-    assert at.armings == [False, True, False, True]
+    assert at.run(0, 31.0) == []
+    assert at.run(0, 32.0) == ANEW
     at.watch.defer_to_person(32.0)
     at.run(ARMED, 32.1)
-    at.run(0, 32.3)
-    assert at.armings == [False, True] * 3
-
-
-def test_a_plant_that_a_person_arms_before_all_is_ready_is_disarmed() -> None:
-    at = Watched(True, Slow().requirement)
-    at.run(0, 3.0)
-    at.run(ARMED, 3.2)
-    assert TOO_EARLY in at.said and at.armings == [False]
-
-
-def test_arming_waits_for_the_filter() -> None:
-    at = Watched()
-    at.run(STALE, 20.0)
-    assert at.armings == []
-    assert at.said == [f"waiting for the filter, 90 s at most: {HOW_TO_GET_A_FILTER}"]
-    at.run(0, 20.5)
-    assert at.armings == [False, True]
-    at.run(ARMED, 20.6)
-    assert at.may_begin
+    assert at.run(0, 32.3) == ANEW
 
 
 def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
     at = Watched()
-    at.run(STALE, 92.0)
-    assert at.armings[:2] == [False, True]
-    assert at.said.count(NO_FILTER) == 1
+    assert at.run(STALE, 89.0) == []
+    assert at.said == [f"waiting for the filter, 90 s at most: {HOW_TO_GET_A_FILTER}"]
+    assert at.run(STALE, 92.0)[:2] == ANEW and at.said.count(NO_FILTER) == 1
     at.run(STALE | ARMED, 92.1)
     assert at.may_begin
 
 
 @pytest.mark.parametrize("rearm", [True, False])
 def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None:
-    learner = Slow()
-    at = Watched(rearm, learner.requirement)
-    at.run(0, 60.0)
-    assert at.armings == [] and not at.asks
-    assert at.watch.summary == "disarmed, waiting for the learner"
-    learner.ready = True
-    at.run(0, 60.2)
-    assert at.armings == ([False, True] if rearm else [])
-    assert [HOW_TO_ARM in sentence for sentence in at.said[1:]] == ([] if rearm else [True])
+    at = Watched(rearm, needs_learner=True)
+    assert at.run(STALE, 30.0) == at.run(0, 60.0) == []
+    assert at.watch.summary == "disarmed, waiting for the learner" and HOW_TO_ARM not in "".join(at.said)
+    assert at.run(ARMED, 60.2) == [OFF] and TOO_EARLY in at.said, "a person has armed it before"
+    at.learner = True
+    assert at.run(0, 62.0)[:2] == (ANEW if rearm else [])
+    assert (HOW_TO_ARM in at.said[-1]) is not rearm
 
 
 def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:
@@ -150,7 +118,7 @@ def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out
     at.watch.arm_now(1.0)
     at.run(STALE, 5.0)
     at.run(0, 9.0)
-    assert at.armings == [False] and at.asks == 2, "asked again"
+    assert at.armings == [OFF] and sum(HOW_TO_ARM in said for said in at.said) == 2, "asked again"
 
 
 def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it() -> None:
@@ -160,59 +128,45 @@ def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_i
     at.run(0, 1.15)
     at.run(STALE, 1.2)
     at.run(STALE | ARMED, 1.3)
-    assert at.armings == [False, True] and not at.may_begin
-    at.run(ARMED, 1.4)
-    assert at.armings == [False, True] and at.may_begin
+    assert at.armings == ANEW and not at.may_begin
+    assert at.run(ARMED, 1.4) == [] and at.may_begin
 
 
 @pytest.mark.parametrize("rearm", [True, False])
 def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: bool) -> None:
     at = Watched(rearm)
-    at.run(ARMED, 0.5)
-    assert at.armings == [False] and at.references == [ReferenceSignal()] and at.said == [TOO_EARLY]
+    assert at.run(ARMED, 0.5) == [OFF] and at.references == [ReferenceSignal()] and at.said == [TOO_EARLY]
     assert not at.may_begin
-    at.run(0, 1.0)
-    assert at.armings[1:] == ([False, True] if rearm else [])
+    assert at.run(0, 1.0) == (ANEW if rearm else [])
     assert rearm or HOW_TO_ARM in at.said[-1]
     at.run(ARMED, 1.1)
     assert at.may_begin
 
 
 def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_armed_anew() -> None:
-    at = armed(rearm=True)
-    at.run(ARMED, 1.0 + IDLE)
-    assert at.armings == [] and at.may_begin
-    at.run(ARMED, 1.3 + IDLE)
-    assert at.armings == [False] and not at.may_begin
+    at = armed()
+    assert at.run(ARMED, 1.0 + IDLE) == [] and at.may_begin
+    assert at.run(ARMED, 1.3 + IDLE) == [OFF] and not at.may_begin
     assert "while no controller acted: it is disarmed" in at.said[0]
-    at.run(0, 1.6 + IDLE)
-    assert at.armings == [False, False, True]
+    assert at.run(0, 1.6 + IDLE) == ANEW
 
 
 def test_a_controller_that_acts_keeps_the_plant_armed_whatever_is_missing() -> None:
-    learner = Slow()
-    learner.ready = True
-    at = Watched(True, learner.requirement)
-    at.run(0, 0.5)
-    at.armings.clear()
-    at.run(ARMED, 0.6)
-    learner.ready = False
-    for tick in range(12, 200):
+    at = armed()
+    at.learner = False
+    for tick in range(22, 200):
         at.watch.note_action(tick / 20)
-        at.run(ARMED | (STALE if tick % 3 else 0), (tick + 1) / 20)
-    assert at.armings == []
+        assert at.run(ARMED | (STALE if tick % 3 else 0), (tick + 1) / 20) == []
 
 
 def test_under_gains_that_a_person_holds_a_plant_is_not_idle_but_after_them_it_is() -> None:
     override = GainOverride()
-    at = armed(rearm=True, override=override)
+    at = armed(override=override)
     override.hold(60.0, 10.0, 0.0, 1.1)
-    at.run(ARMED, 9.0)
-    assert at.armings == []
+    assert at.run(ARMED, 9.0) == []
     override.release()
     assert at.watch.blocking_reason(9.0), "nothing acts between the release and the next tick"
-    at.run(ARMED, 9.1)
-    assert at.armings == [False]
+    assert at.run(ARMED, 9.1) == [OFF]
 
 
 @pytest.mark.parametrize(
@@ -220,38 +174,31 @@ def test_under_gains_that_a_person_holds_a_plant_is_not_idle_but_after_them_it_i
     [(None, 601.0, "no samples on /hydro/state"), (0, 301.0, "the learner never came")],
 )
 def test_every_wait_ends(flags: int | None, seconds: float, sentence: str) -> None:
-    at = Watched(True, Slow().requirement)
     with pytest.raises(NotReadyError, match=sentence):
-        at.run(flags, seconds)
+        Watched(needs_learner=True).run(flags, seconds)
 
 
-def test_a_watch_goes_on_where_another_sessions_ends() -> None:
-    before = armed(rearm=False)
+@pytest.mark.parametrize(("begun", "may"), [(2.5, True), (9.0, False)])
+def test_a_watch_goes_on_where_another_sessions_ends_unless_it_has_waited_too_long(begun: float, may: bool) -> None:
+    before, at = armed(rearm=False), Watched(rearm=False)
     before.watch.note_action(2.0)
-    for begun, may in ((2.5, True), (9.0, False)):
-        at = Watched(rearm=False)
-        at.watch.take_over(before.watch)
-        at.now = begun
-        at.run(ARMED, begun + 0.2)
-        assert at.may_begin is may
-        assert at.armings == ([] if may else [False]), "it has waited too long in between"
+    at.watch.take_over(before.watch)
+    at.now = begun
+    assert at.run(ARMED, begun + 0.2) == ([] if may else [OFF]) and at.may_begin is may
 
 
 @pytest.mark.parametrize("rearm", [True, False])
 def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_disarmed_meanwhile(rearm: bool) -> None:
-    at = armed(rearm=rearm)
-    assert at.may_begin and at.references == []
+    at = armed(rearm)
+    assert at.references == []
     at.watch.calm()
     assert at.watch.calming and at.references == [ReferenceSignal()]
     at.run(ARMED, 1.8)
-    at.run(int(Flag.TRIPPED), 2.5)
-    assert at.armings == ([False, True] if rearm else []), "calm is waited for armed"
-    at.run(ARMED, 3.4)
+    assert at.run(int(Flag.TRIPPED), 2.5) == (ANEW if rearm else []), "calm is waited for armed"
+    assert at.run(ARMED, 3.4) == []
     assert at.watch.calming and not at.may_begin, "0.9 s armed in a row, whatever was before"
-    at.run(ARMED, 3.6)
-    assert not at.watch.calming
-    assert at.may_begin != rearm, "armed again where no person is needed for it"
-    assert at.armings == ([False, True, False] if rearm else [])
+    assert at.run(ARMED, 3.6) == ([OFF] if rearm else [])
+    assert not at.watch.calming and at.may_begin != rearm, "armed again where no person is needed for it"
 
 
 def test_a_bypassed_filter_does_not_say_that_its_model_fits_and_is_waited_for_only_if_it_is_gone() -> None:
@@ -259,24 +206,20 @@ def test_a_bypassed_filter_does_not_say_that_its_model_fits_and_is_waited_for_on
     at.watch.on_correction(CorrectionStatus.MISMATCH)
     at.watch.on_correction(CorrectionStatus.BYPASSED)
     assert at.said == [MISMATCH, UNWATCHED] and not at.watch.mismatched
-    at.run(STALE, 0.5)
-    assert at.armings == [False, True], "its own log says that it decides nothing"
+    assert at.run(STALE, 0.5) == ANEW, "its own log says that it decides nothing"
     at = Watched()
     at.watch.on_correction(CorrectionStatus.BYPASSED)
     at.run(None, 3.0)
-    at.run(STALE, 4.0)
-    assert True not in at.armings
+    assert ON not in at.run(STALE, 4.0)
 
 
 def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:
     at = Watched()
     for _ in range(3):
         at.watch.on_correction(CorrectionStatus.MISMATCH)
-    at.run(STALE, 200.0)
-    assert at.armings == [] and NO_FILTER not in at.said, "it has answered"
+    assert at.run(STALE, 200.0) == [] and NO_FILTER not in at.said, "it has answered"
     at.watch.on_correction(CorrectionStatus.PASS)
-    at.run(0, 200.5)
-    assert at.armings == [False, True]
+    assert at.run(0, 200.5) == ANEW
     at.run(ARMED, 201.0)
     assert at.may_begin
     at.watch.on_correction(CorrectionStatus.MISMATCH)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -13,13 +14,10 @@ from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.compensation.residual import INPUTS, PAUSE, RESIDUAL_MAX, Network, Period, Residual
+from hydro_policy.compensation.residual import PAUSE, RESIDUAL_MAX, Network, Period, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
-from hydro_policy.evaluation.runner import TrialRunner
-from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
 from hydro_sim.model.bench import Bench
@@ -30,31 +28,37 @@ BENCH = Bench.nominal()
 RUBBING = {"id": "friction_coulomb", "parameters": {"force": 25.0}}
 OVERLAP = {"id": "valve_deadband", "parameters": {"half_width": 4e-4}}
 BENCHES = [replace(BENCH, effects=effects) for effects in ((RUBBING,), (OVERLAP,), (RUBBING, OVERLAP))]
-SIGNALS = [
-    ReferenceSignal(waveform=waveform, amplitude=amplitude, frequency=frequency)
-    for waveform, amplitude, frequency in ((Waveform.SINE, 240.0, 0.9), (Waveform.MULTISINE, 260.0, 0.45))
-]
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=240.0, frequency=0.9)
+MULTISINE = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.45)
+LAW = np.array([[1.0, 0.02, 5e-4, 0.0]])
 
 
 def run(residual: Residual | None, seconds: float = 7.0) -> tuple[FloatArray, FloatArray]:
-    """Error [N] of each bench with each reference, shape (6, samples), and w [N], shape (6, steps)."""
-    pairs = [(bench, Case("", signal)) for bench in BENCHES for signal in SIGNALS]
-    fleet = VectorBench([BENCH] * len(pairs), [AnalyticPlant(bench) for bench, _ in pairs])
-    cases, estimator, settings = [case for _, case in pairs], Compensator(len(pairs)), EvaluationSettings(measure=5.0)
+    """Error [N] of each bench with sine and multisine, shape (6, samples), and w [N], shape (6, steps)."""
+    fleet = VectorBench([BENCH] * 6, [AnalyticPlant(bench) for bench in BENCHES for _ in range(2)])
+    cases, gains = [Case("", SINE), Case("", MULTISINE)] * 3, vector_runs.fixed_gains(np.array(BASE))
+    steps = vector_runs.run(fleet, cases, gains, EvaluationSettings(measure=5.0), 7, Compensator(6), residual)
     errors, values = [], []
-    gains = vector_runs.fixed_gains(np.array(BASE))
-    for step in vector_runs.run(fleet, cases, gains, settings, 7, estimator, residual):
+    for step in islice(steps, round(100 * seconds)):
         errors.append(step.samples["reference_force"] - step.samples["load_force"])
-        values.append(np.zeros(len(pairs)) if residual is None else residual.value.copy())
-        if len(errors) == round(100 * seconds):
-            break
+        values.append(np.zeros(6) if residual is None else residual.value.copy())
     return np.concatenate(errors, axis=1), np.stack(values, axis=1)
+
+
+def rmse(error: FloatArray) -> FloatArray:
+    return np.sqrt(np.mean(error[:, 2500:] ** 2, axis=1))
 
 
 @cache
 def law_alone() -> FloatArray:
-    """The error without a residual."""
-    return run(None)[0]
+    return rmse(run(None)[0])
+
+
+def predicting(factor: float) -> Network:
+    """A network that predicts so many times what the shipped one does."""
+    shipped = Network.load()
+    *hidden, (weight, bias) = shipped.layers
+    return replace(shipped, layers=(*hidden, (factor * weight, factor * bias)))
 
 
 def test_period_of_what_repeats_is_found_and_none_of_what_does_not() -> None:
@@ -62,10 +66,9 @@ def test_period_of_what_repeats_is_found_and_none_of_what_does_not() -> None:
     pulses = np.where(time % 1.7 < 0.4, 50.0, 0.0)
     sine, drifting = 300.0 * np.sin(2.0 * np.pi * 1.3 * time), np.sin(time) + np.sin(np.sqrt(3.0) * time)
     shifted = np.where(time < 7.0, sine, 300.0 * np.sin(2.0 * np.pi * 0.8 * time))
-    references = np.stack((sine, pulses, drifting, np.full_like(time, 40.0), shifted))
-    period = Period(len(references))
+    references, period = np.stack((sine, pulses, drifting, np.full_like(time, 40.0), shifted)), Period(5)
     for step, now in enumerate(references.T):
-        period.step(now, np.full(len(references), step + 1))
+        period.step(now, np.full(5, step + 1))
         if step == 650:
             np.testing.assert_allclose(period.steps, (100.0 / 1.3, 170.0, 0.0, 0.0, 100.0 / 1.3), atol=0.05)
             assert (period.trust[[0, 1, 4]] > 0.98).all()
@@ -73,55 +76,46 @@ def test_period_of_what_repeats_is_found_and_none_of_what_does_not() -> None:
             assert period.trust[4] == 0.0, "another sine has been there for 0.1 s"
 
 
-def rmse(error: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(np.mean(error[:, 2500:] ** 2, axis=1)))
-
-
 @pytest.mark.slow
 def test_error_falls_on_benches_and_references_that_were_not_trained_on() -> None:
-    alone = law_alone()
-    both, added = run(Residual(6, Network.load()))
-    ratio = rmse(both) / rmse(alone)
+    error, added = run(Residual(6, Network.load()))
+    ratio = rmse(error) / law_alone()
     assert np.median(ratio) < 0.92 and ratio.max() < 1.1, "it was trained on a law that left more"
     assert np.abs(added).max() <= RESIDUAL_MAX and not added[:, :60].any(), "it acts within its bounds, and not at once"
 
 
+@pytest.mark.slow
+def test_authority_of_a_network_that_harms_shrinks_to_little() -> None:
+    wrong = Residual(6, predicting(-1.0))
+    error, _ = run(wrong)
+    assert (wrong.authority[1::2] < 0.1).all(), "multisines; for sines, what was needed a period ago takes its place"
+    assert (rmse(error) < 1.2 * law_alone()).all()
+
+
 def test_without_a_network_the_law_is_the_law() -> None:
-    alone, _ = run(None, 1.5)
-    both, added = run(Residual(6), 1.5)
+    (alone, _), (both, added) = run(None, 1.5), run(Residual(6), 1.5)
     np.testing.assert_array_equal(alone, both)
     assert not added.any()
 
 
 @pytest.mark.slow
-def test_session_runs_the_law_with_and_without_it_as_two_controllers() -> None:
-    graph = OfflineGraph(AnalyticPlant(BENCHES[2]), BENCH)
+def test_session_runs_the_law_with_and_without_it_as_two_controllers(compare) -> None:
     live = LiveCompensation(BoxLaw(), network=Network.load())
-    controllers = [Compensated(live), Compensated(live, learned=True)]
-    plan = Comparison(EvaluationSettings(frequencies=(0.7,), settle=4.0), controllers)
-    session = TrialRunner(plan, PlantSupervisor(graph, True), compensation=live)
+    controllers, graph = (
+        (Compensated(live), Compensated(live, learned=True)),
+        OfflineGraph(AnalyticPlant(BENCHES[2]), BENCH),
+    )
+    _, session = compare(*controllers, graph=graph, frequencies=(0.7,), settle=4.0, measure=3.0, compensation=live)
     graph.run(session, 60.0, compensation=live)
     assert session.finished and not session.warnings
-    alone, both = (score.rmse for score in session.scores)
     assert [score.controller for score in session.scores] == ["compensated", "compensated, learned residual"]
-    assert both < 0.9 * alone
-    assert isinstance(live.health["learned residual [N]"], float)
-    live.frozen = True
-    before = live.command.coefficients
-    for sequence in range(1, 200):
-        live.on_law_state(900_000 + sequence, int(Law.COMPENSATED), 10.0)
-        live.on_sample(900_000 + sequence, 10.0, int(Flag.ARMED), reference=11.0)
+    alone, both = (score.rmse for score in session.scores)
+    assert both < 0.9 * alone and isinstance(live.health["learned residual [N]"], float)
+    live.frozen, before = True, live.command.coefficients
+    for sequence in range(900_001, 900_200):
+        live.on_law_state(sequence, int(Law.COMPENSATED), 10.0)
+        live.on_sample(sequence, 10.0, int(Flag.ARMED), reference=11.0)
     assert live.command.coefficients[:3] == before[:3] and live.health["learned residual [N]"] == 0.0
-
-
-class Wrong(Network):
-    """Predicts the opposite, or nothing that is a number."""
-
-    factor = -1.0
-
-    def __call__(self, inputs: FloatArray) -> FloatArray:
-        """See `Network`."""
-        return self.factor * super().__call__(inputs)
 
 
 def test_samples_that_do_not_count_take_it_away_at_once_and_it_comes_back_slowly() -> None:
@@ -130,37 +124,22 @@ def test_samples_that_do_not_count_take_it_away_at_once_and_it_comes_back_slowly
     def step(number: int, counted: np.ndarray) -> float:
         phase = 2.0 * np.pi * 1e-3 * (SAMPLES_PER_STEP * number + np.arange(SAMPLES_PER_STEP))[np.newaxis]
         reference, rate = 200.0 * np.sin(phase), 400.0 * np.pi * np.cos(phase)
-        measured = reference - 3.0 * np.sign(rate)
-        return float(residual.step(reference, rate, measured, np.array([[1.0, 0.02, 5e-4, 0.0]]), counted)[0])
+        return abs(float(residual.step(reference, rate, reference - 3.0 * np.sign(rate), LAW, counted)[0]))
 
-    before = [abs(step(number, counted)) for number in range(200)]
-    assert max(before[150:]) > 1.0
+    before = max([step(number, counted) for number in range(200)][150:])
+    assert before > 1.0
     assert step(200, ~counted) == 0.0
-    assert abs(step(201, counted)) < 0.1 * max(before[150:]) < max(abs(step(n, counted)) for n in range(202, 300))
+    assert step(201, counted) < 0.1 * before < max(step(n, counted) for n in range(202, 300))
 
 
-@pytest.mark.slow
-def test_authority_of_a_network_that_harms_shrinks_to_little() -> None:
-    shipped = Network.load()
-    wrong = Residual(6, Wrong(shipped.mean, shipped.spread, shipped.layers))
-    alone = law_alone()
-    both, _ = run(wrong)
-    assert (wrong.authority[1::2] < 0.1).all(), "multisines; for sines, what was needed a period ago takes its place"
-    assert (rmse(both) < 1.2 * rmse(alone)).all()
-
-
-def test_nothing_that_is_no_number_gets_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Wrong, "factor", np.nan)
-    shipped = Network.load()
-    residual = Residual(1, Wrong(shipped.mean, shipped.spread, shipped.layers))
-    rng, counted = np.random.default_rng(0), np.ones(1, bool)
+def test_nothing_that_is_no_number_gets_out() -> None:
+    residual, rng, counted = Residual(1, predicting(np.nan)), np.random.default_rng(0), np.ones(1, bool)
     for step in range(200):
         samples = rng.normal(size=(3, 1, SAMPLES_PER_STEP)) * 100.0
         if step == 100:
             samples[2, 0, 3] = np.nan
-        value = residual.step(*samples, np.array([[1.0, 0.02, 5e-4, 0.0]]), counted)
-        assert np.isfinite(value).all() and np.isfinite(residual.inputs).all() and not value.any()
-        assert residual.inputs.shape == (1, INPUTS)
+        value = residual.step(*samples, LAW, counted)
+        assert np.isfinite(residual.inputs).all() and value.tolist() == [0.0]
     assert residual.age[0] == 200, "a sample that is no number makes it pause"
     for _ in range(PAUSE + 1):
         assert not residual.step(*np.zeros((3, 1, SAMPLES_PER_STEP)), np.zeros((1, 4)), ~counted).any()

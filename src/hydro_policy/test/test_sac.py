@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from scipy.linalg import solve_discrete_are
 from torch import Tensor
+from torch.optim import Adam
 
 from hydro_policy.sac.sac import ReplayBuffer, Sac
 from hydro_policy.sac.settings import SacSettings
@@ -21,18 +24,19 @@ def leaves(sac: Sac, name: str) -> list[Tensor]:
     return [torch.from_numpy(a if a.ndim == 3 else a[:, np.newaxis]).requires_grad_() for a in arrays]
 
 
-def flat(sac: Sac, name: str) -> Tensor:
-    """Parameters of `actor`, `critics` or `targets`, in the order of files."""
-    vector = sac.agent.targets if name == "targets" else getattr(sac.agent, name).parameters
-    return torch.from_numpy(vector[sac.places["actor" if name == "actor" else "critics"]])
-
-
 def forward(layers: Sequence[Tensor], inputs: Tensor) -> Tensor:
     """Outputs of all members, shape (members, batch, outputs)."""
     for k in range(0, len(layers), 2):
         inputs = inputs @ layers[k] + layers[k + 1]
         inputs = torch.relu(inputs) if k < len(layers) - 2 else inputs
     return inputs
+
+
+def descend(optimizer: Adam, loss: Tensor) -> float:
+    optimizer.zero_grad()
+    loss.backward(inputs=optimizer.param_groups[0]["params"])
+    optimizer.step()
+    return float(loss.detach())
 
 
 class Equations:
@@ -43,9 +47,9 @@ class Equations:
         self.actor, self.critics = leaves(begun, "actor"), leaves(begun, "critics")
         self.targets = [tensor.detach().clone() for tensor in self.critics]
         self.log_alpha = torch.from_numpy(begun.agent.entropy.parameters.copy()).requires_grad_()
-        self.actor_adam = torch.optim.Adam(self.actor, lr=s.actor_learning_rate)
-        self.critic_adam = torch.optim.Adam(self.critics, lr=s.critic_learning_rate)
-        self.alpha_adam = torch.optim.Adam([self.log_alpha], lr=s.entropy_learning_rate)
+        self.actor_adam = Adam(self.actor, lr=s.actor_learning_rate)
+        self.critic_adam = Adam(self.critics, lr=s.critic_learning_rate)
+        self.alpha_adam = Adam([self.log_alpha], lr=s.entropy_learning_rate)
 
     def sample(self, observation: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """a = tanh(u) and log pi(a|o), u = mu + sigma noise."""
@@ -65,23 +69,14 @@ class Equations:
             value = forward(self.targets, torch.cat((following, action), 1))[..., 0].amin(0) - alpha * density
             y = s.reward_scale * r[:, 0] + s.gamma * (1.0 - terminated[:, 0]) * value
         critics = 0.5 * (forward(self.critics, torch.cat((o, a), 1))[..., 0] - y).square().mean(1).sum()
-        descend(self.critic_adam, self.critics, critics)
+        of_critics = descend(self.critic_adam, critics)
         action, density = self.sample(o, noise[1])
         values = forward(self.critics, torch.cat((o, action), 1))[..., 0]
-        actor = (alpha * density - values.amin(0)).mean()
-        descend(self.actor_adam, self.actor, actor)
+        of_actor = descend(self.actor_adam, (alpha * density - values.amin(0)).mean())
         temperature = -(self.log_alpha * (density.detach().mean() + s.target_entropy)).sum()
-        descend(self.alpha_adam, [self.log_alpha], temperature)
         for target, critic in zip(self.targets, self.critics, strict=True):
             target.lerp_(critic.detach(), s.tau)
-        return float(critics.detach()), float(actor.detach()), float(temperature.detach())
-
-
-def descend(optimizer: torch.optim.Adam, parameters: Sequence[Tensor], loss: Tensor) -> None:
-    """One step of Adam."""
-    for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters), strict=True):
-        parameter.grad = gradient
-    optimizer.step()
+        return of_critics, of_actor, descend(self.alpha_adam, temperature)
 
 
 @pytest.mark.parametrize("dtype", [pytest.param(torch.float64, marks=pytest.mark.study), torch.float32])
@@ -101,11 +96,13 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
     drawn = [torch.from_numpy(table[at]).to(dtype).split(memory.widths, dim=1) for at in places]
     losses = [equations.update(*each) for each in zip(drawn, torch.from_numpy(noise), strict=True)]
     tolerance = {"rtol": 1e-11, "atol": 1e-13} if dtype == torch.float64 else {"rtol": 1e-3, "atol": 2e-5}
-    for name in ("actor", "critics", "targets"):
+    agent = sac.agent
+    vectors = {"actor": agent.actor.parameters, "critics": agent.critics.parameters, "targets": agent.targets}
+    for name, vector in vectors.items():
+        of_files = sac.places["actor" if name == "actor" else "critics"]
         want = torch.cat([each.detach().ravel() for each in getattr(equations, name)])
-        torch.testing.assert_close(flat(sac, name), want, **tolerance)
-    for vector, name in ((sac.agent.actor.parameters, "actor"), (sac.agent.critics.parameters, "critics")):
-        assert not np.delete(vector, sac.places[name]).any(), "the padding has learnt"
+        torch.testing.assert_close(torch.from_numpy(vector[of_files]), want, **tolerance)
+        assert not np.delete(vector, of_files).any(), "the padding has learnt"
     assert sac.entropy_coefficient == pytest.approx(float(equations.log_alpha.detach().exp()), rel=1e-6)
     assert sac.losses == pytest.approx(np.mean(losses, axis=0), rel=1e-9 if dtype == torch.float64 else 1e-3)
     assert (sac.updates, sac.steps) == (5, 5)
@@ -114,33 +111,29 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
 def test_linear_quadratic_regulator_is_learnt() -> None:
     """x' = x + 0.5 a, cost x^2 + 0.1 a^2, gamma 0.9: within 10 % of the Riccati optimum, median of three seeds."""
     b, q, r, gamma = 0.5, 1.0, 0.1, 0.9
-    p = q
-    for _ in range(500):  # discounted Riccati recursion
-        p = q + gamma * p - (gamma * p * b) ** 2 / (r + gamma * p * b * b)
+    discount = np.array([[np.sqrt(gamma)]])
+    p = float(solve_discrete_are(discount, b * discount, q * np.eye(1), r * np.eye(1))[0, 0])
     gain = gamma * p * b / (r + gamma * p * b * b)
 
-    def cost(policy: object) -> float:
+    def cost(policy: Callable[[np.ndarray], np.ndarray]) -> float:
         x, total = np.linspace(-0.6, 0.6, 25), 0.0
         for k in range(60):
-            a = np.clip(policy(x), -1, 1)  # type: ignore[operator]
+            a = np.clip(policy(x), -1, 1)
             total += gamma**k * float(np.mean(q * x**2 + r * a**2))
             x = x + b * a
         return total
 
-    rng = np.random.default_rng(0)
-    x, a = rng.uniform(-1, 1, 5000), rng.uniform(-1, 1, 5000)
-    rows = np.stack((x, x + b * a, a, -(q * x**2 + r * a**2), np.zeros(5000)), axis=1).astype(np.float32)
+    x, a = np.random.default_rng(0).uniform(-1, 1, (2, 5000))
     memory = ReplayBuffer(1, 1, 5000)
-    memory.extend(rows)
+    memory.extend(np.stack((x, x + b * a, a, -(q * x**2 + r * a**2), np.zeros(5000)), axis=1).astype(np.float32))
+    settings = SacSettings(batch_size=128, gamma=gamma, target_entropy=-1.0, reward_scale=1.0, tau=0.02)
 
     def learnt(seed: int) -> float:
-        settings = SacSettings(
-            batch_size=128, gamma=gamma, target_entropy=-1.0, reward_scale=1.0, tau=0.02, seed=seed
-        )  # fmt: skip
-        sac = Sac(1, 1, settings)
+        sac = Sac(1, 1, replace(settings, seed=seed))
         sac.learn(memory, 6000)
         layers = [layer.detach() for layer in leaves(sac, "actor")]
         return cost(lambda x: torch.tanh(forward(layers, torch.from_numpy(x[:, np.newaxis]).float())[0, :, 0]).numpy())
 
-    assert np.median([learnt(seed) for seed in range(3)]) < 1.10 * cost(lambda x: -gain * x)
-    assert cost(lambda x: 0.0 * x) > 2.0 * cost(lambda x: -gain * x), "doing nothing would pass too"
+    best = cost(lambda x: -gain * x)
+    assert np.median([learnt(seed) for seed in range(3)]) < 1.10 * best
+    assert cost(lambda x: 0.0 * x) > 2.0 * best, "doing nothing would pass too"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.safety.limits import GuardSettings
+from hydro_bridge.safety.guard_settings import GuardSettings
 from hydro_bridge.serial.protocol import Details, encode_hello
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.settings import to_mapping
@@ -23,10 +23,8 @@ from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
-from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.sac.settings import SacSettings
+from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import TaskSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
@@ -43,76 +41,55 @@ BY_UNIT = {
 }  # fmt: skip
 
 
-def with_effects(force: float = 1.0, pressure: float = 1.0, length: float = 1.0, current: float = 1.0) -> Bench:
-    """The nominal bench or one similar to it, with a lagging valve, friction and a leak."""
-    leak = force * length / pressure**2
-    numbers = (
-        ("valve_lag", {"bandwidth": 110.0, "damping": 1.2}),
-        ("friction_coulomb", {"force": 12.0 * force}),
-        ("friction_stribeck", {"breakaway_force": 5.0 * force, "velocity": 0.01 * length}),
-        ("friction_presliding", {"stiffness": 5e5 * force / length}),
-        ("leakage_internal", {"coefficient": 1e-13 * leak}),
-    )
-    return replace(Bench.nominal(), effects=tuple({"id": name, "parameters": values} for name, values in numbers))
+def with_effects(bench: Bench, force: float = 1.0, pressure: float = 1.0, length: float = 1.0) -> Bench:
+    """The bench with a lagging valve, friction and a leak, as large as these scales say."""
+    effects = {
+        "valve_lag": {"bandwidth": 110.0, "damping": 1.2},
+        "friction_coulomb": {"force": 12.0 * force},
+        "friction_stribeck": {"breakaway_force": 5.0 * force, "velocity": 0.01 * length},
+        "friction_presliding": {"stiffness": 5e5 * force / length},
+        "leakage_internal": {"coefficient": 1e-13 * force * length / pressure**2},
+    }
+    return replace(bench, effects=tuple({"id": name, "parameters": values} for name, values in effects.items()))
 
 
-def similar(effects: bool) -> tuple[Bench, Bench]:
-    """The nominal bench and the similar one."""
-    one = with_effects() if effects else Bench.nominal()
-    other = with_effects(FORCE, PRESSURE, LENGTH, CURRENT) if effects else Bench.nominal()
-    numbers = {name: getattr(one, name) * BY_UNIT[number.unit] for name, number in Bench.quantities().items()}
-    return one, replace(other, **numbers)
+ONE = Bench.nominal()
+OTHER = replace(ONE, **{name: getattr(ONE, name) * BY_UNIT[each.unit] for name, each in Bench.quantities().items()})
+WITH_EFFECTS = with_effects(ONE), with_effects(OTHER, FORCE, PRESSURE, LENGTH)
 
 
 def test_the_size_of_the_similar_bench() -> None:
-    one, other = (bench.size for bench in similar(effects=False))
+    one, other = ONE.size, OTHER.size
     assert one == NOMINAL
-    ratios = (other.force / one.force, other.pressure / one.pressure, other.length / one.length)
-    assert (*ratios, other.current / one.current) == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
+    ratios = [getattr(other, name) / getattr(one, name) for name in ("force", "pressure", "length", "current")]
+    assert ratios == pytest.approx((FORCE, PRESSURE, LENGTH, CURRENT), rel=1e-15)
     for each in (TrainingSettings(), Randomisation(), CompensatorSettings(), Sensors()):
         assert rescale(each, one, one) == each
     limits = rescale(TrainingSettings(), one, other).monitor
     assert (limits.peak_error, limits.chatter) == pytest.approx((FORCE * one.force, CURRENT * 14.0 * one.current))
-    assert BoxConfig().of_bench(Bench.nominal()) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
+    assert BoxConfig().of_bench(ONE) == BoxConfig() and GuardSettings.of_size(one) == GuardSettings()
     assert ExcitationRange.of_force(one.force) == ExcitationRange()
 
 
-def learning(bench: Bench) -> Pretraining:
-    """A short pretraining on drawn benches of this size."""
-    training = TrainingSettings(
-        episodes=4, learning_starts=40, replay_capacity=2000, task=TaskSettings(steps_per_episode=60),
-        sac=SacSettings(batch_size=32),
-    )  # fmt: skip
-    usual = PretrainSettings(
-        training=training, benches=2, randomisation=Randomisation(), examined=1,
-        evaluation=EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5),
-    )  # fmt: skip
-    pretraining = Pretraining(rescale(usual, NOMINAL, bench.size), bench, bench)
-    while not pretraining.finished:
-        pretraining.round()
-    return pretraining
-
-
-def test_learning_curves_are_those_of_the_nominal_bench() -> None:
-    here, there = map(learning, similar(effects=False))
+def test_learning_curves_are_those_of_the_nominal_bench(pretraining: PretrainSettings) -> None:
+    """Of a short pretraining on drawn benches of either size."""
+    usual = replace(pretraining, randomisation=Randomisation(), examined=1)
+    here, there = (Pretraining(rescale(usual, NOMINAL, bench.size), bench, bench) for bench in (ONE, OTHER))
+    for each in (here, there):
+        while not each.finished:
+            each.round()
     assert here.sac.updates > 100
     np.testing.assert_allclose(there.sac.actor_parameters(), here.sac.actor_parameters(), rtol=0.0, atol=1e-6)
     for one, other in zip(here.history, there.history, strict=True):
-        assert other["return"] == pytest.approx(one["return"], rel=1e-9)
-        assert other["score"] == pytest.approx(one["score"], rel=1e-9)
-        assert other["changed"] == pytest.approx(one["changed"], rel=1e-9)
-        assert np.array(other["rmse"]) / FORCE == pytest.approx(one["rmse"], rel=1e-9)
+        for name, scale in (("return", 1.0), ("score", 1.0), ("changed", 1.0), ("rmse", FORCE)):
+            assert np.array(other[name]) / scale == pytest.approx(one[name], rel=1e-9), name
 
 
 def corrected(bench: Bench, gains: tuple[float, float]) -> tuple[FloatArray, list[CorrectionStatus]]:
     """Corrections over the valve's limit, and their statuses, of the shipped metric's table on this bench."""
     size = bench.size
-    trial = Trial(
-        bench=bench,
-        reference=ReferenceSignal(waveform=Waveform.SINE, amplitude=size.force, frequency=1.0),
-        gains=np.tile(gains, (100, 1)),
-        box=BoxConfig().of_bench(bench),
-    )
+    sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=size.force, frequency=1.0)
+    trial = Trial(bench=bench, reference=sine, gains=np.tile(gains, (100, 1)), box=BoxConfig().of_bench(bench))
     metric = replace(ScheduledMetric.load(), another=None)
     done = run(trial, AnalyticPlant(bench, settings=Sensors.of_size(size)), loop_filter(metric, bench, bench))
     return np.array([result.delta_u for result in done.results]) / size.current, [one.status for one in done.results]
@@ -121,58 +98,53 @@ def corrected(bench: Bench, gains: tuple[float, float]) -> tuple[FloatArray, lis
 def test_the_filter_corrects_a_similar_bench_alike() -> None:
     """Up to the tolerance of its solver."""
     for gains in ((90.0, 15.0), (-30.0, -3.0)):
-        (here, told), (there, also_told) = (corrected(bench, gains) for bench in similar(effects=True))
-        print(gains, f"{np.abs(here - there).max():g} of {np.abs(here).max():g}")
+        (here, told), (there, also_told) = (corrected(bench, gains) for bench in WITH_EFFECTS)
         np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-8)
         assert also_told == told and CorrectionStatus.MISMATCH not in told
     assert np.abs(here).max() > 1e-3 and CorrectionStatus.MODIFIED in told
 
 
-def test_a_box_takes_references_as_far_as_its_line_tells() -> None:
+@pytest.mark.parametrize("bench", [ONE, OTHER])
+@pytest.mark.parametrize("share", [0.997, 1.0, 1.0 / 3.0])
+def test_a_box_takes_references_as_far_as_its_line_tells(bench: Bench, share: float) -> None:
     """DETAILS tells the range in single precision, whatever the size."""
-    for bench in similar(effects=False):
-        for share in (0.997, 1.0, 1.0 / 3.0):
-            other = replace(bench, piston_area=share * bench.piston_area)
-            config = BoxConfig().of_bench(other)
-            box = Box(other, config)
-            box.feed(encode_hello(0, 0))
-            box.tick(np.zeros(8), 0.0)
-            (details,) = (frame for frame in Decoder().feed(b"\0" + box.frames()) if isinstance(frame, Details))
-            assert box.settings["high"][0, 0] == details.details.force_range
+    other = replace(bench, piston_area=share * bench.piston_area)
+    box = Box(other, BoxConfig().of_bench(other))
+    box.feed(encode_hello(0, 0))
+    box.tick(np.zeros(8), 0.0)
+    (details,) = (frame for frame in Decoder().feed(b"\0" + box.frames()) if isinstance(frame, Details))
+    assert box.settings["high"][0, 0] == details.details.force_range
 
 
 def test_a_schedule_goes_with_the_size_and_may_be_of_any() -> None:
-    here, there = (default_schedule(bench) for bench in similar(effects=False))
+    here, there = default_schedule(ONE), default_schedule(OTHER)
     assert here == list(DEFAULT_SCHEDULE)
     assert [each.amplitude for each in there] == pytest.approx([FORCE * each.amplitude for each in here])
     segments = [replace(each, amplitude=1e3 * each.amplitude, delta_u=0.5) for each in there]
     assert parse_schedule({"segments": [to_mapping(each) for each in segments]}, "own") == segments
 
 
+def flags(bench: Bench) -> list[int]:
+    """Of a box under load forces about the limit, disarmed at first and in between."""
+    told, box = [], Box(bench, BoxConfig().of_bench(bench))
+    for number, force in enumerate((0.0, 2.0, 2.34, 2.4, 2.4, 2.45, 2.46, 2.47)):
+        measurement = AnalyticPlant(bench, noise=0.0).reset(0)
+        measurement[2] = force * bench.size.force
+        box.receive(Command(arm=number not in (0, 3)), 1e-3 * number)
+        told.append(int(box.tick(measurement, 1e-3 * number)["flags"]))
+    return told
+
+
 def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
-    """Load forces about the limit: beyond it at the second arming, within what the box grants, then beyond that."""
-
-    def flags(bench: Bench) -> list[int]:
-        size, told = bench.size, []
-        box = Box(bench, BoxConfig().of_bench(bench))
-        still = AnalyticPlant(bench, noise=0.0).reset(0)
-        for number, force in enumerate((0.0, 2.0, 2.34, 2.4, 2.4, 2.45, 2.46, 2.47)):
-            measurement = still.copy()
-            measurement[2] = force * size.force
-            box.receive(Command(arm=number not in (0, 3)), 1e-3 * number)
-            told.append(int(box.tick(measurement, 1e-3 * number)["flags"]))
-        return told
-
-    here, there = map(flags, similar(effects=False))
-    assert here == there
-    assert [bool(each & Flag.TRIPPED) for each in here] == [False, False, True, False, False, False, False, True]
+    """Beyond the limit, after the second arming within what the box grants, then beyond that."""
+    assert flags(ONE) == flags(OTHER)
+    assert [bool(each & Flag.TRIPPED) for each in flags(ONE)] == [False, False, True, False, False, False, False, True]
 
 
 def tracked(bench: Bench) -> FloatArray:
     """Load forces over the bench's, under the compensated law with its learned residual, shape (8000,)."""
-    size = bench.size
+    size, box = bench.size, BoxConfig().of_bench(bench)
     settings = EvaluationSettings(frequencies=(1.0,), measure=6.0, amplitude=size.force)
-    box = BoxConfig().of_bench(bench)
     fleet = VectorBench([bench], [AnalyticPlant(bench, settings=Sensors.of_size(size))], box)
     estimator = Compensator(settings=rescale(CompensatorSettings(), NOMINAL, size), law=box.compensated)
     residual = Residual(1, Network.load(), estimator.settings.force_scale)
@@ -181,14 +153,12 @@ def tracked(bench: Bench) -> FloatArray:
 
 
 def test_the_compensated_law_and_its_residual_track_alike() -> None:
-    here, there = map(tracked, similar(effects=True))
-    print(f"{np.abs(here - there).max():g}")
+    here, there = map(tracked, WITH_EFFECTS)
     assert np.abs(here).max() > 0.9
     np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-9)
 
 
 def test_the_metric_of_a_similar_bench_is_the_same_table() -> None:
-    here, there = (
-        ScheduledMetric.from_design(make_loop(bench, bench), MetricDesign()).table for bench in similar(effects=True)
-    )
+    loops = (make_loop(bench, bench) for bench in WITH_EFFECTS)
+    here, there = (ScheduledMetric.from_design(loop, MetricDesign()).table for loop in loops)
     np.testing.assert_allclose(there, here, rtol=1e-6, atol=1e-6 * float(np.abs(here).max()))
