@@ -22,9 +22,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Take Ctrl-C and hang-ups as a terminal gives them, also where they are ignored: so would all that tests start.
 
     A shell's background job ignores the one, nohup the other; what has a handler here is by default in a new program.
-    No live page is beside each run. Tests' own nodes stay on this machine and are found as soon as those of the
-    executables. Each worker has a ROS domain of its own: nodes that one starts are not in the graphs of the other.
-    Where tests are shared out, linear algebra has one thread in each: at these sizes more only wait for one another.
+    Each worker has a ROS domain of its own on this machine. Where tests are shared out, linear algebra has one thread
+    in each: at these sizes more only wait for one another.
     """
     if config.getoption("numprocesses", default=None):  # before the workers start, which take it over
         os.environ.setdefault("OMP_NUM_THREADS", "1")

@@ -19,18 +19,10 @@ from typing import Any
 import rclpy
 from std_srvs.srv import SetBool
 
+from hydro_bridge.ros import topics
 from hydro_bridge.ros.messages import reference_to_message, seconds
 from hydro_bridge.ros.node import DISCOVERY_RANGE, FASTDDS_PROFILES
-from hydro_bridge.ros.topics import (
-    ARM_SERVICE,
-    AUTHORITY,
-    CLAIM_SERVICE,
-    CORRECTION,
-    GAINS,
-    REFERENCE,
-    STATE,
-    create_publisher,
-)
+from hydro_bridge.ros.topics import STATE, create_publisher
 from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from hydro_msgs.srv import Claim
@@ -44,8 +36,6 @@ SHAKE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=8.0)
 _LASTS = 2.0  # s that an attack lasts, if the plant stays armed
 AFTER = 0.1
 """s from the disarm in which the force error still counts."""
-
-
 Strike = Callable[[Any, Any], Callable[[], bool]]
 """What a stranger's node does to a graph (`Defended`, or as much of it as is known): once more; whether it arrives."""
 
@@ -58,10 +48,9 @@ class Defended:
         self.companions = start_companions(stack, PlantOptions(plant="emulator"), GainRange(), folder, self.text.append)
         self.probe = Probe()
         stack.callback(self.probe.close)
-        self.probe.take(60.0)
-        self.probe.wait(
-            lambda: not self.probe.flags() & Flag.FILTER_STALE and len(self.probe.heard[STATE]) > 100, 120.0
-        )
+        self.probe.take(120.0)
+        states = self.probe.heard[STATE]
+        self.probe.wait(lambda: not self.probe.flags() & Flag.FILTER_STALE and len(states) > 100, 120.0)
 
     @property
     def epoch(self) -> int:
@@ -80,7 +69,6 @@ class Defended:
     def arm(self) -> None:
         """Arm, and track until the force has come to its reference."""
         self.probe.arm(False)
-        self.probe.wait(lambda: not self.probe.flags() & Flag.ARMED, 5.0)
         self.probe.commander.reference(SINE)
         deadline = time.monotonic() + 60.0
         while not self.probe.ask(True).success:  # a stranger that has just left is forgotten soon
@@ -98,7 +86,7 @@ class Defended:
 
     def own_flags(self) -> int:
         """Flags of the plant's latest sample."""
-        own = [state for _, state in self.probe.heard[STATE][-50:] if state.header.frame_id == "bench"]
+        own = [state for state in self.probe.states[-50:] if state.header.frame_id == "bench"]
         return int(own[-1].flags) if own else int(Flag.ARMED)
 
     def drive(
@@ -123,9 +111,8 @@ class Defended:
         the plant's samples from then on, with their times [s].
         """
         self.arm()
-        probe = self.probe
-        before = error(probe.states[-1000:])
-        probe.forget()
+        before = error(self.probe.states[-1000:])
+        self.probe.forget()
         began: list[float] = []
         with stranger() as node:
             arrives = strike(node, self)
@@ -136,7 +123,7 @@ class Defended:
 
             self.drive(_LASTS, besides, lambda: not self.own_flags() & Flag.ARMED)
             self.drive(2 * AFTER, besides)
-        own = [(seconds(state.header.stamp), state) for state in probe.states if state.header.frame_id == "bench"]
+        own = [(seconds(state.header.stamp), state) for state in self.probe.states if state.header.frame_id == "bench"]
         return before, began[0] if began else time.time(), own
 
 
@@ -176,10 +163,8 @@ sys.exit(len(heard) < 200)
 @contextmanager
 def listener(reach: str) -> Iterator[subprocess.Popen[bytes]]:
     """A tool of its own process that knows no profile of ours, hears 200 states and ends with 0."""
-    environment = {name: value for name, value in os.environ.items() if name != FASTDDS_PROFILES} | {
-        DISCOVERY_RANGE: reach
-    }
-    process = subprocess.Popen([sys.executable, "-c", LISTEN], env=environment)
+    environment = {name: value for name, value in os.environ.items() if name != FASTDDS_PROFILES}
+    process = subprocess.Popen([sys.executable, "-c", LISTEN], env=environment | {DISCOVERY_RANGE: reach})
     try:
         yield process
     finally:
@@ -232,20 +217,17 @@ def _false_state(graph: Any) -> BenchState:
 
 DISARMS = "/hydro/arm false"
 """Done by anybody, after which a person has to arm again."""
-
 ATTACKS: dict[str, Strike] = {
-    "gains, no epoch": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0)),
-    "gains, epoch copied": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0, epoch=graph.epoch)),
-    "reference, epoch copied": _publishing(REFERENCE, lambda graph: reference_to_message(SHAKE, graph.epoch)),
-    "correction 50 mA, epoch copied": _publishing(CORRECTION, _pushing),
-    "correction, cut off": _publishing(CORRECTION, lambda graph: bytes(20)),
+    "gains, no epoch": _publishing(topics.GAINS, lambda graph: Gains(delta_kp=50.0)),
+    "gains, epoch copied": _publishing(topics.GAINS, lambda graph: Gains(delta_kp=50.0, epoch=graph.epoch)),
+    "reference, epoch copied": _publishing(topics.REFERENCE, lambda graph: reference_to_message(SHAKE, graph.epoch)),
+    "correction 50 mA, epoch copied": _publishing(topics.CORRECTION, _pushing),
+    "correction, cut off": _publishing(topics.CORRECTION, lambda graph: bytes(20)),
     "states": _publishing(STATE, _false_state),
-    "authority": _publishing(AUTHORITY, lambda graph: Authority(holder="stranger", claim=1, epoch=1)),
-    "/hydro/arm true": _calling(SetBool, ARM_SERVICE, SetBool.Request(data=True)),
-    DISARMS: _calling(SetBool, ARM_SERVICE, SetBool.Request(data=False)),
-    "/hydro/claim take": _calling(Claim, CLAIM_SERVICE, Claim.Request(act=Claim.Request.TAKE, name="stranger")),
+    "authority": _publishing(topics.AUTHORITY, lambda graph: Authority(holder="stranger", claim=1, epoch=1)),
+    "/hydro/arm true": _calling(SetBool, topics.ARM_SERVICE, SetBool.Request(data=True)),
+    DISARMS: _calling(SetBool, topics.ARM_SERVICE, SetBool.Request(data=False)),
+    "/hydro/claim take": _calling(Claim, topics.CLAIM_SERVICE, Claim.Request(act=Claim.Request.TAKE, name="stranger")),
 }
-"""What strangers do, by name."""
-
 STAYS_ARMED = frozenset({"/hydro/arm true", "/hydro/claim take"})
 """What is refused, and changes nothing."""

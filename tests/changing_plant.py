@@ -25,16 +25,13 @@ class ChangingPlant:
 
     def __init__(self, truths: Sequence[TruthConfig], samples: Sequence[int]) -> None:
         self.plant, self._taken = TruthPlant(truths[0]), 0
-        self._parameters = [compile_parameters(truth) for truth in truths]
-        self._at = dict(zip(samples, self._parameters[1:], strict=True))
+        self._at = {at: compile_parameters(truth) for at, truth in zip([0, *samples], truths, strict=True)}
 
     def reset(self, seed: int) -> FloatArray:
-        """See `hydro_sim.model.plant.Plant`."""
-        self._taken, self.plant.parameters = 0, self._parameters[0]
+        self._taken, self.plant.parameters = 0, self._at[0]
         return self.plant.reset(seed)
 
     def step(self, valve_current: float) -> FloatArray:
-        """See `hydro_sim.model.plant.Plant`."""
         self._taken += 1
         self.plant.parameters = self._at.get(self._taken, self.plant.parameters)
         return self.plant.step(valve_current)

@@ -25,7 +25,6 @@ from hydro_core.cli.console import progress
 from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
 
 BATCH = 2000
-
 RULES = ("forged", "whole lost", "bytes kept too many")
 """What must be 0 of all that is counted: frames accepted that were never sent; whole ones not accepted; memory."""
 
@@ -64,17 +63,12 @@ def sealed(body: bytes) -> bytes:
     return b"\0" + cobs.encode(body + crc32(body).to_bytes(4, "little")) + b"\0"
 
 
-def _garbage_before(wire: bytes, random: Random) -> bytes:
-    """Noise of any length right in front of a whole frame."""
-    return random.randbytes(random.choice((1, 3, 20, 5 * MAX_ENCODED))) + wire
-
-
 DAMAGES: dict[str, tuple[Callable[[bytes, Random], bytes], bool]] = {
     "none": (lambda wire, random: wire, True),
     "bits flipped": (_flip, False),
     "bytes exchanged": (_splice, False),
     "foreign": (_seal_anew, False),
-    "garbage before": (_garbage_before, True),
+    "garbage before": (lambda wire, random: random.randbytes(random.choice((1, 3, 20, 5 * MAX_ENCODED))) + wire, True),
     "duplicated": (lambda wire, random: 2 * wire, True),
     "reordered": (lambda wire, random: wire, True),
 }
@@ -84,37 +78,31 @@ DAMAGES: dict[str, tuple[Callable[[bytes, Random], bytes], bool]] = {
 def make_frame(sequence: int, random: Random) -> bytes:
     """A frame of any type with random content."""
     time_us, kind = random.getrandbits(64), random.random()
+    numbers = [random.gauss(0, 1e4) for _ in range(14)]
     if kind < 0.6:
-        numbers = [random.gauss(0, 1e4) for _ in range(14)]
         acting = LawState(Law.COMPENSATED, *numbers[:2], (1.0, *numbers[2:5]), *numbers[5:7])
         return protocol.encode_state(sequence, time_us, numbers, random.getrandbits(8), sequence, (sequence, 1), acting)
     if kind < 0.98:
-        delta_kp, delta_ki, delta_u, amplitude, offset, frequency, phase = (random.gauss(0, 100) for _ in range(7))
         signal = ReferenceSignal(
-            waveform=random.choice(tuple(Waveform)),
-            amplitude=amplitude,
-            offset=offset,
-            frequency=frequency,
-            phase=phase,
-        )
+            waveform=random.choice(tuple(Waveform)), amplitude=numbers[0], offset=numbers[1], frequency=numbers[2],
+            phase=numbers[3],
+        )  # fmt: skip
         command = Command(
-            arm=random.random() < 0.5, delta_kp=delta_kp, delta_ki=delta_ki, delta_u=delta_u, reference=signal,
+            arm=random.random() < 0.5, delta_kp=numbers[4], delta_ki=numbers[5], delta_u=numbers[6], reference=signal,
             corrects=random.getrandbits(32), filter_fresh=random.random() < 0.5, law=random.choice(tuple(Law)),
-            coefficients=(1.0, delta_kp, delta_ki, delta_u),
+            coefficients=(1.0, *numbers[7:10]),
         )  # fmt: skip
         return protocol.encode_command(sequence, time_us, command)
-    return protocol.encode_hello(
-        sequence, time_us, BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None
-    )
+    info = BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None
+    return protocol.encode_hello(sequence, time_us, info)
 
 
 def hostile_batch(first: int, count: int, random: Random) -> tuple[bytes, dict[int, tuple[str, Frame]]]:
     """Stream of damaged frames, and what was sent: sequence -> damage, frame."""
     sent: dict[int, tuple[str, Frame]] = {}
     wires: list[tuple[str, bytes]] = []
-    names = tuple(DAMAGES)
     for sequence in range(first, first + count):
-        damage, wire = random.choice(names), make_frame(sequence, random)
+        damage, wire = random.choice(tuple(DAMAGES)), make_frame(sequence, random)
         sent[sequence] = (damage, protocol.decode(wire[1:-1]))
         wires.append((damage, DAMAGES[damage][0](wire, random)))
     for place in range(count - 1):
@@ -159,9 +147,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="of everything random (default: %(default)s)")
     options = parser.parse_args()
     counted = fuzz(options.frames, options.seed)
-    print(*(f"{number:9} {what}" for what, number in sorted(counted.items())), sep="\n")
     broken = violations(counted)
-    print("; ".join(broken) or "all held")
+    print(
+        *(f"{number:9} {what}" for what, number in sorted(counted.items())), "; ".join(broken) or "all held", sep="\n"
+    )
     return 1 if broken else 0
 
 

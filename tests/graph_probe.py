@@ -4,21 +4,22 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from pathlib import Path
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from typing import Any
 
+import psutil
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool
 
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import executable_path
-from hydro_bridge.ros.topics import ARM_SERVICE, CLAIM_SERVICE, GAINS, GRAPH, STATE, TRAINING
+from hydro_bridge.ros.topics import ARM_SERVICE, CLAIM_SERVICE, DIAGNOSTICS, GAINS, STATE, TRAINING, create_subscription
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
@@ -33,12 +34,13 @@ class Probe:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node("probe", context=self.context)
-        self.heard: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in (STATE, GAINS, TRAINING)}
-        for topic, messages in self.heard.items():
-            kind, qos = GRAPH[topic]
-            self.node.create_subscription(
-                kind, topic, lambda m, heard=messages: heard.append((time.monotonic(), m)), qos
-            )
+        self.heard: dict[str, list[tuple[float, Any]]] = {}
+        for topic in (STATE, GAINS, TRAINING):
+            messages = self.heard[topic] = []
+            create_subscription(self.node, topic, lambda m, heard=messages: heard.append((time.monotonic(), m)))
+        self.told = defaultdict[str, dict[str, str]](dict)
+        """Latest diagnostics by name: values by key, and `message`."""
+        create_subscription(self.node, DIAGNOSTICS, self._note)
         self.commander = Commander(self.node)
         self.commands = False
         """Whether it keeps the authority."""
@@ -46,6 +48,10 @@ class Probe:
         self.disarming = self.node.create_client(SetBool, ARM_SERVICE)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
+
+    def _note(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self.told[status.name] = {pair.key: pair.value for pair in status.values} | {"message": status.message}
 
     def spin(self, seconds: float) -> None:
         """Let messages come in for so long."""
@@ -86,12 +92,6 @@ class Probe:
         self.commands = True
         self.wait(lambda: self.commander.held, timeout)
 
-    def wait_for(self, topic: str, wanted: Callable[[Any], object], timeout: float = 30.0) -> Any:
-        """Let messages come in until one of a topic is `wanted`; returns the first that is."""
-        heard = self.heard[topic]
-        self.wait(lambda: any(wanted(message) for _, message in heard[-50:]), timeout)
-        return next(message for _, message in heard if wanted(message))
-
     def ask(self, arm: bool) -> Any:
         """The plant's answer to a request to arm, by name, or to disarm."""
         client = self.arming if arm else self.disarming
@@ -102,18 +102,20 @@ class Probe:
         return answer.result()
 
     def arm(self, arm: bool) -> None:
-        """Ask the plant, and wait until it confirms."""
+        """Ask the plant until it confirms: a box in real time that a busy machine holds up is not armed at once."""
         answer = self.ask(arm)
+        end = time.monotonic() + 30.0
+        while not answer.success and time.monotonic() < end:
+            self.spin(0.2)
+            answer = self.ask(arm)
         assert answer.success, answer.message
         self.wait(lambda: bool(self.flags() & Flag.ARMED) == arm)
 
     @property
     def states(self) -> list[Any]:
-        """Samples that were heard."""
         return [message for _, message in self.heard[STATE]]
 
     def last(self, topic: str) -> Any:
-        """The latest message of a topic."""
         return self.heard[topic][-1][1]
 
     def flags(self) -> int:
@@ -121,32 +123,41 @@ class Probe:
         return int(self.last(STATE).flags) if self.heard[STATE] else 0
 
     def forget(self) -> None:
-        """Drop what was heard."""
         for messages in self.heard.values():
             messages.clear()
 
     def close(self) -> None:
-        """Leave the graph."""
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
 
-class Trainer:
-    """A trainer with its companions, in a process group of its own.
+def children(parent: int, word: str) -> list[int]:
+    """Process ids of the children whose command line holds `word`."""
+    found = []
+    with suppress(psutil.NoSuchProcess):
+        for process in psutil.Process(parent).children():
+            with suppress(psutil.NoSuchProcess):  # it ends just now
+                found += [process.pid] if word in " ".join([*process.cmdline(), ""]) else []
+    return found
 
-    `stdin`: the descriptor that it reads; none by default.
-    """
+
+class Trainer(AbstractContextManager["Trainer"]):
+    """A trainer with its companions, in a process group of its own; `stdin`: the descriptor that it reads."""
 
     def __init__(self, *words: str, stdin: int = subprocess.DEVNULL) -> None:
         self._said = os.memfd_create("said")
+        command = [str(executable_path("hydro_policy", "trainer")), *words]
         self.process = subprocess.Popen(
-            [str(executable_path("hydro_policy", "trainer")), *words],
-            stdin=stdin,
-            stdout=self._said,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
+            command, stdin=stdin, stdout=self._said, stderr=subprocess.STDOUT, start_new_session=True
         )
+
+    def __exit__(self, *_: object) -> None:
+        self.process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(30.0)
+        self.process.kill()
+        print(self.text)
 
     @property
     def text(self) -> str:
@@ -155,34 +166,5 @@ class Trainer:
 
     def child(self, word: str) -> int:
         """Process id of the one child whose command line holds `word`."""
-        found = [pid for pid in _children(self.process.pid) if word in _command_line(pid)]
-        assert len(found) == 1, f"{word}: {[_command_line(pid) for pid in _children(self.process.pid)]}"
-        return found[0]
-
-    def end(self, number: int = signal.SIGINT, timeout: float = 40.0) -> int:
-        """Send a signal, and wait for the exit status."""
-        self.process.send_signal(number)
-        return self.process.wait(timeout)
-
-
-@contextmanager
-def trainer(*words: str, stdin: int = subprocess.DEVNULL) -> Iterator[Trainer]:
-    """Start a trainer, and be sure that it is gone in the end."""
-    run = Trainer(*words, stdin=stdin)
-    try:
-        yield run
-    finally:
-        run.process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            run.process.wait(30.0)
-        run.process.kill()
-        print(run.text)
-
-
-def _children(pid: int) -> list[int]:
-    tasks = Path(f"/proc/{pid}/task").iterdir()
-    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
-
-
-def _command_line(pid: int) -> str:
-    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+        (found,) = children(self.process.pid, word)
+        return found

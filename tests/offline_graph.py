@@ -6,28 +6,21 @@ Runs as fast as possible, with bit-identical results for equal seeds, unlike any
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_core.signals import (
-    SAMPLE_PERIOD,
-    STATE_FIELDS,
-    CorrectionStatus,
-    FloatArray,
-    Law,
-    LawCommand,
-    ReferenceSignal,
-)
+from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, CorrectionStatus, Law, LawCommand, ReferenceSignal
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Corrector
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.runner import Session
-from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, agent
-from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.sac.sac import Losses, dump
+from hydro_policy.learner_process.learner import CHUNK, Learner
+from hydro_policy.learner_process.supervisor import LearnerSupervisor
+from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
 from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
@@ -37,68 +30,33 @@ PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
 """Result of a filter without a correction."""
 
 
-class InlineLearner:
-    """Interface of `LearnerSupervisor` with a learner in this process; `work` performs the pending updates."""
+class InlineLearner(LearnerSupervisor):
+    """Supervisor of a learner in this process: `work` performs the pending updates, and no checkpoint is kept."""
+
+    alive = True
 
     def __init__(self, settings: TrainingSettings, start: bytes | None = None) -> None:
-        self._memory, self._settings = _PrivateMemory(settings), settings
-        _, self._latest, self._good, _ = self._memory.open()
-        if start is not None:
-            self._latest.publish(agent(settings, start).state)
-        self._learner = Learner(self._memory, settings)
-        self.replay = self._learner.replay
-        self.ready = self.alive = True
+        super().__init__(settings, RunDirectory(Path("unused")), start=start)
 
-    @property
-    def updates(self) -> int:
-        """Gradient updates so far."""
-        return self._learner.sac.updates
-
-    @property
-    def entropy_coefficient(self) -> float:
-        """alpha."""
-        return self._learner.sac.entropy_coefficient
-
-    @property
-    def losses(self) -> Losses:
-        """Of the last updates."""
-        return self._learner.sac.losses
-
-    def new_weights(self) -> FloatArray | None:
-        """See `LearnerSupervisor.new_weights`."""
-        return (
-            self._learner.sac.actor_parameters() if self._latest.changed and self._latest.read() is not None else None
-        )
+    def _start(self) -> None:
+        self._learner = Learner(self._memory, self._settings)
 
     def work(self) -> None:
-        """Perform all pending updates, then publish."""
         if self._learner.pending_updates >= CHUNK:
             while self._learner.work():
                 pass
 
-    def restart_if_dead(self) -> None:
-        """Do nothing: there is no process to restart."""
-
-    def snapshot(self) -> bytes:
-        """See `LearnerSupervisor.snapshot`; the present state."""
-        return dump(self._learner.sac)
-
     def wake(self) -> None:
-        """Work when `work` is called."""
+        pass
 
-    def wait_for_updates(self) -> None:
-        """Nothing is due: `work` is called for that."""
-
-    def save_policy(self, good: bytes) -> None:
-        """See `LearnerSupervisor.save_policy`."""
-        self._good.publish(agent(self._settings, good).state)
+    def restart_if_dead(self) -> None:
+        pass
 
     def roll_back(self) -> None:
-        """See `LearnerSupervisor.roll_back`; takes effect at once."""
+        super().roll_back()
         self._learner.roll_back()
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Keep nothing."""
         return True
 
 
@@ -133,34 +91,27 @@ class OfflineGraph(Outputs):
         self.guard.set_box_law(self.box.config.compensated)
         self.sentences: list[str] = []
         self.gains_published: list[tuple[float, float, int]] = []
-        self.steps: list[tuple[int, tuple[float, float], float, int]] = []
         self.references: list[ReferenceSignal] = []
         self._measurement = plant.reset(seed)
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        """See `Outputs`."""
         self.gains_published.append((delta_kp, delta_ki, step))
         self.guard.set_gains(delta_kp, delta_ki, self.time)
 
     def command_law(self, command: LawCommand, step: int) -> None:
-        """See `Outputs`."""
         self.guard.set_law(command, self.time)
 
     def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """See `Outputs`."""
-        self.steps.append((step, mean, reward, weights))
+        pass
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """See `Outputs`."""
         self.references.append(signal)
         self.guard.set_reference(signal)
 
     def arm(self, arm: bool) -> None:
-        """See `Outputs`."""
         self.guard.set_arm(arm)
 
     def report(self, sentence: str, warning: bool = False) -> None:
-        """See `Outputs`."""
         self.sentences.append(sentence)
 
     def sample(self) -> np.void:
@@ -193,18 +144,9 @@ class OfflineGraph(Outputs):
             law = law_state(self.box.state[0])
             if compensation is not None and law.law is not Law.PAPER:
                 compensation.on_law_state(int(record["sequence"]), law.law, law.compensated_reference)
-            if (
-                session.on_sample(int(record["sequence"]), values, int(record["flags"]), self.time)
-                and learner is not None
-            ):
+            stepped = session.on_sample(int(record["sequence"]), values, int(record["flags"]), self.time)
+            if stepped and learner is not None:
                 learner.work()
             if tick % 50 == 0:
                 session.on_tick(self.time)
             tick += 1
-
-
-class _PrivateMemory(LearnerMemory):
-    """The same memory layout, private to this process."""
-
-    def _block(self, size: int) -> Any:
-        return bytearray(size)

@@ -76,9 +76,8 @@ def segment(states: StateArray, name: str = "run") -> Segment:
 
 def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]:
     """A closed-loop run without noise as a recording, and its physical states, shape (n, 6)."""
-    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=0.9)
-    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=1.2)
-    current = simulate(AnalyticPlant(bench, noise=0.0), Bench.nominal(), schedule)["valve_current"].copy()
+    run = record(bench, seconds=1.2, waveform=Waveform.SINE, amplitude=amplitude, noise=0.0, frequency=0.9)
+    current = run["valve_current"].copy()
     plant = AnalyticPlant(bench, noise=0.0)
     shown, states = [plant.measurement()], [plant.state["y"][0, :TEXTBOOK].copy()]
     for held in current[:-1]:

@@ -11,42 +11,14 @@ import ast
 import importlib
 import re
 import shlex
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
 from docs import generate_reference
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCS = ROOT / "docs"
 FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
-PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
-SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
-
-LINK = re.compile(r"\]\(([^)\s]+)\)")
-RUN = re.compile(r"ros2 run (\w+) (\w+)")
-MAKE = re.compile(r"(?:^|`)\s*make ([a-z][a-z-]*)", re.MULTILINE)
-MODULE = re.compile(r"python -m ((?:benchmarks|demo|tests)[\w.]*)")
-PAGE_NAME = re.compile(r"(?<![\w./-])((?:docs/[\w/-]+/)?[a-z][\w-]*)\.md\b")
-
-
-def blocks(path: Path, language: str) -> list[str]:
-    """Return a page's fenced blocks of a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-
-
-@lru_cache
-def targets() -> frozenset[str]:
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    return frozenset(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
-
-
-def command_lines(path: Path) -> Iterator[str]:
-    """Yield each `ros2 run` line of a page's blocks, continued lines joined, comments taken off."""
-    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
-    for line in text.splitlines():
-        if re.match(r"\s*ros2 run \w+ \w+(\s|$)", line):
-            yield re.split(r"\s#\s|\s{3,}", line.strip())[0]
+PAGES = {path: path.read_text(encoding="utf-8") for path in (*FRONT, *sorted((ROOT / "docs").rglob("*.md")))}
 
 
 @lru_cache
@@ -59,21 +31,21 @@ def where(path: Path, what: str) -> str:
 
 
 def test_links_of_the_pages_outside_of_the_site_lead_somewhere() -> None:
-    links = [(path, link) for path in FRONT for link in LINK.findall(path.read_text(encoding="utf-8"))]
-    assert [
-        where(path, link) for path, link in links if "://" not in link and not (ROOT / link.split("#")[0]).exists()
-    ] == []
+    links = [(path, link.split("#")[0]) for path in FRONT for link in re.findall(r"\]\(([^)\s]+)\)", PAGES[path])]
+    assert [where(path, link) for path, link in links if "://" not in link and not (ROOT / link).exists()] == []
 
 
 def test_commands_and_modules_exist() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     unknown = []
-    for path in PAGES:
-        text = path.read_text(encoding="utf-8")
-        for package, name in RUN.findall(text):
-            if name not in generate_reference.executables(package):
-                unknown.append(where(path, f"{package} {name}"))
-        unknown += [where(path, f"make {target}") for target in MAKE.findall(text) if target not in targets()]
-        for name in MODULE.findall(text):
+    for path, text in PAGES.items():
+        runs = re.findall(r"ros2 run (\w+) (\w+)", text)
+        unknown += [
+            where(path, f"{one} {name}") for one, name in runs if name not in generate_reference.executables(one)
+        ]
+        made = re.findall(r"(?:^|`)\s*make ([a-z][a-z-]*)", text, re.MULTILINE)
+        unknown += [where(path, f"make {target}") for target in made if target not in targets]
+        for name in re.findall(r"python -m ((?:benchmarks|demo|tests)[\w.]*)", text):
             place = ROOT / name.replace(".", "/")
             if not place.with_suffix(".py").exists() and not (place / "__main__.py").exists():
                 unknown.append(where(path, name))
@@ -82,10 +54,10 @@ def test_commands_and_modules_exist() -> None:
 
 def test_options_are_known_to_their_commands() -> None:
     unknown = []
-    for path in PAGES:
-        for line in command_lines(path):
-            words = shlex.split(line.split("--ros-args")[0].split(" > ")[0].split(" && ")[0])
-            known = parser_of(words[2], words[3])._option_string_actions if len(words) > 3 else {}
+    for path, text in PAGES.items():
+        for line in re.findall(r"^[ \t]*(ros2 run \w+ \w+(?:[ \t].*)?)$", text.replace("\\\n", " "), re.MULTILINE):
+            words = shlex.split(re.split(r"\s#\s|\s{3,}| --ros-args| > | && ", line)[0])
+            known = parser_of(words[2], words[3])._option_string_actions
             options = [word for word in words[4:] if word.startswith("--") and word.split("=")[0] not in known]
             unknown += [where(path, option) for option in options]
     assert unknown == []
@@ -104,8 +76,8 @@ def test_launch_files_give_their_executables_options_that_these_take() -> None:
 
 def test_python_blocks_import_what_is_there() -> None:
     lost = []
-    for path in PAGES:
-        for block in blocks(path, "python"):
+    for path, text in PAGES.items():
+        for block in re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
             for node in ast.walk(ast.parse(block)):
                 if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("hydro_"):
                     module = importlib.import_module(node.module)
@@ -115,7 +87,7 @@ def test_python_blocks_import_what_is_there() -> None:
 
 
 def test_files_that_the_table_of_failures_names_hold_tests() -> None:
-    table = next(path for path in PAGES if path.name == "failures.md").read_text(encoding="utf-8")
+    table = next(text for path, text in PAGES.items() if path.name == "failures.md")
     named = {cell for row in re.findall(r"^\|.*\| ([a-z_/, ]+) \|$", table, re.MULTILINE) for cell in row.split(", ")}
     files = {name: ROOT / ("src/hydro_{}/test/{}.py" if "/" in name else "tests/{}.py").format(*name.split("/"))
              for name in named - {"tests"}}  # fmt: skip
@@ -124,18 +96,18 @@ def test_files_that_the_table_of_failures_names_hold_tests() -> None:
 
 
 def test_generated_pages_are_current() -> None:
-    pages = generate_reference.pages()
-    stale = [str(path.relative_to(ROOT)) for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
+    stale = [path.name for path, text in generate_reference.pages().items() if PAGES[path] != text]
     assert stale == [], "make reference"
 
 
 def test_pages_that_the_sources_name_are_there() -> None:
     """Sources name a page by its file's name alone; what a user reads has the whole path."""
-    names = [path.name for path in PAGES]
-    assert [name for name in set(names) if names.count(name) > 1] == []
+    names = {path.name for path in PAGES}
+    assert len(names) == len(PAGES)
     lost = []
-    for source in SOURCES:
-        for name in PAGE_NAME.findall(source.read_text(encoding="utf-8")):
-            if not ((ROOT / f"{name}.md").exists() if "/" in name else f"{name}.md" in names):
-                lost.append(where(source, f"{name}.md"))
+    for folder in ("src", "demo", "benchmarks", "tests", "setup"):
+        for source in (ROOT / folder).rglob("*.py"):
+            for name in re.findall(r"(?<![\w./-])((?:docs/[\w/-]+/)?[a-z][\w-]*\.md)\b", source.read_text("utf-8")):
+                if not ((ROOT / name).exists() if "/" in name else name in names):
+                    lost.append(where(source, name))
     assert lost == []

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -51,21 +49,15 @@ def test_every_line_and_branch_of_the_box_is_reached(checks: ModuleType, tmp_pat
     assert sum(found[part].branches for part in checks.BOX) > 250
 
 
-@pytest.fixture
-def configured(tmp_path: Path) -> Path:
-    text = render_header(BoxConfig().constants(Bench.nominal(), name="linux box"))
-    (tmp_path / "box_config.h").write_text(text)
-    return tmp_path
-
-
 def example(name: str, folder: Path, *words: str) -> Path:
-    source, places = FIRMWARE / "examples" / f"{name}.c", (f"-I{FIRMWARE}", f"-I{folder}")
-    return compiled(source, folder / name, "-O2", *places, *words)
+    header = render_header(BoxConfig().constants(Bench.nominal(), name="linux box"))
+    (folder / "box_config.h").write_text(header)
+    return compiled(FIRMWARE / "examples" / f"{name}.c", folder / name, f"-I{FIRMWARE}", f"-I{folder}", *words)
 
 
-def test_the_frame_for_a_microcontroller_compiles(configured: Path) -> None:
+def test_the_frame_for_a_microcontroller_compiles(tmp_path: Path) -> None:
     for words in ((), ("-DHYDRO_SINGLE",)):
-        example("bare_metal", configured, "-c", "-ffreestanding", *words)
+        example("bare_metal", tmp_path, "-O2", "-c", "-ffreestanding", *words)
 
 
 def test_box_filter_and_policy_go_into_one_file(tmp_path: Path) -> None:
@@ -75,33 +67,24 @@ def test_box_filter_and_policy_go_into_one_file(tmp_path: Path) -> None:
     compiled(tmp_path / "all.c", tmp_path / "all.o", "-c", f"-I{FIRMWARE}")
 
 
-class End(Terminal):
-    """The far end of a pseudo-terminal as a line."""
+class Line(Terminal):
+    """The host's end of the pseudo-terminal that the box opens."""
 
     def read(self, timeout: float = 0.0) -> bytes:
-        end = time.monotonic() + timeout
-        while not (data := super().read()) and time.monotonic() < end:
-            time.sleep(1e-4)
-        return data
+        self.wait(timeout)
+        return super().read()
 
     def write(self, data: bytes) -> bool:
         return super().write(data) == len(data)
 
 
-@pytest.fixture
-def linux_box(configured: Path) -> Iterator[End]:
-    program, port = example("linux_serial", configured), configured / "port"
-    line = End(port)
-    with subprocess.Popen([str(program), str(port), "60"], stdout=subprocess.DEVNULL) as process:
-        yield line
-        process.terminate()
-    line.unplug()
-
-
 @pytest.mark.graph
-def test_the_box_for_linux_keeps_the_protocol_over_a_port(linux_box: End) -> None:
+def test_the_box_for_linux_keeps_the_protocol_over_a_port(tmp_path: Path) -> None:
+    program, line = example("linux_serial", tmp_path, "-O2"), Line(tmp_path / "port")
     cases = [case for case in shipped_cases() if case.id.startswith(IN_TIME)]
     numbers = bench_digest.read_numbers(Path(str(bench_digest.shipped_bench_file())))
-    results = run_cases(cases, lambda: Host(linux_box), numbers, moving=False)
+    with subprocess.Popen([program, line.path, "60"], stdout=subprocess.DEVNULL) as process:
+        results = run_cases(cases, lambda: Host(line), numbers, moving=False)
+        process.terminate()
     assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
     assert sum(result.outcome == PASS for result in results) >= 18

@@ -12,10 +12,10 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import CORRECTION, STATE
+from hydro_bridge.ros.topics import CORRECTION
 from hydro_core.signals import Flag
 from tests.attacks import AFTER, ATTACKS, STAYS_ARMED, Defended, error, listener
-from tests.graph_probe import trainer
+from tests.graph_probe import Trainer
 
 pytestmark = pytest.mark.graph
 
@@ -32,9 +32,7 @@ def test_what_a_stranger_does_is_refused_or_the_plant_is_made_safe(graph: Defend
     meant = [state for when, state in own if safe is None or when <= safe + AFTER]
     gains = {(round(state.proportional_gain, 3), round(state.integral_gain, 3)) for state in meant}
     moved = max((abs(state.valve_current - state.nominal_valve_current) for state in meant), default=0.0)
-    print(
-        f"{name}: error {before:.1f}, then {error(meant):.1f} N, correction {moved:.4f} A, safe: {safe}, begin: {begin}"
-    )
+    print(f"error {before:.1f}, then {error(meant):.1f} N, correction {moved:.4f} A, begin: {begin}, safe: {safe}")
     if name in STAYS_ARMED:
         assert safe is None, "it was refused, and the holder goes on"
     else:
@@ -45,34 +43,25 @@ def test_what_a_stranger_does_is_refused_or_the_plant_is_made_safe(graph: Defend
     assert all(companion.running for companion in graph.companions), "no node died of it"
 
 
-def test_tools_that_join_and_listen_leave_an_armed_plant_alone(graph: Defended) -> None:
-    graph.arm()
-    graph.probe.forget()
-    for reach in ("SUBNET", "LOCALHOST"):
-        with listener(reach) as tool:
-            graph.drive(20.0, until=lambda tool=tool: tool.poll() is not None)  # type: ignore[misc]
-            assert tool.poll() == 0, "it heard the plant"
-    states = [state for _, state in graph.probe.heard[STATE]]
-    late = sum(bool(state.flags & Flag.WATCHDOG) for state in states)
-    print(f"{late} of {len(states)} samples without commands for 50 ms")
-    assert all(state.flags & Flag.ARMED for state in states)
-
-
-def test_a_second_filter_and_trainer_are_told_and_leave_the_first_alone(
+def test_listening_tools_a_second_filter_and_a_second_trainer_leave_an_armed_plant_alone_and_are_told(
     graph: Defended, start: Callable[..., Companion], tmp_path: Path
 ) -> None:
     words = ("--plant", "external", "--from", "scratch", "--rearm", "auto", "--runs", str(tmp_path), "--name", "run")
     told = "probe commands this plant: end it"
     graph.arm()
     graph.probe.forget()
+    for reach in ("SUBNET", "LOCALHOST"):
+        with listener(reach) as tool:
+            graph.drive(20.0, until=lambda tool=tool: tool.poll() is not None)  # type: ignore[misc]
+            assert tool.poll() == 0, "it heard the plant"
     said = io.StringIO()
-    with trainer(*words) as process:  # while it ends nobody drives
+    with Trainer(*words) as process:  # while it ends nobody drives
         start("hydro_filter filter", output=said)
         graph.drive(PATIENCE, until=lambda: "answers already" in said.getvalue() and told in process.text)
         graph.drive(3.0)
         assert "answers already" in said.getvalue() and graph.probe.node.count_publishers(CORRECTION) == 1
         assert told in process.text and process.process.poll() is None
-    assert all(state.flags & Flag.ARMED for _, state in graph.probe.heard[STATE]), graph.text[-40:]
+    assert all(state.flags & Flag.ARMED for state in graph.probe.states), graph.text[-40:]
 
 
 def test_a_second_plant_disarms_the_first_which_says_why(graph: Defended, start: Callable[..., Companion]) -> None:

@@ -7,7 +7,7 @@ No keys are needed for it: names of enclaves travel without, and endpoints are t
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -25,9 +25,8 @@ from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.keys import enclave_name
 from hydro_bridge.ros.topics import FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
 from hydro_core.signals import STATE_DTYPE
-from tests.domains import own_domain
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("domain")]
 
 QUERIES = {
     "publishes": Node.get_publisher_names_and_types_by_node,
@@ -37,20 +36,24 @@ QUERIES = {
 }
 SETTLED = 2.0  # s that nothing may be added in, once all is there that is expected
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "exam.every:=0")
+Does = dict[str, dict[str, dict[str, set[str]]]]  # by enclave, node and kind
 CLOSING = {LAW, LAW_STATE, FREEZE_SERVICE}  # what a trainer does in its closing comparison only
-Does = dict[str, dict[str, dict[str, set[str]]]]
-"""By enclave, node and kind."""
 
 
-@pytest.fixture(autouse=True)
-def apart() -> Iterator[None]:
-    with own_domain():
-        yield
+def check(*executables: str, without: Mapping[str, set[str]] | None = None, timeout: float = 120.0) -> None:
+    """They do what the table says; `without` names what, or which node, one has under other circumstances only.
 
-
-def seen_beside(expected: Does, timeout: float = 120.0) -> Does:
-    """What each node of each enclave was ever seen to do, until all that is expected was, and a little longer."""
-    context, seen = rclpy.Context(), {}
+    What each node of each enclave was ever seen to do counts, until all that is expected was, and a little longer.
+    """
+    expected, seen = Does(), Does()
+    for executable in executables:
+        left_out = (without or {}).get(executable, set())
+        expected[enclave_name(executable)] = {
+            name: {kind: set(getattr(rights, kind)) - left_out for kind in QUERIES}
+            for name, rights in RIGHTS[executable].items()
+            if name not in left_out
+        }
+    context = rclpy.Context()
     rclpy.init(context=context)
     looker = rclpy.create_node("looker", context=context)
     end = time.monotonic() + timeout
@@ -67,20 +70,7 @@ def seen_beside(expected: Does, timeout: float = 120.0) -> Does:
                     does[kind] |= {entry for entry, _ in ask(looker, name, namespace)}
     looker.destroy_node()
     rclpy.shutdown(context=context)
-    return seen
-
-
-def check(*executables: str, without: Mapping[str, set[str]] | None = None) -> None:
-    """They do what the table says; `without` names what, or which node, one has under other circumstances only."""
-    expected: Does = {}
-    for executable in executables:
-        left_out = (without or {}).get(executable, set())
-        expected[enclave_name(executable)] = {
-            name: {kind: set(getattr(rights, kind)) - left_out for kind in QUERIES}
-            for name, rights in RIGHTS[executable].items()
-            if name not in left_out
-        }
-    assert seen_beside(expected) == expected
+    assert seen == expected
 
 
 def test_a_training_on_the_emulator(start: Callable[..., Companion], tmp_path: Path) -> None:

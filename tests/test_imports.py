@@ -19,7 +19,6 @@ from tests.checks import each
 ROOT = Path(__file__).resolve().parent.parent
 LOADED = {"hydro_sim": {"hydro_firmware"}}
 """Packages of ours that are loaded as a shared library, which no import shows."""
-PACKAGES = sorted(path.parent for path in ROOT.glob("src/hydro_*/setup.py"))
 KEYS = {name: f"python3-{name}" for name in (
     "cycler", "fastjsonschema", "h5py", "hypothesis", "jinja2", "matplotlib", "numba", "numpy", "pandas", "psutil",
     "pytest", "scipy", "serial", "torch", "tqdm", "websockets", "yaml",
@@ -37,7 +36,7 @@ NOT_ASKED_FOR = {"asammdf", "cycler", "gymnasium", "llvmlite"}
 
 
 def modules_imported(files: Iterable[Path]) -> set[str]:
-    """Return the top-level modules that files import, anywhere in them."""
+    """The top-level modules that files import, anywhere in them."""
     found = set()
     for path in files:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -49,24 +48,22 @@ def modules_imported(files: Iterable[Path]) -> set[str]:
 
 
 def keys_of(folder: Path, files: Iterable[Path]) -> set[str]:
-    """Return the keys of what files of a package import, without the standard library, the package and all tests."""
+    """The keys of what files of a package import, without the standard library, the package and all tests."""
     own = {folder.name, "tests", *(path.stem for path in (folder / "test").rglob("*.py"))}
     foreign = modules_imported(files) - set(sys.stdlib_module_names) - own - WITHOUT_KEY
     return {KEYS.get(name, name) for name in foreign}
 
 
-def declared(folder: Path, *kinds: str) -> set[str]:
-    root = ElementTree.parse(folder / "package.xml").getroot()
-    return {str(node.text) for kind in kinds for node in root.findall(kind)}
-
-
-@pytest.mark.parametrize("folder", PACKAGES, ids=lambda folder: folder.name)
+@pytest.mark.parametrize(
+    "folder", sorted(path.parent for path in ROOT.glob("src/hydro_*/setup.py")), ids=lambda folder: folder.name
+)
 def test_what_is_imported_is_declared(folder: Path) -> None:
     """ROS comes from elsewhere than pip: a command that needs it says so."""
-    modules = [*(folder / folder.name).rglob("*.py")]
-    runs = declared(folder, "depend", "exec_depend")
+    modules, package = [*(folder / folder.name).rglob("*.py")], ElementTree.parse(folder / "package.xml").getroot()
+    runs = {str(node.text) for kind in ("depend", "exec_depend") for node in package.findall(kind)}
+    tests = {str(node.text) for node in package.findall("test_depend")}
     assert runs == keys_of(folder, [*modules, *folder.glob("launch/*.py")]) | LOADED.get(folder.name, set())
-    assert declared(folder, "test_depend") == keys_of(folder, (folder / "test").rglob("*.py")) - runs
+    assert tests == keys_of(folder, (folder / "test").rglob("*.py")) - runs
     foreign = modules_imported(modules) - NOT_ASKED_FOR
     called = ast.walk(ast.parse((folder / "setup.py").read_text(encoding="utf-8")))
     (value,) = (node.value for node in called if isinstance(node, ast.keyword) and node.arg == "install_requires")
@@ -74,9 +71,6 @@ def test_what_is_imported_is_declared(folder: Path) -> None:
     assert listed == {DISTRIBUTIONS.get(name, name) for name in foreign if name in {*KEYS, *WITHOUT_KEY}}
 
 
-ENTRY = re.compile(r'"(\w+) = hydro_core\.process\.start:main_of\.([\w.]+)"')
-COMMANDS = [module for _, module in ENTRY.findall((ROOT / "src/hydro_policy/setup.py").read_text(encoding="utf-8"))]
-"""The other packages import no torch."""
 WITHOUT_NUMBA = ("hydro_policy.nodes.evaluate", "hydro_policy.nodes.trainer")
 PROBE = """
 import importlib, os, sys
@@ -99,26 +93,25 @@ for module in sys.argv[2:]:
 """One process forks for each command what all of them import."""
 
 
-def test_help_of_a_command_imports_no_torch() -> None:
-    rest = sorted(set(COMMANDS) - set(WITHOUT_NUMBA))
-    light, others = helped("numpy", *WITHOUT_NUMBA), helped("numpy numba scipy.optimize", *rest)
-    assert light == dict.fromkeys(WITHOUT_NUMBA, (False, False))
-    assert others == dict.fromkeys(rest, (False, True))
-
-
-def helped(preloaded: str, *modules: str) -> dict[str, tuple[bool, bool]]:
+def helped(preloaded: str, *modules: str) -> dict[str, tuple[str, str]]:
     """Ask each command for help; returns whether torch and numba were imported, of those that showed it."""
     probe = [sys.executable, "-c", PROBE, preloaded, *modules]
     shown = subprocess.run(probe, capture_output=True, text=True, timeout=240, check=True).stdout
     found = re.findall(r"^usage: [^\0]*?^probed (\S+) (\w+) (\w+)$", shown, re.MULTILINE)
-    return {module: (torch == "True", numba == "True") for module, torch, numba in found}
+    return {module: (torch, numba) for module, torch, numba in found}
+
+
+def test_help_of_a_command_imports_no_torch() -> None:
+    """Those of hydro_policy: the other packages import no torch."""
+    setup = (ROOT / "src/hydro_policy/setup.py").read_text(encoding="utf-8")
+    commands = set(re.findall(r'"\w+ = hydro_core\.process\.start:main_of\.([\w.]+)"', setup))
+    rest = sorted(commands - set(WITHOUT_NUMBA))
+    assert helped("numpy", *WITHOUT_NUMBA) == dict.fromkeys(WITHOUT_NUMBA, ("False", "False"))
+    assert helped("numpy numba scipy.optimize", *rest) == dict.fromkeys(rest, ("False", "True"))
 
 
 def test_every_benchmark_and_the_demo_import() -> None:
-    found = [*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("demo/*.py")]
-    modules = [path.relative_to(ROOT).with_suffix("") for path in found]
-
-    def check(module: Path) -> None:
-        importlib.import_module(".".join(module.parts))
-
-    each([module for module in modules if "test" not in module.parts], check)
+    """mypy lets them import modules that are not there."""
+    found = [path.relative_to(ROOT) for path in (*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("demo/*.py"))]
+    modules = [".".join(path.with_suffix("").parts) for path in found if "test" not in path.parts]
+    each(modules, importlib.import_module)

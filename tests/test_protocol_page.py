@@ -4,45 +4,32 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 from random import Random
+from typing import Any
 from zlib import crc32
 
 import pytest
 from cobs import cobs
 
-from hydro_bridge.safety.limits import GuardSettings
-from hydro_bridge.serial.protocol import (
-    BoxDetails,
-    BoxInfo,
-    BoxLaw,
-    Frame,
-    LawState,
-    decode,
-    encode_command,
-    encode_details,
-    encode_hello,
-    encode_law,
-    encode_state,
-)
+from hydro_bridge.safety.guard_settings import GuardSettings
+from hydro_bridge.serial import protocol
 from hydro_core.signals import Command, Flag, Law, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from tests.fuzz_link import DAMAGES, fuzz, violations
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "manual" / "reference" / "protocol.md"
-FIRMWARE = ROOT / "firmware"
-FRAMES = FIRMWARE / "test" / "test_frames.h"
-INFO = BoxInfo(name="example 1.0", delta_kp_min=-5.0, integral="bumpless")
-DETAILS = BoxDetails(
+PAGE = (ROOT / "docs" / "manual" / "reference" / "protocol.md").read_text(encoding="utf-8")
+BENCH, BOX = Bench.nominal(), BoxConfig()
+INFO = protocol.BoxInfo(name="example 1.0", delta_kp_min=-5.0, integral="bumpless")
+DETAILS = protocol.BoxDetails(
     epoch=7, bench_digest="0123456789ab", feedback="load", laws=3, load_force_limit=700.0, force_range=5000.0,
     pressure_min=-0.5e6, pressure_max=25e6, position_min=-5e-3, position_max=0.085, hold_timeout=0.05, trip_timeout=0.2,
     force_rate_age=2e-3, velocity_age=1e-3,
 )  # fmt: skip
-LAW = BoxLaw(
+LAW = protocol.BoxLaw(
     base_ki=16.0, delta_kp_max=1.0, delta_ki_max=20.0, velocity_compensation=0.25, valve_gain_scale_min=0.75,
     coefficient_min=(0.75, -0.0625, -(2.0**-10), -60.0), coefficient_max=(1.25, 0.125, 2.0**-8, 60.0),
     coefficient_rate=(0.5, 0.125, 2.0**-7, 100.0),
@@ -53,70 +40,66 @@ COMPENSATED = Command(
     arm=True, delta_kp=10.0, delta_ki=0.5, delta_u=2.0**-10, corrects=257, filter_fresh=True, reference=SINE,
     law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 2.0**-9, -2.0), velocity_compensation=0.25, valve_gain_scale=1.5,
 )  # fmt: skip
-ACTING = LawState(Law.COMPENSATED, -2.5, 8.0, (1.0, 0.03125, 2.0**-9, -1.0), 0.25, 1.0)
+ACTING = protocol.LawState(Law.COMPENSATED, -2.5, 8.0, (1.0, 0.03125, 2.0**-9, -1.0), 0.25, 1.0)
 MADE = [
-    encode_hello(0, 1_000_000),
-    encode_hello(1, 2_000_000, INFO),
-    encode_details(1, 2_000_000, DETAILS),
-    encode_law(1, 2_000_000, LAW),
-    encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (1, 1), ACTING),
-    encode_command(3, 1_003_000, COMPENSATED),
+    protocol.encode_hello(0, 1_000_000),
+    protocol.encode_hello(1, 2_000_000, INFO),
+    protocol.encode_details(1, 2_000_000, DETAILS),
+    protocol.encode_law(1, 2_000_000, LAW),
+    protocol.encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (1, 1), ACTING),
+    protocol.encode_command(3, 1_003_000, COMPENSATED),
 ]
 
 
 def examples() -> list[bytes]:
-    blocks = re.findall(r"```text\n((?:[0-9a-f]{2}[ \n])+)```", PAGE.read_text(encoding="utf-8"))
+    blocks = re.findall(r"```text\n((?:[0-9a-f]{2}[ \n])+)```", PAGE)
     return [bytes.fromhex(block) for block in blocks]
 
 
 def test_the_codec_makes_and_reads_the_bytes_of_the_page() -> None:
     assert examples() == MADE
-    frames: list[Frame] = [decode(wire[1:-1]) for wire in examples()]
+    frames: list[protocol.Frame] = [protocol.decode(wire[1:-1]) for wire in examples()]
     kinds = ["Hello", "Hello", "Details", "LawFrame", "State", "CommandFrame"]
     assert [type(frame).__name__ for frame in frames] == kinds
     assert frames[4][2] == VALUES and frames[4][5:] == (1, 1, ACTING)
     assert (frames[3][3], frames[5][2]) == (LAW, COMPENSATED)
-    assert encode_details(1, 2_000_000, frames[2][2]) == MADE[2], "numbers of float32 are those that were sent"
+    assert protocol.encode_details(1, 2_000_000, frames[2][2]) == MADE[2], "numbers of float32 are those that were sent"
 
 
 def test_the_firmware_is_tried_with_the_bytes_of_the_page() -> None:
-    texts = re.findall(r"=((?:\s+\"[0-9a-f ]+\")+);", FRAMES.read_text(encoding="utf-8"))
+    header = (ROOT / "firmware" / "test" / "test_frames.h").read_text(encoding="utf-8")
+    texts = re.findall(r"=((?:\s+\"[0-9a-f ]+\")+);", header)
     assert [bytes.fromhex(re.sub(r"\W", "", text)) for text in texts] == examples()
 
 
-@pytest.fixture(scope="module")
-def algorithms() -> dict[str, Callable[..., object]]:
-    """The functions of the page, run as they stand there."""
-    found: dict[str, Callable[..., object]] = {}
-    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
-        exec(block, found)
-    return found
-
-
-def test_the_algorithms_of_the_page_are_those_of_the_libraries(algorithms: dict[str, Callable[..., object]]) -> None:
+def test_the_algorithms_of_the_page_are_those_of_the_libraries() -> None:
+    page: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
+        exec(block, page)
     random = Random(6)
-    assert algorithms["crc32"](b"123456789") == 0xCBF43926
+    assert page["crc32"](b"123456789") == 0xCBF43926
     for length in [*range(250), 254, 300, 600]:
         body = bytes(random.choice((0, 1, 255, random.randrange(256))) for _ in range(length))
-        assert algorithms["crc32"](body) == crc32(body)
-        assert algorithms["unstuff"](cobs.encode(body)) == body
+        assert page["crc32"](body) == crc32(body)
+        assert page["unstuff"](cobs.encode(body)) == body
         if length < 254:
-            assert algorithms["stuff"](body) == cobs.encode(body)
+            assert page["stuff"](body) == cobs.encode(body)
     for broken in (b"\x05ab", b"\x00", b"\x02a\x00"):
-        assert algorithms["unstuff"](broken) is None
+        assert page["unstuff"](broken) is None
 
 
 def stated(sentence: str) -> list[float]:
-    """Numbers of the one line that matches."""
-    (found,) = re.findall(sentence, " ".join(PAGE.read_text(encoding="utf-8").split()))
-    return [float(number) for number in ([found] if isinstance(found, str) else found)]
+    """Numbers of the one line that matches, # for each; ... for anything."""
+    pattern = re.escape(sentence).replace(r"\#", r"(\S+)").replace(r"\.\.\.", ".*?")
+    (found,) = re.findall(pattern, " ".join(PAGE.split()))
+    return [float(number) for number in found]
 
 
 def test_the_ranges_of_the_page_are_those_of_the_box() -> None:
-    record = BoxConfig().constants(Bench.nominal())[0]
+    record = BOX.constants(BENCH)[0]
     force, low, high, near, far, rate, velocity = stated(
-        r"force_range \((\d+) N\). Pressures: (\S+) to (\S+) MPa. Position: .*?, (\S+) to (\S+) mm. "
-        r"Rates of the forces: \+- (\S+) N/s; rate of the position: \+- (\S+) m/s"
+        "force_range (# N). Pressures: # to # MPa. Position: ..., # to # mm. Rates of the forces: +- # N/s; "
+        "rate of the position: +- # m/s"
     )
     wanted = [force, rate, force, rate, high * 1e6, high * 1e6, far * 1e-3, velocity]
     assert record["high"] == pytest.approx(wanted)
@@ -124,43 +107,41 @@ def test_the_ranges_of_the_page_are_those_of_the_box() -> None:
 
 
 def test_the_digest_is_that_of_the_line_that_the_page_describes() -> None:
-    numbers = {key: value for key, value in Bench.nominal().to_mapping().items() if isinstance(value, float)}
+    numbers = {key: value for key, value in BENCH.to_mapping().items() if isinstance(value, float)}
     line = "{" + ", ".join(f'"{key}": {numbers[key]!r}' for key in sorted(numbers)) + "}"
     said = r"`(\{[^`]*), \.\.\., ([^`]*\})`.* nominal bench has (\w{12})\."
-    ((begin, end, digest),) = re.findall(said, PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    ((begin, end, digest),) = re.findall(said, PAGE, re.DOTALL)
     assert line.startswith(begin) and line.endswith(end)
-    assert sha256(line.encode()).hexdigest()[:12] == digest == Bench.nominal().digest
+    assert sha256(line.encode()).hexdigest()[:12] == digest == BENCH.digest
 
 
 def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
-    box, bench = BoxConfig(), Bench.nominal()
-    row = r"\| {} \| (\S+) to (\S+) "
-    assert stated(row.format("delta_kp")) == [box.delta_kp_min, box.delta_kp_max]
-    assert stated(row.format("delta_ki")) == [box.delta_ki_min, box.delta_ki_max]
-    assert stated(r"\| base_kp, base_ki \| (\S+) 1/s, (\S+) 1/s\^2") == [box.base_kp, box.base_ki]
-    law, safe = box.compensated, r"\| compensated law: C_1, C_2 \| (\S+) \((\S+) to (\S+)\), (\S+) \((\S+) to (\S+)\)"
-    assert stated(r"law: base_kp, base_ki \| (\S+) 1/s, (\S+) 1/s\^2") == [law.base_kp, law.base_ki]
-    changes = r"law: delta_kp, delta_ki \| (\S+) to (\S+) 1/s, (\S+) to (\S+) 1/s"
-    assert stated(changes) == [law.delta_kp_min, law.delta_kp_max, law.delta_ki_min, law.delta_ki_max]
-    fastest = r"limit of f_c \| (\S+) 1/s, (\S+), (\S+) s, (\S+) N/s, (\S+) 1/s; (\S+) N"
-    assert stated(fastest) == [*law.coefficient_rate, law.scale_rate, law.reference_max]
-    scales = law.velocity_compensation, law.velocity_compensation_min, law.velocity_compensation_max
-    assert stated(safe) == [*scales, law.valve_gain_scale, law.valve_gain_scale_min, law.valve_gain_scale_max]
-    assert stated(r"valve_current_max \| (\S+) A, (\S+) A") == [box.delta_u_max, bench.valve_current_max]
-    assert stated(r"force_range \| (\S+) N, (\S+) N") == [box.load_force_limit, box.force_range]
-    assert stated(r"TRIPPED \| (\S+) ms, (\S+) ms") == [1000 * box.hold_timeout, 1000 * box.trip_timeout]
+    law, guard = BOX.compensated, GuardSettings()
     acts, recovery = (
-        float(re.findall(rf"#define {name} (\S+)", (FIRMWARE / "hydro" / header).read_text())[0])
+        float(re.findall(rf"#define {name} (\S+)", (ROOT / "firmware" / "hydro" / header).read_text())[0])
         for name, header in (("HYDRO_CORRECTION_HOLD", "config.h"), ("HYDRO_RECOVERY", "arming.h"))
     )
-    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * acts, box.recovery_margin, recovery]
-    narrow = GuardSettings()
-    assert stated(r"by default 0 to (\S+) 1/s, 0 to (\S+) 1/s\^2, (\S+) A") == [
-        narrow.delta_kp_max, narrow.delta_ki_max, narrow.delta_u_max,
-    ]  # fmt: skip
+    scales = law.velocity_compensation, law.velocity_compensation_min, law.velocity_compensation_max
+    gains = law.valve_gain_scale, law.valve_gain_scale_min, law.valve_gain_scale_max
+    changes = law.delta_kp_min, law.delta_kp_max, law.delta_ki_min, law.delta_ki_max
+    for sentence, *values in (
+        ("| delta_kp | # to # ", BOX.delta_kp_min, BOX.delta_kp_max),
+        ("| delta_ki | # to # ", BOX.delta_ki_min, BOX.delta_ki_max),
+        ("| base_kp, base_ki | # 1/s, # 1/s^2", BOX.base_kp, BOX.base_ki),
+        ("law: base_kp, base_ki | # 1/s, # 1/s^2", law.base_kp, law.base_ki),
+        ("law: delta_kp, delta_ki | # to # 1/s, # to # 1/s", *changes),
+        ("limit of f_c | # 1/s, #, # s, # N/s, # 1/s; # N", *law.coefficient_rate, law.scale_rate, law.reference_max),
+        ("| compensated law: C_1, C_2 | # (# to #), # (# to #)", *scales, *gains),
+        ("valve_current_max | # A, # A", BOX.delta_u_max, BENCH.valve_current_max),
+        ("force_range | # N, # N", BOX.load_force_limit, BOX.force_range),
+        ("TRIPPED | # ms, # ms", 1000 * BOX.hold_timeout, 1000 * BOX.trip_timeout),
+        ("acts; ... | # ms; # N, # s", 1000 * acts, BOX.recovery_margin, recovery),
+        ("by default 0 to # 1/s, 0 to # 1/s^2, # A", guard.delta_kp_max, guard.delta_ki_max, guard.delta_u_max),
+    ):
+        assert stated(sentence) == values, sentence
 
 
-def test_hostile_frames_break_no_rule():
+def test_hostile_frames_break_no_rule() -> None:
     counted = fuzz(20_000, seed=1)
     assert not violations(counted)
     assert all(counted[f"{damage}: frames"] > 1000 for damage in DAMAGES)

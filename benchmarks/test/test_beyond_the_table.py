@@ -14,17 +14,13 @@ from benchmarks.beyond_the_table.__main__ import carried_out
 from benchmarks.beyond_the_table.cases import Case, drawn, simulated
 from benchmarks.beyond_the_table.kinds import KINDS, Kind
 from benchmarks.beyond_the_table.score import right_form, scored, summary
-from tests.checks import each
 
 pytestmark = pytest.mark.study
 KIND = {kind.name: kind for kind in KINDS}
 
 
-def test_each_kind_shows() -> None:
-    each(KINDS, shows, lambda kind: kind.name)
-
-
-def shows(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_each_kind_shows(kind: Kind) -> None:
     """By more than a force cell's noise at the least magnitude, in a force or a pressure, and the loop still tracks."""
     missing = simulated(Case(kind.name, None, seed=5), 0, 2.0)
     there = simulated(Case(kind.name, kind, kind.size[0], seed=5), 0, 2.0)
@@ -37,40 +33,39 @@ def closure(equation: str, text: str, form: str = "law") -> dict[str, Any]:
     return {"equation": equation, "form": form, "expression": f"1.5 N * {text}", "share_closed": 0.9}
 
 
-def test_right_form() -> None:
-    drag, play, stop = KIND["turbulent_drag"], KIND["torque_motor_play"], KIND["coils_touch"]
-    assert right_form(drag, closure("motion", "v |v|"))
-    assert not right_form(drag, closure("motion", "v^3"))
-    assert not right_form(drag, closure("motion", "v |v|", "smooth"))
-    assert not right_form(drag, closure("load", "v |v|"))
-    loop = closure("actuation", "w, w' = (u' - |u'| w) / path, path = 0.0003 A")
-    assert right_form(play, loop)
-    assert not right_form(play, closure("actuation", "u |u|"))
-    assert not right_form(KIND["flow_curve_bends"], loop)
-    assert right_form(stop, closure("load", "max(x - threshold, 0), threshold = 0.043 m")), "numbers are no form"
+LOOP = closure("actuation", "w, w' = (u' - |u'| w) / path, path = 0.0003 A")
 
 
-def report(after: float, named: list[str], closures: list[dict[str, Any]]) -> dict[str, Any]:
-    error = {"rmse_before": 10.0, "rmse_named": 10.0, "rmse_after": after, "noise_floor": 1.0}
-    return {"verdict": "modelled", "effects": [{"id": one, "options": {}, "parameters": {}} for one in named],
-            "closures": closures, "fit": {"holdout": {"load_force": error}}, "remainder": None}  # fmt: skip
+@pytest.mark.parametrize(("kind", "law", "right"), [
+    ("turbulent_drag", closure("motion", "v |v|"), True),
+    ("turbulent_drag", closure("motion", "v^3"), False),
+    ("turbulent_drag", closure("motion", "v |v|", "smooth"), False),
+    ("turbulent_drag", closure("load", "v |v|"), False),
+    ("torque_motor_play", LOOP, True),
+    ("torque_motor_play", closure("actuation", "u |u|"), False),
+    ("flow_curve_bends", LOOP, False),
+    ("coils_touch", closure("load", "max(x - threshold, 0), threshold = 0.043 m"), True),  # numbers are no form
+])  # fmt: skip
+def test_right_form(kind: str, law: dict[str, Any], right: bool) -> None:
+    assert right_form(KIND[kind], law) is right
 
 
 def test_score_counts_what_is_closed_and_what_is_claimed() -> None:
+    def row(case: Case, after: float, named: list[str], closures: list[dict[str, Any]]) -> dict[str, Any]:
+        error = {"rmse_before": 10.0, "rmse_named": 10.0, "rmse_after": after, "noise_floor": 1.0}
+        report = {"verdict": "modelled", "effects": [{"id": one, "options": {}, "parameters": {}} for one in named],
+                  "closures": closures, "fit": {"holdout": {"load_force": error}}, "remainder": None}  # fmt: skip
+        return scored(case, {"report": report, "said": "", "cpu": 9.0})
+
     case = Case("turbulent_drag_1", KIND["turbulent_drag"], named=("valve_gain",))
-    good = scored(case, {"report": report(1.0, ["valve_gain"], [closure("motion", "v |v|")]), "said": "", "cpu": 9.0})
-    assert good["place"]
-    assert good["form"]
-    assert good["named"]
-    assert good["all"] == pytest.approx(1.0)
-    assert good["names"] == pytest.approx(0.0)
-    bad = scored(case, {"report": report(10.0, ["moving_mass"], []), "said": "", "cpu": 9.0})
-    assert not bad["named"]
-    assert bad["all"] == pytest.approx(0.0)
-    clean = scored(Case("clean_dev_0", None), {"report": report(10.0, [], []), "said": "", "cpu": 9.0})
-    assert "least 0.00" in summary([good, bad, clean])
-    assert "claims on clean 0 of 1" in summary([good, bad, clean])
-    assert "names right beside 1 of 2" in summary([good, bad, clean])
+    good = row(case, 1.0, ["valve_gain"], [closure("motion", "v |v|")])
+    assert good["place"] and good["form"] and good["named"]
+    assert (good["all"], good["names"]) == pytest.approx((1.0, 0.0))
+    bad = row(case, 10.0, ["moving_mass"], [])
+    assert not bad["named"] and bad["all"] == pytest.approx(0.0)
+    said = summary([good, bad, row(Case("clean_dev_0", None), 10.0, [], [])])
+    for part in ("least 0.00", "claims on clean 0 of 1", "names right beside 1 of 2"):
+        assert part in said
 
 
 def test_a_leak_is_diagnosed_end_to_end_and_kept(tmp_path: Path) -> None:
@@ -78,7 +73,7 @@ def test_a_leak_is_diagnosed_end_to_end_and_kept(tmp_path: Path) -> None:
     row = scored(leak, carried_out(leak, tmp_path / "leak", seconds=6.0))
     assert row["named"]
     found = float(row["values"].split()[1])
-    assert found == pytest.approx(6e-14, rel=0.01)
+    assert found == pytest.approx(6e-14, rel=0.01, abs=0.0)
     for true, missed in ((found, False), (7e-14, True)):
         other = replace(leak, causes={"leakage_internal": {"coefficient": true}})
         assert scored(other, carried_out(leak, tmp_path / "leak"))["values"].endswith("!") is missed

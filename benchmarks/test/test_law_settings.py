@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`benchmarks.law_settings`: a variant is what it is called, and the law of this commit is the law."""
-
 from __future__ import annotations
 
 from pathlib import Path
@@ -12,9 +10,8 @@ from benchmarks.law_settings import changed, law_of, run, variant
 from hydro_core.settings import SettingsError
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 
-pytestmark = pytest.mark.study
 
-
+@pytest.mark.study
 def test_the_law_of_git_is_the_law_and_a_pinned_term_is_not_learnt(tmp_path: Path) -> None:
     pinned = variant(CompensatorSettings(), ["b_1", "b_3"])
     laws = {"as it is": Compensator, "of git": law_of("HEAD", tmp_path), "pinned": pinned}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,8 +21,8 @@ from hydro_sim.files.recordings import Run
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
-STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
 pytestmark = pytest.mark.study
+STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
 SCALE = np.array([150.0, 1500.0, 150.0, 1500.0, 7e5, 7e5, 7e-3, 7e-2])
 
 
@@ -33,22 +34,16 @@ def model() -> NetworkModel:
     return NetworkModel.untrained([run], (32, 32), 0)
 
 
+@pytest.fixture
 def network() -> torch.nn.Sequential:
     torch.manual_seed(0)
-    return torch.nn.Sequential(
-        torch.nn.Linear(8, 64), torch.nn.ReLU(), torch.nn.Linear(64, 64), torch.nn.ReLU(), torch.nn.Linear(64, 36)
-    ).double()
+    sizes = (torch.nn.Linear(8, 64), torch.nn.ReLU(), torch.nn.Linear(64, 64), torch.nn.ReLU(), torch.nn.Linear(64, 36))
+    return torch.nn.Sequential(*sizes).double()
 
 
-class Another:
-    """A plant that no compiled loop knows, as `NetworkPlant` is."""
-
-    def __init__(self, plant: AnalyticPlant) -> None:
-        self.reset, self.step = plant.reset, plant.step
-
-
-def metric_of(made: torch.nn.Module, model: NetworkModel) -> NetworkMetric:
-    return NetworkMetric(tuple(p.detach().numpy().T for p in made.parameters()), model.center, model.scale)
+@pytest.fixture
+def learned(network: torch.nn.Sequential, model: NetworkModel) -> NetworkMetric:
+    return NetworkMetric(tuple(p.detach().numpy().T for p in network.parameters()), model.center, model.scale)
 
 
 def test_the_page_is_made_from_the_results_that_came_with_it(tmp_path: Path) -> None:
@@ -66,9 +61,7 @@ def test_fixed_gains_have_the_papers_row_on_a_bench_of_its_own(tmp_path: Path) -
 
 def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
     state_matrix, input_vector, _ = model.linearized(STATE, 1e-3)
-    for column in range(8):
-        move = np.zeros(8)
-        move[column] = 1e-6 * SCALE[column]
+    for column, move in enumerate(1e-6 * np.diag(SCALE)):
         up, down = (model.linearized(STATE + sign * move, 1e-3)[2] for sign in (1.0, -1.0))
         slope = (up - down) / (2.0 * move[column])
         np.testing.assert_allclose(state_matrix[:, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
@@ -78,24 +71,25 @@ def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
 
 def test_rollouts_of_another_plant_are_those_of_the_compiled_loop_to_the_bit() -> None:
     plant, bench = AnalyticPlant(Bench.nominal()), Bench.nominal()
+    another = SimpleNamespace(reset=plant.reset, step=plant.step)  # no compiled loop knows it, as `NetworkPlant`
     settings = DataSettings(rollouts=2, gain_max=200.0, seconds=2.0)
-    compiled, by_samples = (roll_out(one, bench, settings, 1) for one in (plant, Another(plant)))
+    compiled, by_samples = (roll_out(one, bench, settings, 1) for one in (plant, another))
     assert compiled.states.tobytes() == by_samples.states.tobytes()
     assert len(compiled.states) == 2000
 
 
-def test_the_metrics_rate_is_its_difference_along_the_motion(model: NetworkModel) -> None:
-    made, motion = metric_of(network(), model), 5.0 * SCALE
-    value, rate = made.along(STATE, motion)
+def test_the_metrics_rate_is_its_difference_along_the_motion(learned: NetworkMetric) -> None:
+    motion = 5.0 * SCALE
+    value, rate = learned.along(STATE, motion)
     assert np.linalg.eigvalsh(value).min() > 0.0
-    up, down = (made.along(STATE + sign * 1e-6 * motion, motion)[0] for sign in (1.0, -1.0))
+    up, down = (learned.along(STATE + sign * 1e-6 * motion, motion)[0] for sign in (1.0, -1.0))
     np.testing.assert_allclose(rate, (up - down) / 2e-6, rtol=1e-5, atol=1e-7)
 
 
-def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> None:
-    made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
-    paper = PaperFilter(metric_of(made, model), model)
-    rows = metric._normalized(sample, model, paper.law)
-    z, rate, v, closed = (torch.from_numpy(row)[None, None] for row in rows)
-    grown, _ = metric.growth(made, metric.Samples(z, rate, v, closed, torch.tensor([[True]])))
+def test_training_and_filter_have_the_same_certificate(
+    network: torch.nn.Sequential, learned: NetworkMetric, model: NetworkModel
+) -> None:
+    paper, sample = PaperFilter(learned, model), Sample(STATE, 1e-3, 90.0, 60.0)
+    z, rate, v, closed = (torch.from_numpy(row)[None, None] for row in metric._normalized(sample, model, paper.law))
+    grown, _ = metric.growth(network, metric.Samples(z, rate, v, closed, torch.tensor([[True]])))
     assert -paper.certificate(sample)[1] == pytest.approx(float(grown.detach()), rel=1e-9)

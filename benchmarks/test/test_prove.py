@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Sealed cases stay sealed, and the scores count what is right."""
+
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,6 @@ import pytest
 import yaml
 
 from benchmarks.prove import __main__ as prove
-from benchmarks.prove.__main__ import run
 from benchmarks.prove.cases import FITTED, HELD, PARTS, Case, draw
 from benchmarks.prove.scores import Result, failures, standards
 from hydro_bridge.bags.recording import read_bag
@@ -19,49 +21,43 @@ from hydro_core.cli.console import UserError
 from hydro_sim.model.bench import Bench
 
 SEED = 4  # of development; no figure is reported from it
+REFUSED = {"report": None, "refused": "no motion", "wall": 1.0, "cpu": 1.0, "engine": "x"}
+LEAK = {"leakage_internal": {"coefficient": 1e-13}}
+GAIN = {"valve_gain": {"ratio": 1.1}}
 
 
-def answer(
-    verdict: str, *effects: str | tuple[str, dict[str, str]], places: dict[str, float] | None = None, **parameters: Any
-) -> dict[str, Any]:
-    """What `blind` writes, as far as the scores read it."""
-    named = [(one, {}) if isinstance(one, str) else one for one in effects]
-    claims = [{"id": name, "options": options, "parameters": parameters, "evidence": {"delta_bic": 1e3}}
-              for name, options in named]  # fmt: skip
+def answer(verdict: str, *effects: str, places: Mapping[str, float] | None = None, **parameters: Any) -> dict[str, Any]:
+    """What `blind` writes, as far as the scores read it; an effect may have its cell behind its name."""
+    named = [one.partition(" ") for one in effects]
+    claims = [{"id": id, "options": {"cell": cell} if cell else {}, "parameters": parameters} for id, _, cell in named]
     location = [{"equation": name, "share": share} for name, share in (places or {}).items()]
     holdout = {"load_force": {"rmse_before": 9.0, "rmse_after": 0.9, "noise_floor": 0.6}}
     report = {"verdict": verdict, "effects": claims, "location": location, "fit": {"holdout": holdout}}
-    return {"report": report, "refused": None, "wall": 2.0, "cpu": 1.0, "engine": "x"}
+    return {**REFUSED, "report": report, "refused": None}
 
 
-def result(case: Case, said: dict[str, Any]) -> Result:
-    return Result(case=case, answer=said)
-
-
-def single(**effects: dict[str, Any]) -> Case:
-    kind = {0: "clean", 1: "single", 2: "pair"}[len(effects)]
-    return Case(name="case-000", kind=kind, label="x", effects=effects)
+def result(effects: Mapping[str, Mapping[str, Any]], said: Mapping[str, Any]) -> Result:
+    kind = ("clean", "single", "pair")[len(effects)]
+    return Result(case=Case(name="case-000", kind=kind, label="x", effects=dict(effects)), answer=said)
 
 
 def test_held_out_recording_is_of_a_class_that_is_not_fitted() -> None:
     for case in draw(40, SEED):
         fitted = {case.schedules[name]["waveform"] for name in FITTED}
-        assert len(fitted) == 2
-        assert case.schedules[HELD]["waveform"] not in fitted
+        assert len(fitted) == 2 and case.schedules[HELD]["waveform"] not in fitted
 
 
 def test_seal_opens_to_the_same_answers_and_not_after_a_change(tmp_path: Path) -> None:
-    cases = draw(8, SEED)
-    digest = prove.seal(cases, tmp_path / "sealed")
-    assert prove.seal(draw(8, SEED), tmp_path / "sealed") == digest
-    assert prove.unseal(tmp_path / "sealed", digest) == cases
+    cases, sealed = draw(8, SEED), tmp_path / "sealed"
+    digest = prove.seal(cases, sealed)
+    assert prove.seal(draw(8, SEED), sealed) == digest and prove.unseal(sealed, digest) == cases
     with pytest.raises(UserError, match="other cases"):
-        prove.seal(draw(8, SEED + 1), tmp_path / "sealed")
-    answers = tmp_path / "sealed" / prove.ANSWERS
+        prove.seal(draw(8, SEED + 1), sealed)
+    answers = sealed / prove.ANSWERS
     answers.chmod(0o600)
     answers.write_text(answers.read_text().replace("case-003", "case-004"))
     with pytest.raises(UserError, match="changed after it was sealed"):
-        prove.unseal(tmp_path / "sealed", digest)
+        prove.unseal(sealed, digest)
 
 
 PEEKS = {
@@ -105,108 +101,99 @@ def test_blindfolded_process_sees_recordings_and_nothing_else(tmp_path: Path) ->
     assert json.loads(done.stdout) == PEEKS, done.stderr
 
 
-def test_naming_counts_only_if_nothing_else_is_claimed() -> None:
-    leak = single(leakage_internal={"coefficient": 1e-13})
-    assert result(leak, answer("explained", "leakage_internal")).exact
-    assert not result(leak, answer("explained", "leakage_internal", "valve_gain")).exact
-    assert result(leak, answer("explained", "leakage_internal", "valve_gain")).spurious == ["valve_gain"]
-    assert not result(leak, answer("no_mismatch")).exact
-    pair = single(leakage_internal={"coefficient": 1e-13}, moving_mass={"mass": 0.5})
-    assert not result(pair, answer("explained", "leakage_internal")).exact
-    lugre = single(friction_coulomb={"force": 9.0, "form": "lugre"})
-    assert result(lugre, answer("explained", "friction_coulomb", "friction_presliding")).exact
-    plain = single(friction_coulomb={"force": 9.0})
-    assert not result(plain, answer("explained", "friction_coulomb", "friction_presliding")).exact
+COULOMB, LUGRE = {"friction_coulomb": {"force": 9.0}}, {"friction_coulomb": {"force": 9.0, "form": "lugre"}}
+OFFSETS, ELSEWHERE = (
+    {"force_offset": {"force": 9.0}, "load_cell_bias": {"force": 4.0, "cell": cell}}
+    for cell in ("load_force", "hydraulic_force")
+)
+NULL = {"valve_deadband": {"half_width": 3e-4}, "valve_offset": {"current": 1e-4}}
 
 
-def test_two_names_of_the_same_bench_are_both_right() -> None:
-    on_load, on_rod = {"cell": "load_force"}, {"cell": "hydraulic_force"}
-    offsets = single(force_offset={"force": 9.0}, load_cell_bias={"force": 4.0, **on_load})
-    assert result(offsets, answer("explained", "spring_rest", "force_offset")).exact
-    assert result(offsets, answer("explained", "spring_rest", ("load_cell_bias", on_load))).exact
-    assert not result(offsets, answer("explained", "spring_rest", ("load_cell_bias", on_rod))).exact
-    assert not result(offsets, answer("explained", "spring_rest")).exact
-    assert result(offsets, answer("explained", "spring_rest", "force_offset")).estimates == []
-    elsewhere = single(force_offset={"force": 9.0}, load_cell_bias={"force": 4.0, **on_rod})
-    assert not result(elsewhere, answer("explained", "spring_rest", "force_offset")).exact
-    shifted = single(valve_deadband={"half_width": 3e-4}, valve_offset={"current": 1e-4})
-    assert result(shifted, answer("explained", "valve_deadband")).exact
-    assert not result(shifted, answer("explained", "valve_offset")).exact
+@pytest.mark.parametrize(("truth", "claims", "exact"), [
+    ({}, (), True),
+    ({}, ("valve_gain",), False),
+    (LEAK, ("leakage_internal",), True),
+    (LEAK, ("leakage_internal", "valve_gain"), False),
+    (LEAK, (), False),
+    ({**LEAK, "moving_mass": {"mass": 0.5}}, ("leakage_internal",), False),
+    (LUGRE, ("friction_coulomb", "friction_presliding"), True),
+    (COULOMB, ("friction_coulomb", "friction_presliding"), False),
+    (OFFSETS, ("spring_rest", "force_offset"), True),
+    (OFFSETS, ("spring_rest", "load_cell_bias load_force"), True),
+    (OFFSETS, ("spring_rest", "load_cell_bias hydraulic_force"), False),
+    (OFFSETS, ("spring_rest",), False),
+    (ELSEWHERE, ("spring_rest", "force_offset"), False),
+    (NULL, ("valve_deadband",), True),
+    (NULL, ("valve_offset",), False),
+])  # fmt: skip
+def test_naming_counts_if_nothing_else_is_claimed_and_names_of_the_same_bench_are_all_right(
+    truth: dict[str, Any], claims: tuple[str, ...], exact: bool
+) -> None:
+    found = result(truth, answer("explained" if claims else "no_mismatch", *claims))
+    assert found.exact is found.passed is exact
 
 
-def test_clean_bench_passes_only_without_any_claim_or_doubt() -> None:
-    clean = single()
-    assert result(clean, answer("no_mismatch")).passed
-    assert not result(clean, answer("unknown")).passed
-    assert not result(clean, answer("explained", "valve_gain")).passed
-
-
-def test_refusal_is_a_failure_of_every_kind() -> None:
-    refused = {"report": None, "refused": "no motion", "wall": 1.0, "cpu": 1.0, "engine": "x"}
+def test_other_claims_doubt_about_a_clean_bench_and_refusals_are_failures() -> None:
+    assert result(LEAK, answer("explained", "leakage_internal", "valve_gain")).spurious == ["valve_gain"]
+    assert not result({}, answer("unknown")).passed
     for kind in PARTS:
         case = Case(name="case-000", kind=kind, label="x", effects={} if kind == "clean" else {"valve_gain": {}})
-        assert not result(case, refused).passed
-        assert failures([result(case, refused)])[0]["why"] == "no motion"
+        refused = Result(case=case, answer=REFUSED)
+        assert not refused.passed and failures([refused])[0]["why"] == "no motion"
 
 
-def test_outside_cause_must_be_called_unknown_in_its_own_equation() -> None:
+@pytest.mark.parametrize(("said", "passed"), [
+    (answer("unknown", places={"motion": 0.95, "load": 0.05}), True),
+    (answer("unknown", places={"motion": 0.8, "load": 0.2}), False),
+    (answer("partly_explained", "friction_coulomb", places={"motion": 1.0}), False),
+    (answer("unknown"), False),
+])  # fmt: skip
+def test_outside_cause_must_be_called_unknown_in_its_own_equation(said: dict[str, Any], passed: bool) -> None:
     rib = Case(name="case-000", kind="outside", label="friction_rib", outside={"friction_rib": {"force": 5.0}})
-    assert result(rib, answer("unknown", places={"motion": 0.95, "load": 0.05})).passed
-    assert not result(rib, answer("unknown", places={"motion": 0.8, "load": 0.2})).passed
-    assert not result(rib, answer("partly_explained", "friction_coulomb", places={"motion": 1.0})).passed
-    assert not result(rib, answer("unknown")).passed
+    assert Result(case=rib, answer=said).passed is passed
 
 
 def test_estimates_are_scored_against_the_truth() -> None:
-    leak = single(leakage_internal={"coefficient": 1e-13})
-    near = {"coefficient": {"value": 1.01e-13, "ci95": [0.99e-13, 1.03e-13], "unit": ""}}
-    far = {"coefficient": {"value": 1.2e-13, "ci95": [1.1e-13, 1.3e-13], "unit": ""}}
-    flat = {"coefficient": {"value": 1.2e-13, "ci95": None, "unit": ""}}
-    (one,) = result(leak, answer("explained", "leakage_internal", **near)).estimates
-    assert one.error == pytest.approx(0.01)
-    assert one.inside
-    assert not result(leak, answer("explained", "leakage_internal", **far)).estimates[0].inside
-    assert result(leak, answer("explained", "leakage_internal", **flat)).estimates == []
+    def estimates(value: float, ci95: list[float] | None) -> list[Any]:
+        coefficient = {"value": value, "ci95": ci95, "unit": ""}
+        return result(LEAK, answer("explained", "leakage_internal", coefficient=coefficient)).estimates
+
+    (near,), (far,) = estimates(1.01e-13, [0.99e-13, 1.03e-13]), estimates(1.2e-13, [1.1e-13, 1.3e-13])
+    assert near.error == pytest.approx(0.01) and near.inside and not far.inside
+    assert estimates(1.2e-13, None) == []
+    force = {"value": 9.0, "ci95": [8.0, 10.0], "unit": ""}
+    assert result(OFFSETS, answer("explained", "spring_rest", "force_offset", force=force)).estimates == []
 
 
-def test_held_out_error_that_diverges_is_not_forgotten() -> None:
-    said = answer("explained", "valve_gain", places={"actuation": 1.0})
-    case = single(valve_gain={"ratio": 1.1})
-    assert result(case, said).held_out == pytest.approx(1.5)
-    said["report"]["fit"]["holdout"]["load_force"]["rmse_after"] = None
-    rows = {row["standard"]: row for row in standards([result(case, said)] * 3).rows}
-    assert rows["held-out error over noise floor, 95th percentile"]["reached"] == "inf"
-    assert rows["held-out error over noise floor, 95th percentile"]["met"] == "no"
-
-
-def test_forecast_is_scored_against_what_was_recorded() -> None:
-    said = answer("explained", "valve_gain", places={"actuation": 1.0})
-    forecast = {"rmse_recorded": 8.0, "rmse_corrected": 7.6, "rmse_bench_file": None}
-    said["report"]["forecast"] = [forecast]
-    one = result(single(valve_gain={"ratio": 1.1}), said)
+def test_errors_that_diverge_are_not_forgotten() -> None:
+    one = result(GAIN, answer("explained", "valve_gain", places={"actuation": 1.0}))
+    assert one.held_out == pytest.approx(1.5)
+    report = one.answer["report"]
+    report["fit"]["holdout"]["load_force"]["rmse_after"] = None
+    report["forecast"] = [{"rmse_recorded": 8.0, "rmse_corrected": 7.6, "rmse_bench_file": None}]
     assert one.forecast_errors == pytest.approx((0.05, float("inf")))
-    rows = {row["standard"]: row for row in standards([one]).rows}
+    rows = {row["standard"]: row for row in standards([one] * 3).rows}
+    held_out = rows["held-out error over noise floor, 95th percentile"]
+    assert (held_out["reached"], held_out["met"]) == ("inf", "no")
     assert rows["forecast of the RMSE in closed loop, error, median"]["reached"] == "5.0% (bench file: inf%)"
 
 
 @pytest.mark.study
 def test_proof_opens_its_own_seal_and_answers_of_another_version_are_made_again(tmp_path: Path) -> None:
-    words = ["--cases", "2", "--seed", str(SEED), "--jobs", "2", "--out", str(tmp_path / "proof")]
-    run(words)
     folder = tmp_path / "proof"
+    words = ["--cases", "2", "--seed", str(SEED), "--jobs", "2", "--out", str(folder)]
+    prove.run(words)
     for case in draw(2, SEED):
         for name in (*FITTED, HELD):
             bag = read_bag(folder / "blind" / case.name / name)
-            assert set(bag.attachments) == {"bench.yaml"}
+            assert set(bag.attachments) == {"bench.yaml"} and len(bag.state) == 20_000
             assert yaml.safe_load(bag.attachments["bench.yaml"]) == Bench.nominal().to_mapping()
-            assert len(bag.state) == 20_000
     content = json.loads((folder / "proof.json").read_text())
     assert content["about"]["SHA-256"] == (folder / "sealed" / prove.DIGEST).read_text().split()[0]
-    assert len(content["cases"]) == 2
-    assert {case["case"]: case["passed"] for case in content["cases"]} == {"case-000": True, "case-001": True}
+    assert [(case["case"], case["passed"]) for case in content["cases"]] == [("case-000", True), ("case-001", True)]
     assert "data:image/png" in (folder / "proof.html").read_text()
     answers = [folder / "blind" / f"case-00{number}" / "answer.json" for number in range(2)]
     answers[0].write_text(json.dumps(json.loads(answers[0].read_text()) | {"engine": "another"}))
     written = [path.stat().st_mtime_ns for path in answers]
-    run(words)
+    prove.run(words)
     assert [path.stat().st_mtime_ns == before for path, before in zip(answers, written, strict=True)] == [False, True]

@@ -21,6 +21,22 @@ DATA = Path(os.environ.get("HYDRO_REAL_RECORDINGS", Path(__file__).parents[3] / 
 VERDICTS = {"no_mismatch", "explained", "modelled", "partly_explained", "unknown", "refused"}
 
 
+@pytest.mark.parametrize("name", real.RIGS)
+def test_a_rig_says_where_it_is_from_and_what_is_right(name: str) -> None:
+    rig = yaml.safe_load(real.RIGS[name].read_text())
+    assert rig["licence"] and rig["fitted"] and rig["answer"]["how"]
+    assert rig["repository"] is None or len(rig["commit"]) == 40
+    files = [*rig["fitted"].items(), *rig["held_out"].items()]
+    assert len({Path(path).name for path, _ in files}) == len(files)
+    assert all(len(digest) == 64 for _, digest in files)
+    answer, numbers = rig["answer"], rig["answer"].get("numbers", {})
+    known = {(one.id, parameter.name) for one in LIBRARY for parameter in one.parameters}
+    assert {*answer["possible"], *real.known_ids(answer)} <= {id for id, _ in known}
+    assert {(id, key) for id, one in numbers.items() for key in one} <= known and set(answer["verdict"]) <= VERDICTS
+    values = [*answer.get("curve", ()), *(pair for one in numbers.values() for pair in one.values())]
+    assert all(np.isfinite(row).all() for row in values)
+
+
 def effect(name: str, **values: float) -> EffectReport:
     parameters = {
         key: ParameterEstimate(value=value, ci95=[0.95 * value, 1.05 * value], unit="") for key, value in values.items()
@@ -29,48 +45,30 @@ def effect(name: str, **values: float) -> EffectReport:
                         rivals=[], look_alikes=[])  # fmt: skip
 
 
-def found(verdict: str, *effects: EffectReport) -> Diagnosis:
+RIG: dict[str, Any] = {"answer": {
+    "verdict": ["explained"], "named": ["friction_coulomb", "friction_viscous"], "possible": ["friction_stribeck"],
+    "numbers": {"friction_coulomb": {"force_positive": [20.0, 1.0]}},
+    "curve": [[0.1, 30.0, 1.0], [-0.1, -40.0, 1.0]],
+}}  # fmt: skip
+
+
+def scored(verdict: str, *effects: EffectReport) -> real.Score:
     fit = {"holdout": {}, "equations": {"motion": {"rmse_before": 50.0, "rmse_after": 5.0}}}
     report = SimpleNamespace(verdict=verdict, effects=list(effects), closures=[], fit=fit, accounted={})
-    return cast(Diagnosis, SimpleNamespace(report=report))
-
-
-@pytest.mark.parametrize("name", real.RIGS)
-def test_a_rig_says_where_it_is_from_and_what_is_right(name: str) -> None:
-    rig = yaml.safe_load(real.RIGS[name].read_text())
-    assert rig["licence"] and rig["fitted"] and rig["answer"]["how"]
-    assert rig["repository"] is None or len(rig["commit"]) == 40
-    files = [*rig["fitted"], *rig["held_out"]]
-    assert len({Path(path).name for path in files}) == len(files)
-    assert all(len(digest) == 64 for digest in (*rig["fitted"].values(), *rig["held_out"].values()))
-    answer, numbers = rig["answer"], rig["answer"].get("numbers", {})
-    known = {(one.id, parameter.name) for one in LIBRARY for parameter in one.parameters}
-    either = [one for some in answer.get("any_of", ()) for one in some]
-    assert {*answer["named"], *answer["possible"], *numbers, *either} <= {id for id, _ in known}
-    assert {(id, key) for id, one in numbers.items() for key in one} <= known
-    assert np.isfinite([value for one in numbers.values() for pair in one.values() for value in pair]).all()
-    assert np.isfinite(np.ravel(answer.get("curve", [0.0]))).all() and set(answer["verdict"]) <= VERDICTS
+    return real.scored("rig", RIG, cast(Diagnosis, SimpleNamespace(report=report)))
 
 
 def test_claims_are_held_against_the_answer() -> None:
-    rig: dict[str, Any] = {"answer": {
-        "verdict": ["explained"], "named": ["friction_coulomb", "friction_viscous"], "possible": ["friction_stribeck"],
-        "numbers": {"friction_coulomb": {"force_positive": [20.0, 1.0]}},
-        "curve": [[0.1, 30.0, 1.0], [-0.1, -40.0, 1.0]],
-    }}  # fmt: skip
     right = effect("friction_coulomb", force_positive=21.5, force_negative=30.0)
     more = effect("friction_stribeck", breakaway_force=8.5, velocity=1e3)
-    score = real.scored("rig", rig, found("unknown", right, more, effect("end_cushion", stiffness=1e4)))
-    assert (score.agree, score.open, score.missed) == (
-        ["friction_coulomb"],
-        ["friction_stribeck"],
-        ["friction_viscous"],
-    )
+    score = scored("unknown", right, more, effect("end_cushion", stiffness=1e4))
+    assert (score.agree, score.open) == (["friction_coulomb"], ["friction_stribeck"])
+    assert score.missed == ["friction_viscous"]
     assert [one.split(":")[0] for one in score.contradict] == ["end_cushion"]
     assert not score.allowed and score.curve == [] and score.left == {"motion": 10.0}
-    score = real.scored("rig", rig, found("explained", right, more))
+    score = scored("explained", right, more)
     assert score.allowed and [one[-1] for one in score.curve] == [True, False]
-    wrong = real.scored("rig", rig, found("explained", effect("friction_coulomb", force_positive=25.0)))
+    wrong = scored("explained", effect("friction_coulomb", force_positive=25.0))
     assert wrong.agree == [] and "answer 20" in wrong.contradict[0]
 
 

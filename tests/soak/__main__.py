@@ -21,7 +21,7 @@ from pathlib import Path
 from random import Random
 
 from hydro_bridge.ros.node import restrict_to_localhost
-from hydro_core.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
+from hydro_core.cli.console import Table, add_json_argument, bounded_number, command, progress, writable_folder
 from hydro_core.process.endings import Terminated
 from tests.soak.faults import FAULTS
 from tests.soak.judge import Outcome
@@ -45,10 +45,8 @@ def rows(outcomes: list[Outcome]) -> Table:
             safe = [1e3 * outcome.safe_after for outcome in own if outcome.safe_after is not None]
             back = [outcome.back_after for outcome in own if outcome.back_after is not None]
             table.add(
-                cause=fault.cause, times=len(own), safe_ms=f"{max(safe):.0f}" if safe else "",
-                force_N=f"{max(outcome.force for outcome in own):.0f}",
-                current_mA=f"{1e3 * max(outcome.current for outcome in own):.1f}",
-                back_s=f"{max(back):.0f}" if back else "",
+                cause=fault.cause, times=len(own), safe_ms=max(safe, default=None), back_s=max(back, default=None),
+                force_N=max(outcome.force for outcome in own), current_mA=1e3 * max(outcome.current for outcome in own),
             )  # fmt: skip
     return table
 
@@ -56,18 +54,15 @@ def rows(outcomes: list[Outcome]) -> Table:
 def run(asked: argparse.Namespace, folder: Path) -> int:
     """Soak, and print what came of it."""
     ended = None
-    with soaking(folder, asked.seed) as soak:
-        seconds = 3600.0 * asked.hours
-        chosen = [fault for fault in FAULTS if not asked.causes or fault.cause in asked.causes]
-        chosen = [replace(fault, lasts=asked.lasts or fault.lasts) for fault in chosen]
-        random = Random(asked.seed)
-        turns = (random.sample(chosen, len(chosen)) for _ in count())
-        with progress(total=round(seconds), label="soak", unit="s") as bar:
-            try:
-                faults = chosen if asked.causes else chain.from_iterable(turns)
-                soak.run(faults, seconds, lambda now: bar.update(int(now) - bar.n))
-            except Terminated as ending:
-                ended = ending
+    chosen = [fault for fault in FAULTS if not asked.causes or fault.cause in asked.causes]
+    chosen = [replace(fault, lasts=asked.lasts or fault.lasts) for fault in chosen]
+    random, seconds = Random(asked.seed), 3600.0 * asked.hours
+    turns = chain.from_iterable(random.sample(chosen, len(chosen)) for _ in count())
+    with soaking(folder, asked.seed) as soak, progress(total=round(seconds), label="soak", unit="s") as bar:
+        try:
+            soak.run(chosen if asked.causes else turns, seconds, lambda now: bar.update(int(now) - bar.n))
+        except Terminated as ending:
+            ended = ending
     rows(soak.outcomes).show(asked.json)
     found = soak.violations()
     print(f"\n{len(soak.records)} samples; {soak.carried}", *(found or ["all held"]), sep="\n")
@@ -81,19 +76,15 @@ def run(asked: argparse.Namespace, folder: Path) -> int:
 @command()
 def main() -> int:
     """Entry point."""
+    causes = [fault.cause for fault in FAULTS]
     parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
     parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
-    parser.add_argument("--hours", type=float, default=1.0, help="default: %(default)s")
-    parser.add_argument("--causes", nargs="+", default=[], metavar="CAUSE", help="only these faults, each once")
+    parser.add_argument("--hours", type=bounded_number(1e-3), default=1.0, help="default: %(default)s")
+    parser.add_argument("--causes", nargs="+", choices=causes, metavar="CAUSE", help="only these faults, each once")
     parser.add_argument("--lasts", type=float, help="s that each lasts, in place of its own time")
     parser.add_argument("--keep", type=writable_folder, metavar="DIR", help="keep all files, the log among them, here")
     add_json_argument(parser)
     asked = parser.parse_args()
-    known = [fault.cause for fault in FAULTS]
-    if unknown := [cause for cause in asked.causes if cause not in known]:
-        raise UserError(f"{unknown[0]!r} is not a fault of the soak: {', '.join(known)}")
-    if not asked.hours > 0.0:
-        raise UserError(f"--hours {asked.hours:g}: must be more than 0")
     restrict_to_localhost()
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # by nohup: all that is started would ignore it, too
         signal.signal(signal.SIGHUP, lambda *_: None)

@@ -12,8 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 from hydro_bridge.ros.companion import Companion
-from tests.graph_probe import SHORT, _children, _command_line
+from tests.graph_probe import SHORT, children
 
 _MARK = "HYDRO_SOAK"
 LEARNER = "learner"
@@ -23,7 +25,6 @@ PACKAGES = {
 }  # fmt: skip
 """In the order in which they are started."""
 _SETTLED = 60.0  # s after a start from which memory counts: on a loaded machine a learner imports for half a minute
-
 _PATIENCE = 60.0  # s for a command on a loaded machine
 
 
@@ -78,11 +79,8 @@ class Crew:
         companion = self._companions.get("trainer" if name == LEARNER else name)
         if companion is None or not companion.running:
             return 0
-        if name != LEARNER:
-            return companion.process.pid
-        with suppress(FileNotFoundError, ProcessLookupError):
-            return next((pid for pid in _children(companion.process.pid) if "spawn_main" in _command_line(pid)), 0)
-        return 0
+        found = [companion.process.pid]
+        return next(iter(children(found[0], "spawn_main") if name == LEARNER else found), 0)
 
     def signal(self, name: str, number: int) -> None:
         """Send a signal; to one that is not there none."""
@@ -102,11 +100,9 @@ class Crew:
         for name in (*PACKAGES, LEARNER):
             if pid := self.pid(name):
                 known = self.memory.setdefault(f"{name} {pid}", Memory(now))
-                with suppress(OSError, StopIteration):  # it ends just now
+                with suppress(psutil.NoSuchProcess):  # it ends just now
                     if now - known.since > _SETTLED:
-                        status = Path(f"/proc/{pid}/status").read_text().splitlines()
-                        resident = next(line for line in status if line.startswith("VmRSS"))
-                        known.last = float(resident.split()[1]) / 1024.0
+                        known.last = psutil.Process(pid).memory_info().rss / 2**20
                         known.first = known.first or known.last
                         known.seconds = now - known.since - _SETTLED
 
@@ -116,12 +112,9 @@ class Crew:
             self.signal(name, signal.SIGCONT)
             companion.stop(60.0 if name == "trainer" else 10.0)
         time.sleep(0.5)
-        left = []
-        for path in Path("/proc").glob("[0-9]*/environ"):
-            with suppress(OSError):
-                if self.mark.encode() in path.read_bytes() and (pid := int(path.parent.name)) != os.getpid():
-                    left.append(f"{pid} {_command_line(pid)}")
-        return left
+        others = [one for one in psutil.process_iter(["environ", "cmdline"]) if one.pid != os.getpid()]
+        left = [one for one in others if (one.info["environ"] or {}).get(_MARK) == self.mark]
+        return [f"{one.pid} {one.info['cmdline']}" for one in left]
 
     @property
     def text(self) -> str:

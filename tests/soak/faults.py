@@ -30,6 +30,8 @@ _ENDED = 2.0
 """s: a node looks for signals five times a second, then disarms."""
 _FOUND = 3.5
 """s from which a stranger of the graph must have been found."""
+_PERIOD = 0.005
+"""s, of what a stranger does."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +40,7 @@ class Fault:
 
     cause: str
     strike: Callable[[Any], AbstractContextManager[Callable[[], None]]]
-    """Begins it, given the soak (`crew`, `wire`); what is to be done again and again; its end takes it back."""
+    """Begins it, given the soak (`crew`, `orders`); what is to be done again and again; its end takes it back."""
     lasts: float = 2.0
     """s until it is taken back."""
     safe_within: float | None = None
@@ -47,38 +49,37 @@ class Fault:
     """Whether it must not disarm the plant."""
 
 
-def _nothing() -> None:
-    time.sleep(0.01)
+Strike = Iterator[Callable[[], None]]
+_WAIT = partial(time.sleep, 0.01)
 
 
 @contextmanager
-def _order(orders: tuple[str, ...], soak: Any) -> Iterator[Callable[[], None]]:
+def _order(orders: tuple[str, ...], soak: Any) -> Strike:
     for order in orders:
-        soak.wire.order(order)
-    yield _nothing
-    soak.wire.order("hostile 0")
+        soak.orders.send(order)
+    yield _WAIT
+    soak.orders.send("hostile 0")
 
 
 @contextmanager
-def _signal(name: str, number: int, soak: Any) -> Iterator[Callable[[], None]]:
+def _signal(name: str, number: int, soak: Any) -> Strike:
     soak.crew.signal(name, number)
     try:
-        yield _nothing
+        yield _WAIT
     finally:
         if number == signal.SIGSTOP:
             soak.crew.signal(name, signal.SIGCONT)
 
 
 @contextmanager
-def _full_disk(names: tuple[str, ...], soak: Any) -> Iterator[Callable[[], None]]:
+def _full_disk(names: tuple[str, ...], soak: Any) -> Strike:
     """No file grows any more: a quota of the kernel's, for these processes alone (EFBIG instead of ENOSPC)."""
-    before = {}
-    for name in names:
-        if pid := soak.crew.pid(name):
-            before[pid] = resource.prlimit(pid, resource.RLIMIT_FSIZE)
-            resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, before[pid][1]))
+    pids = [pid for name in names if (pid := soak.crew.pid(name))]
+    before = {pid: resource.prlimit(pid, resource.RLIMIT_FSIZE) for pid in pids}
+    for pid, (_, hard) in before.items():
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, hard))
     try:
-        yield _nothing
+        yield _WAIT
     finally:
         for pid, limits in before.items():
             with suppress(ProcessLookupError):
@@ -86,20 +87,17 @@ def _full_disk(names: tuple[str, ...], soak: Any) -> Iterator[Callable[[], None]
 
 
 @contextmanager
-def _busy(soak: Any) -> Iterator[Callable[[], None]]:
+def _busy(soak: Any) -> Strike:
     """Each core gets a process that computes without end."""
     with ExitStack() as stack:
         for _ in range(os.cpu_count() or 1):
             process = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
             stack.callback(process.kill)
-        yield _nothing
-
-
-_PERIOD = 0.005  # s
+        yield _WAIT
 
 
 @contextmanager
-def _stranger(name: str, soak: Any) -> Iterator[Callable[[], None]]:
+def _stranger(name: str, soak: Any) -> Strike:
     """One of `ATTACKS`, once more each time; a person arms again what was disarmed by hand."""
     with stranger() as node:
         executor = SingleThreadedExecutor(context=node.context)

@@ -16,26 +16,39 @@ from tests.soak.wire import TYPE
 
 _LASTING = 300  # samples at base gains that a policy does not choose: thirty steps
 BASE_KP = 15.0  # 1/s, of the emulated box
+K_P = (BASE_KP, 90.0)
+"""1/s, of the policy."""
+CURRENT_MAX = 0.05
+"""A, the rated current of the shipped bench's valve."""
+UNHEARD_MAX = 203
+"""Samples: the box's watchdog of 200 ms, its period, and a command that comes between two samples."""
+GROWTH = {"trainer": 40.0, "learner": 40.0}
+"""MiB that a process may grow: these fill a replay buffer."""
+_GROWTH = 12.0  # MiB, of all others
+Records = NDArray[np.void]
 
 
-def read(path: Path) -> NDArray[np.void]:
+def read(path: Path) -> Records:
     """All records that the wire has written so far, in place: an hour of them is no copy."""
     whole = path.stat().st_size // TYPE.itemsize
     return np.memmap(path, TYPE, "r", shape=(whole,)) if whole else np.zeros(0, TYPE)
 
 
-def armed(records: NDArray[np.void]) -> NDArray[np.void]:
-    """Which of them are armed."""
+def armed(records: Records) -> NDArray[np.bool_]:
     return (records["flags"] & Flag.ARMED) != 0
 
 
-def acting(records: NDArray[np.void]) -> bool:
+def largest(values: NDArray[np.float32]) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def acting(records: Records) -> bool:
     """Whether the plant is armed in all of them, and somebody chooses its gains."""
     chosen = np.abs(records["kp"] - BASE_KP) > 1e-3
     return len(records) > 0 and bool(armed(records).all() and chosen.any())
 
 
-def safe(records: NDArray[np.void]) -> NDArray[np.bool_]:
+def safe(records: Records) -> NDArray[np.bool_]:
     """Which of them are disarmed with no current, or at base gains that no policy has chosen.
 
     A policy may choose the box's base gains, for some steps. They count where box or guard flags them, or where they
@@ -50,7 +63,7 @@ def safe(records: NDArray[np.void]) -> NDArray[np.bool_]:
     return still | (base & ((records["flags"] & (Flag.WATCHDOG | Flag.FILTER_STALE)) != 0)) | lasting
 
 
-def longest_unheard(records: NDArray[np.void]) -> int:
+def longest_unheard(records: Records) -> int:
     """Samples [ms of the box's clock] after the last command taken at which the valve still had a current.
 
     It is the box's own time, so that a machine that stands still for a moment makes it no longer. Its numbers start
@@ -63,17 +76,6 @@ def longest_unheard(records: NDArray[np.void]) -> int:
         since = np.where(taken > 0, life["sequence"].astype(np.int64) - taken, 0)
         longest = max(longest, int(since[life["current"] != 0.0].max(initial=0)))
     return longest
-
-
-K_P = (BASE_KP, 90.0)
-"""1/s, of the policy."""
-CURRENT_MAX = 0.05
-"""A, the rated current of the shipped bench's valve."""
-UNHEARD_MAX = 203
-"""Samples: the box's watchdog of 200 ms, its period, and a command that comes between two samples."""
-GROWTH = {"trainer": 40.0, "learner": 40.0}
-"""MiB that a process may grow: these fill a replay buffer."""
-_GROWTH = 12.0  # MiB, of all others
 
 
 @dataclass
@@ -97,15 +99,13 @@ class Outcome:
     back_after: float | None = None
     """s from its beginning until a policy acted again; None: it did not."""
 
-    def look(self, records: NDArray[np.void]) -> None:
+    def look(self, records: Records) -> None:
         """Judge the box's samples from the fault's beginning until it is over."""
-        good = np.flatnonzero(safe(records))
-        until = records
+        good, until = np.flatnonzero(safe(records)), records
         if len(good):
             until, self.safe_after = records[: good[0] + 1], max(float(records["time"][good[0]]) - self.began, 0.0)
         self.disarmed = int((~armed(records)).sum())
-        self.force = float(np.abs(until["force"]).max(initial=0.0))
-        self.current = float(np.abs(until["current"]).max(initial=0.0))
+        self.force, self.current = largest(until["force"]), largest(until["current"])
 
     def violations(self, slack: float = 1.0) -> list[str]:
         """What was unsafe; `slack` times later is still in time."""
@@ -119,18 +119,18 @@ class Outcome:
         return [f"{self.cause}: safe after {self.safe_after:.2f} s, not {self.safe_within} s"] if late else []
 
 
-def invariants(records: NDArray[np.void]) -> list[str]:
+def invariants(records: Records) -> list[str]:
     """What must hold in every sample of the box, and does not."""
-    found = []
-    if (largest := float(np.abs(records["current"]).max(initial=0.0))) > CURRENT_MAX + 1e-6:
-        found.append(f"a valve current of {largest:.4f} A")
-    if count := int(((records["current"] != 0.0) & ~armed(records)).sum()):
-        found.append(f"{count} disarmed samples with a valve current")
-    if count := int((np.abs(records["kp"] - np.clip(records["kp"], *K_P)) > 1e-3).sum()):
-        found.append(f"{count} samples with a K_p that nobody asks for")
-    if (late := longest_unheard(records)) > UNHEARD_MAX:
-        found.append(f"valve current {late} samples after the last command")
-    return found
+    unarmed = int(((records["current"] != 0.0) & ~armed(records)).sum())
+    strange = int((np.abs(records["kp"] - np.clip(records["kp"], *K_P)) > 1e-3).sum())
+    current, late = largest(records["current"]), longest_unheard(records)
+    found = {
+        f"a valve current of {current:.4f} A": current > CURRENT_MAX + 1e-6,
+        f"{unarmed} disarmed samples with a valve current": unarmed > 0,
+        f"{strange} samples with a K_p that nobody asks for": strange > 0,
+        f"valve current {late} samples after the last command": late > UNHEARD_MAX,
+    }
+    return [sentence for sentence, broken in found.items() if broken]
 
 
 def growth(memory: Mapping[str, Memory], least: float = 60.0) -> list[str]:

@@ -11,14 +11,13 @@ from pathlib import Path
 from random import Random
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hydro_core.process.endings import signals_ignored
 from tests.domains import own_domain
+from tests.soak import wire
 from tests.soak.crew import Crew
 from tests.soak.faults import Fault
-from tests.soak.judge import Outcome, acting, growth, invariants, read
-from tests.soak.wire import Wire
+from tests.soak.judge import Outcome, Records, acting, growth, invariants, read
 
 _PATIENCE = 240.0  # s until a policy acts again: imports, a lease of 20 s of who was killed, a compiler
 _CALM = 0.5  # s of samples that must all be armed
@@ -33,14 +32,14 @@ class Soak:
         self.broken: list[str] = []
         """What was unsafe, but for what is found in the trace and in memory at the end."""
         self._random, self._slack = Random(seed), slack
-        self.wire = Wire(stack, folder, seed)
+        self.orders, self._trace = wire.start(stack, folder, seed), folder / "trace"
         self.crew = Crew(folder, seed)  # after the wire, which stays until all has ended
         self._acting = False
 
     @property
-    def records(self) -> NDArray[np.void]:
+    def records(self) -> Records:
         """All samples of the box."""
-        return read(self.wire.trace)
+        return read(self._trace)
 
     def run(
         self, faults: Iterable[Fault], seconds: float = math.inf, tick: Callable[[float], None] = lambda _: None
@@ -62,26 +61,27 @@ class Soak:
         outcome = Outcome(fault.cause, time.monotonic(), fault.safe_within, fault.stays_armed)
         self.outcomes.append(outcome)
         end = outcome.began + fault.lasts
+        late = outcome.began + self._slack * (fault.safe_within or 0.0)
         with fault.strike(self) as again:
             while time.monotonic() < end:
                 again()
                 self._look()
-            late = outcome.began + self._slack * (fault.safe_within or 0.0)
             while time.monotonic() < late and outcome.safe_after is None:
                 again()
                 self._rest(_CALM)
                 outcome.look(self._since(outcome.began))
         self._rest(_CALM)
         outcome.look(self._since(outcome.began))
-        back = self._wait_until_acting()
-        outcome.back_after = time.monotonic() - outcome.began if back else None
-        if not back:
+        if self._wait_until_acting():
+            outcome.back_after = time.monotonic() - outcome.began
+        else:
             self.broken.append(f"{fault.cause}: no policy acted again within {_PATIENCE:.0f} s")
 
     def close(self) -> None:
         """End everything, then look at what is left."""
         try:
-            self.carried = self.wire.report()
+            self.orders.send("report")
+            self.carried = self.orders.recv()
         finally:  # a wire that died leaves no armed graph behind
             self.broken += [f"left behind: {process}" for process in self.crew.end()]
         if count := self.carried["forged"]:
@@ -97,13 +97,11 @@ class Soak:
 
     def _wait_until_acting(self) -> bool:
         end, self._acting = time.monotonic() + _PATIENCE, False
-        while time.monotonic() < end:
+        while time.monotonic() < end and not self._acting:
             self.crew.revive()
             self._rest(_CALM)
-            if acting(self._since(time.monotonic() - _CALM)):
-                self._acting = True
-                return True
-        return False
+            self._acting = acting(self._since(time.monotonic() - _CALM))
+        return self._acting
 
     def _rest(self, seconds: float) -> None:
         end = time.monotonic() + seconds
@@ -116,7 +114,7 @@ class Soak:
             self.crew.look()
         self._tick(time.monotonic() - self._begun)
 
-    def _since(self, moment: float) -> NDArray[np.void]:
+    def _since(self, moment: float) -> Records:
         records = self.records
         return records[np.searchsorted(records["time"], moment) :]
 

@@ -32,15 +32,14 @@ from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.realtime import request_realtime
 from tests.fuzz_link import DAMAGES
 
-TYPE = np.dtype(
-    {
-        "names": ("time", "sequence", "flags", "command", "force", "current", "kp"),
-        "formats": ("f8", "u4", "u4", "u4", "f4", "f4", "f4"),
-    }
-)
+_TRACED = ("time", "sequence", "flags", "command", "force", "current", "kp")
+TYPE = np.dtype(list(zip(_TRACED, ("f8", "u4", "u4", "u4", "f4", "f4", "f4"), strict=True)))
 """Of the trace: time [s, monotonic], sequence, flags, last command taken, load force [N], current [A], K_p [1/s]."""
+_SHOWN = [STATE_FIELDS.index(name) for name in ("load_force", "valve_current", "proportional_gain")]
 _DAMAGES = tuple(damage for damage, whole in DAMAGES.values() if not whole)
 _KEPT = 500  # frames that may be sent again: fewer than the host remembers as seen
+_HELD = 65536  # bytes for a line that nobody reads; the oldest are lost
+_TICK = 5e-4  # s
 
 
 class Direction:
@@ -83,11 +82,8 @@ class Direction:
         """Send frames again that have passed, in their order."""
         self.unwritten += b"".join(list(self._passed)[-count:])
 
-    def write(self, descriptor: int) -> None:
-        """Write what fits; a line that nobody reads loses what does not."""
-        with contextlib.suppress(BlockingIOError):
-            self.unwritten = self.unwritten[os.write(descriptor, self.unwritten) :]
-        self.unwritten = self.unwritten[-65536:]
+    def written(self, count: int) -> None:
+        self.unwritten = self.unwritten[count:][-_HELD:]
 
     def _chunk(self) -> bytes:
         chance = self._random.random()
@@ -97,50 +93,35 @@ class Direction:
         return wire if chance < 0.5 else self._random.choice(_DAMAGES)(wire, self._random)
 
 
-class Wire:
-    """The process that carries, from the side of whoever gives it orders.
+def start(stack: ExitStack, folder: Path, seed: int) -> Connection:
+    """Carry in a process of its own that ends with `stack`; returns where it takes its orders.
 
-    In `folder` it carries between the box's port `box` and `port`, where the bridge finds its own, and writes `trace`.
+    It carries between the box's port `folder`/box and `folder`/port, where the bridge finds its own, and writes
+    `folder`/trace: a record (`TYPE`) of each of the box's states. `seed`: of all that is random.
     """
-
-    def __init__(self, stack: ExitStack, folder: Path, seed: int) -> None:
-        self.trace = folder / "trace"
-        self.trace.touch()
-        own = get_context("spawn")
-        self._pipe, other = own.Pipe()
-        process = own.Process(target=carry, args=(other, folder / "box", folder / "port", self.trace, seed))
-        process.start()
-        stack.callback(process.kill)
-        self.order = self._pipe.send
-
-    def report(self) -> dict[str, Any]:
-        """What has passed."""
-        self.order("report")
-        return dict(self._pipe.recv())
-
-
-_SHOWN = [STATE_FIELDS.index(name) for name in ("load_force", "valve_current", "proportional_gain")]
-_TICK = 5e-4  # s
+    (folder / "trace").touch()
+    own = get_context("spawn")
+    orders, theirs = own.Pipe()
+    process = own.Process(target=carry, args=(theirs, folder, seed))
+    process.start()
+    stack.callback(process.kill)
+    return orders
 
 
 class Line:
-    """Both ways.
+    """Both ways."""
 
-    `box`, `bridge`: the box's port, and where the bridge finds its own. `trace`: file that gets a record (`TYPE`) of
-    each of the box's states. `seed`: of all that is random.
-    """
-
-    def __init__(self, box: Path, bridge: Path, trace: Path, seed: int) -> None:
-        self._trace = trace.open("ab", buffering=0)
+    def __init__(self, folder: Path, seed: int) -> None:
+        self._trace = (folder / "trace").open("ab", buffering=0)
         self.up, self.down = Direction(Random(seed)), Direction(Random(seed + 1))
         self.rate, self.muted_until, self._gone_until = 0.0, 0.0, 0.0
-        self._box, self._port = box, -1
-        self._terminal = Terminal(bridge)
+        self._box, self._port = folder / "box", -1
+        self._terminal = Terminal(folder / "port")
         self._terminal.unplug()
         self._commands: deque[int] = deque(maxlen=4096)
         self._disturbed, self._forged = time.monotonic(), 0
 
-    def report(self) -> dict[str, object]:
+    def report(self) -> dict[str, Any]:
         """Whole frames and hostile bytes that went `up` and `down`; `forged`: states that name a command never sent."""
         ways = {"up": self.up, "down": self.down}
         passed = {name: {"frames": way.frames, "hostile": way.hostile} for name, way in ways.items()}
@@ -159,17 +140,17 @@ class Line:
             now = time.monotonic()
             if not self._terminal.plugged and now >= self._gone_until:
                 self._terminal.plug()
-            self._carry(data, self._terminal.read() if self._terminal.plugged else b"", now)
-            self.down.write(self._port)
+            self._carry(data, self._terminal.read(), now)
+            with contextlib.suppress(BlockingIOError):
+                self.down.written(os.write(self._port, self.down.unwritten))
+            self.down.written(0)
         except OSError:  # the box has gone: so has the adapter
             os.close(self._port)
             self._port = -1
             self._terminal.unplug()
             return
-        if self._terminal.opened:
-            self.up.unwritten = self.up.unwritten[self._terminal.write(self.up.unwritten) :][-65536:]
-        else:
-            self.up.unwritten = b""
+        unread = len(self.up.unwritten)
+        self.up.written(self._terminal.write(self.up.unwritten) if self._terminal.opened else unread)
 
     def unplug(self, seconds: float) -> None:
         """Take the bridge's port away for so long; the box goes on."""
@@ -213,10 +194,10 @@ def _frame(piece: bytes) -> object:
         return None
 
 
-def carry(pipe: Connection, box: Path, bridge: Path, trace: Path, seed: int) -> None:
+def carry(pipe: Connection, folder: Path, seed: int) -> None:
     """Carry until it is killed; a Ctrl-C of the terminal is none to this process."""
     os.setsid()
-    line = Line(box, bridge, trace, seed)
+    line = Line(folder, seed)
     request_realtime()
     while True:
         line.step()

@@ -238,7 +238,7 @@ class Search:
         return outcome
 
     def _further(self, outcome: SearchOutcome) -> list[Fit]:
-        """Return candidates for a further claim; none if the search must end, for the reason in `SearchOutcome.cut_short`."""
+        """Return candidates for a further claim; none if the search must end (`SearchOutcome.cut_short` says why)."""
         if self._exhausted:
             effort = f"its effort of {self.settings.effort} evaluations"
             spent = self.problem.budget.exceeds(SEARCH)
