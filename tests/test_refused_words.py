@@ -97,6 +97,7 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--runs @new --plant sim --base-gains 30 8", "was made for a box with base K_p 15, this one has 30"),
         ("--runs @new --plant sim --filter=--metric=@own_metric.safetensors", "the metric own_metric.safetensors"),
         ("--runs @new --plant bench --filter=--model=@other_model.yaml", "was made for model"),
+        ("--runs @new --plant sim --filter none", "a policy trains behind the filter"),
     ),
     "hydro_sim collect": (("--out @new", "collect is now `ros2 run hydro_policy collect`"),),
     "hydro_sim emulator": (

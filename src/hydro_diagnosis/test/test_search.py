@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydro_core.signals import Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
@@ -70,6 +71,18 @@ def test_a_hard_dead_band_is_no_soft_one_and_a_lag_of_second_order_no_dead_time(
     """A soft dead band comes first, as it takes the form of band and gain; neither leak nor gain is left beside it."""
     found = {one.effect.label: tuple(one.values.values()) for one in search(problem_with(causes)).fit.claims}
     assert found == {label: pytest.approx(sizes, rel=tolerance, abs=0.0) for label, sizes in causes.items()}
+
+
+@pytest.mark.parametrize("half_width", [4e-4, 1.5e-3])
+def test_one_slow_sine_tells_overlap_lag_and_leak_apart(half_width: float) -> None:
+    """A lopsided overlap and another leak leave so little that the lag seemed to mend their form."""
+    sizes = {"valve_deadband": (half_width,), "valve_lag": (110.0, 1.2), "leakage_internal": (1e-13,),
+             "friction_coulomb": (12.0,)}  # fmt: skip
+    bench = corrected_bench(NOMINAL, [claim(label, *given) for label, given in sizes.items()])
+    outcome = search(problem_in(record(bench, 3, 6.0, Waveform.SINE, 200.0, frequency=0.5)))
+    found = {one.effect.label: [*one.values.values()] for one in outcome.fit.claims}
+    assert found.keys() == sizes.keys() and not outcome.problem.noticeable(outcome.fit.residual)
+    assert found["valve_deadband"] + found["leakage_internal"] == pytest.approx([half_width, 1e-13], rel=1e-3, abs=0.0)
 
 
 @pytest.mark.study
