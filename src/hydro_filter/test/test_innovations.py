@@ -24,12 +24,12 @@ RETURN = 3000
 CHANGE = 1500
 """Sample of the change; the reference has faded in long before."""
 CHANGES: tuple[tuple[dict[str, Any], set[str]], ...] = (
-    ({"bench": {"spring_stiffness": 10e3}}, {"load", "motion"}),
-    ({"bench": {"spring_stiffness": 28e3}}, {"load", "motion"}),
-    ({"bench": {"spring_stiffness": 50e3}}, {"load", "motion"}),
-    ({"bench": {"supply_pressure": 10e6}}, {"chamber a", "chamber b"}),
-    ({"effects": {"valve_gain": {"ratio": 0.75}}}, {"chamber a", "chamber b"}),
-    ({"bench": {"piston_area": 2.6e-4}}, {"chamber a", "chamber b", "hydraulic force"}),
+    ({"bench": {"spring_stiffness": 10e3}}, ("load", "motion")),
+    ({"bench": {"spring_stiffness": 28e3}}, ("load", "motion")),
+    ({"bench": {"spring_stiffness": 50e3}}, ("load", "motion")),
+    ({"bench": {"supply_pressure": 10e6}}, ("chamber a", "chamber b")),
+    ({"effects": {"valve_gain": {"ratio": 0.75}}}, ("chamber a", "chamber b")),
+    ({"bench": {"piston_area": 2.6e-4}}, ("chamber a", "chamber b", "hydraulic force")),
 )
 
 
@@ -56,7 +56,7 @@ def becoming(*changes: Mapping[str, Any], at: tuple[int, ...] = (CHANGE,)) -> Ch
 
 @pytest.mark.parametrize(("change", "names"), CHANGES, ids=str)
 def test_a_bench_that_changes_is_told_within_a_second_and_corrected_no_more(
-    contraction_filter: LoopFilter, change: dict[str, Any], names: set[str]
+    contraction_filter: LoopFilter, change: dict[str, Any], names: tuple[str, ...]
 ) -> None:
     """By the equation that no longer holds; from then on no certificate is claimed, and the gains are narrow."""
     done = played(contraction_filter, becoming(change), 2.5)
