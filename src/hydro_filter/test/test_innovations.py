@@ -23,7 +23,7 @@ RETURN = 3000
 """HYDRO_RETURN of firmware/hydro/monitor.h."""
 CHANGE = 1500
 """Sample of the change; the reference has faded in long before."""
-CHANGES: tuple[tuple[dict[str, Any], set[str]], ...] = (
+CHANGES: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
     ({"bench": {"spring_stiffness": 10e3}}, ("load", "motion")),
     ({"bench": {"spring_stiffness": 28e3}}, ("load", "motion")),
     ({"bench": {"spring_stiffness": 50e3}}, ("load", "motion")),
