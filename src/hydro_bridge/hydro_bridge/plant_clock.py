@@ -7,14 +7,14 @@
              ──> commander ─> gains, law, reference; has answered k ─┼──> sample k + 1
              ──> recorder ──> has answered k - 99 or a later one ────┘
 
-A peer is a node that says which samples it has answered (Answered.msg); its window is how far the plant may be ahead
-of it: 1 sample for the filter, 10 for a commander, which answers each policy step, 100 for a recorder. Who does not say
-so is not waited for. Without a commander the plant goes no faster than real time.
+A peer is a node that reports which samples it has answered (Answered.msg); its window is the largest lead of the plant
+over it: 1 sample for the filter, 10 for a commander, which answers each policy step, 100 for a recorder. Other nodes
+are not waited for. Without a commander the plant goes no faster than real time.
 
 =============================== =====================================================================================
 nodes to be met (`peers`)       awaited before the first sample, `meet_max` s of wall clock
-a peer that is silent           told, and no longer waited for, after `silence_max` s of wall clock; a peer that works
-                                for longer says so each second
+a peer that is silent           reported, and no longer waited for, after `silence_max` s of wall clock; a peer that
+                                works for longer reports so each second
 a peer that has left the graph  no longer waited for
 arming, disarming               goes on without answers until the box has confirmed
 =============================== =====================================================================================
@@ -38,7 +38,7 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 FILTER_WINDOW, COMMANDER_WINDOW, RECORDER_WINDOW = 1, SAMPLES_PER_STEP, 100
 """Windows [samples] of a filter, of a commander, and of a recorder."""
 
-_LOOK = 0.1  # s of wall clock between two looks at who is silent
+_LOOK = 0.1  # s of wall clock between two checks for silent peers
 _RESEND, _RESEND_FIRST = 10.0, 0.5
 """s of wall clock after which an unanswered sample is published again; the first one, which peers may still miss."""
 _CAUGHT_UP = 0.1
@@ -64,7 +64,7 @@ class PaceSettings:
 
 
 def parse_pace(text: str) -> float | None:
-    """Return the factor of real time that `--pace` asks for; None: the plant's clock.
+    """Return the speed given by `--pace`, relative to real time; None: the plant's clock.
 
     Raises SettingsError: it is neither `plant` nor `real` nor a number within (0, 100].
     """
@@ -77,7 +77,7 @@ def parse_pace(text: str) -> float | None:
 
 
 def reject_speed_option(words: Sequence[str]) -> None:
-    """Raise SettingsError for the option that `--pace` has replaced."""
+    """Raise SettingsError for the former option `--speed`, which `--pace` has replaced."""
     if any(word.split("=")[0] == "--speed" for word in words):
         raise SettingsError(f"--speed is now --pace; {_WORDS}")
 
@@ -89,19 +89,19 @@ class _Peer:
     """Newest sample that it has answered."""
     commands: int = 0
     heard: float = 0.0
-    """When it was last heard, s of the monotonic clock."""
+    """Time of its last message, s of the monotonic clock."""
 
 
 class Pace:
     """Lock-step of plant and graph: tracks which peer has answered which sample, and releases the next one.
 
-    `settings`: whom to wait for. `log`: called with a sentence when a peer comes or falls silent.
+    `settings`: required peers and time-outs. `log`: called with a sentence when a peer comes or falls silent.
     """
 
     def __init__(self, settings: PaceSettings, log: Callable[[str], None]) -> None:
         self.settings, self._log = settings, log
         self.go_on: Callable[[], None] = lambda: None
-        """Called once for each sample when it has its answers, by the thread that brought the last one."""
+        """Called once for each sample when all its answers have arrived, in the thread that received the last one."""
         self._lock = threading.Lock()
         self._confirmed = threading.Condition()
         self._peers: dict[str, _Peer] = {}
@@ -110,7 +110,7 @@ class Pace:
         self._resend: Callable[[], None] | None = None  # of the newest sample while it has not all its answers
         self._began = self._sent = 0.0  # when it was published, and sent again, s of the monotonic clock
         self._deadline = -inf  # s of the monotonic clock before which the next sample does not follow
-        self._commands = 0  # that have arrived since the present holder took the plant
+        self._commands = 0  # commands received since the present holder took the lease
         self._exempt: Callable[[], bool] | None = None
         self._exempt_left = 0
         self._closed = False
@@ -132,7 +132,7 @@ class Pace:
             if name not in self._peers:
                 if self._unmet or self._newest is not None:  # else the plant may run in real time
                     self._log(f"under the plant's clock with {name}")
-                # Of a plant that has begun all up to its step counts as answered.
+                # Once the plant has begun, all samples up to this step count as answered by a new peer.
                 step = -window if self._newest is None else self._newest - self._newest % min(window, COMMANDER_WINDOW)
                 self._peers[name] = _Peer(window, step)
                 self._sent = -inf  # a plant that stands still has published its newest sample before this one listened
@@ -224,7 +224,7 @@ class Pace:
         with self._lock:
             first = self._newest is None
             self._patience = _RESEND_FIRST if first else _RESEND
-            if first:  # of a box that was on before this plant it is any sample, and a commander answers whole steps
+            if first:  # any number if the box was on before; a commander answers whole steps
                 for peer in self._peers.values():
                     if peer.window == COMMANDER_WINDOW:
                         peer.answered = (sequence - 1) // COMMANDER_WINDOW * COMMANDER_WINDOW

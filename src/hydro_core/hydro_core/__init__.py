@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground of all packages: signals, settings, files, console, errors, processes, clocks.
+"""Common base of all packages: signals, settings, files, console, errors, processes, clocks.
 
-`signals` names what is exchanged, `settings` what is chosen; `files` reads and writes whole files, `cli` talks to the
-user, `process` begins and ends, `clock` maps the times of two machines. Knows no ROS, no bench and no serial line.
+`signals` defines the exchanged quantities, `settings` the configuration; `files` has validated input and atomic output,
+`cli` the console interface, `process` start-up and termination, `clock` clock synchronisation. It depends neither on
+ROS nor on a bench or a serial line.
 """

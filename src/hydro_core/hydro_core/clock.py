@@ -20,10 +20,10 @@ from dataclasses import dataclass, field
 
 @dataclass(kw_only=True)
 class BoxClock:
-    """Maps box time to the host's monotonic time; another one after a new connection or a restart of the box."""
+    """Maps box time to the host's monotonic time; a new instance for each connection and each restart of the box."""
 
     window: float = 2.0
-    """s, window for the fastest delivery, [0.1, 60]; at 50 ppm the clocks drift by 0.1 ms in 2 s."""
+    """Window of the smallest offset [s], [0.1, 60]; at 50 ppm the clocks drift by 0.1 ms in 2 s."""
     slew: float = 0.05
     """Maximum rate of change of the offset, (0, 0.5]: 5 % is 50 us per sample."""
     _quickest: deque[tuple[int, int]] = field(default_factory=deque)
@@ -79,7 +79,7 @@ class HostClock:
         """ROS time minus monotonic time, ns."""
 
     def detect_step(self) -> int:
-        """Read both clocks; return by how much the host's clock was set since the last call, ns, mostly 0.
+        """Read both clocks; return the step [ns] of the host's clock since the last call, mostly 0.
 
         Call it about once per sample.
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors that the user can correct, as one sentence, and checks of where output can be written."""
+"""Errors that the user can correct, with messages of one sentence, and checks of output paths."""
 
 from __future__ import annotations
 

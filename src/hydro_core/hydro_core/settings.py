@@ -12,8 +12,8 @@
         parity: Literal["none", "even"] = "none"
 
 Checks, YAML files, ROS parameters, help texts and reference pages are derived from them. msgspec converts and checks
-(docs/decisions/0062-settings-by-msgspec.md); the sentences for the user are written here. In YAML keys are strict:
-missing and unknown ones are reported, with the nearest known key.
+(docs/decisions/0062-settings-by-msgspec.md); the error messages are written here. Missing and unknown YAML keys are
+errors; the message has the nearest known key.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class SettingsError(UserError, ValueError):
 
 
 def quantity(unit: str, low: float, high: float) -> msgspec.Meta:
-    """Annotation of a number: its unit ("-": none) and its closed range."""
+    """Return the annotation of a numeric field: its unit ("-": dimensionless) and closed range [low, high]."""
     # msgspec checks integers against integer limits only.
     ge, le = (int(limit) if float(limit).is_integer() else limit for limit in (low, high))
     return msgspec.Meta(ge=ge, le=le, extra={"unit": unit})
@@ -81,7 +81,7 @@ class Setting:
 
     @property
     def range(self) -> str:
-        """Range in words; empty if there is none."""
+        """Range as text, `low to high`; empty if there is none."""
         return f"{self.low:.12g} to {self.high:.12g}" if isfinite(self.low) else ""
 
 
@@ -125,7 +125,7 @@ def check(settings: Any) -> None:
 
 
 def convert(setting: Setting, value: Any, where: str, *, strict: bool = False) -> Any:
-    """Return the value in the declared type; unless `strict`, numbers may be given as text (as 1e9 is in YAML 1.1).
+    """Return `value` in the declared type; unless `strict`, numbers may be given as text (as 1e9 is in YAML 1.1).
 
     Raises SettingsError: the value violates the declaration; the sentence begins with `where`.
     """
@@ -208,7 +208,7 @@ def from_mapping(cls: type[T], data: object, where: str) -> T:
 
 
 def unknown_key(key: str, known: list[str], where: str) -> str:
-    """Return the sentence for an unknown key, with the nearest known one."""
+    """Return the error message for an unknown key, with the nearest known key, or all of them."""
     near = get_close_matches(key, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
     return f"{where}.{key} is not a known setting; {hint}"

@@ -24,7 +24,7 @@ SAMPLE_PERIOD = 1e-3
 """Sample period of the box, s."""
 
 SAMPLES_PER_STEP = 10
-"""Samples per policy step: gains come at 100 Hz (paper, section Real-World Training Implementation)."""
+"""Samples per policy step: the policy sets gains at 100 Hz (paper, section Real-World Training Implementation)."""
 
 STATE_FIELDS: tuple[str, ...] = (
     "hydraulic_force",  # N
@@ -60,7 +60,7 @@ STATE_DTYPE = np.dtype(
 
 
 class Flag(IntEnum):
-    """Bits of `BenchState.flags`; several of them are an int."""
+    """Bits of `BenchState.flags`; a combination of flags is a plain int."""
 
     ARMED = 1
     SATURATED = 2
@@ -74,16 +74,16 @@ class Flag(IntEnum):
 
 
 FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
-"""Flags of a trip that a controller may have caused. Without them the box heard nothing for too long."""
+"""Trip flags that a controller may have caused; a trip without them is the box's time-out for commands."""
 
 
 def flag_names(flags: int) -> str:
-    """Return the names of the flags that are set."""
+    """Return the names of the set flags as text, `no flags` if there are none."""
     return ", ".join(str(flag.name) for flag in Flag if flag & flags) or "no flags"
 
 
 class Waveform(IntEnum):
-    """`ReferenceSignal.waveform`: hold = offset, the others add `amplitude` times a shape within [-1, 1]."""
+    """Waveforms of a reference: HOLD is `offset`, the others add `amplitude` times a shape within [-1, 1]."""
 
     HOLD = 0
     SINE = 1
@@ -92,7 +92,7 @@ class Waveform(IntEnum):
 
 
 class CorrectionStatus(IntEnum):
-    """`Correction.status`: decision of the contraction filter on a sample."""
+    """Decisions of the contraction filter on a sample, in `Correction.status`."""
 
     PASS = 0
     MODIFIED = 1
@@ -121,34 +121,34 @@ Coefficients = tuple[float, float, float, float]
 """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] of the compensated reference f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3."""
 
 NEUTRAL: Coefficients = (1.0, 0.0, 0.0, 0.0)
-"""Coefficients with which f_c = f_r."""
+"""Neutral coefficients of the compensated reference: f_c = f_r."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawCommand:
-    """Command of a force law: which one, its gains and the coefficients of its reference.
+    """Command of a force law: the law, the coefficients of its reference, and its scales C_1 and C_2.
 
-    The defaults are the paper's; those of a box's compensated law are its own (`safety.guard.safe_command`).
+    The defaults are the paper's law; a box's compensated law has safe values of its own (`safety.guard.safe_command`).
     """
 
     law: Law = Law.PAPER
-    """Force law to run, taken up at arming; while armed, a command for another law leaves the safe record in force."""
+    """Force law to run, taken up at arming; while armed, a command for another law causes the safe state."""
     coefficients: Coefficients = NEUTRAL
-    """Of the compensated reference; the box ramps to them."""
+    """Coefficients of the compensated reference; the box ramps to them."""
     velocity_compensation: float = 1.0
-    """C_1 [-], share of h that the law compensates."""
+    """C_1 [-], share of the velocity term h of the force dynamics that the law compensates."""
     valve_gain_scale: float = 1.0
-    """C_2 [-], factor on g."""
+    """C_2 [-], factor on the valve gain g in the law."""
 
     @property
     def shaping(self) -> tuple[float, ...]:
-        """a_0 to a_3, C_1 and C_2."""
+        """Coefficients a_0 to a_3, and scales C_1 and C_2."""
         return *self.coefficients, self.velocity_compensation, self.valve_gain_scale
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceSignal:
-    """The force that the box generates and tracks."""
+    """Reference force that the box generates and tracks."""
 
     waveform: Waveform = Waveform.HOLD
     amplitude: float = 0.0
@@ -174,9 +174,9 @@ class Command(LawCommand):
     delta_u: float = 0.0
     """A, added to the nominal valve current before saturation."""
     reference: ReferenceSignal = ReferenceSignal()
-    """The force to track."""
+    """Reference force to track."""
     corrects: int = 0
-    """Sequence of the sample that `delta_u` was computed from."""
+    """Sequence number of the sample from which `delta_u` was computed."""
     filter_fresh: bool = False
     """Whether this command is backed by a fresh correction of the filter; if not, the box flags FILTER_STALE."""
 

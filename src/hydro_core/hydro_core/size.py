@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Size of a bench: its force, pressure, length and current, of which every other number of these units is a share.
+"""Size of a bench: scales of force, pressure, length and current, to which all values of these units are relative.
 
-Benches that are similar (each force of the one 5 times that of the other, each length 4 times ...) differ by their size
-alone: what a policy sees, rewards and verdicts are the same. Times are not scaled, and neither are gains [1/s].
+Similar benches (all forces scaled by one factor, all lengths by another ...) differ by their size alone: observations,
+rewards and verdicts are the same. Times are not scaled, and neither are gains [1/s].
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Size:
 
     @classmethod
     def of_bench(cls, bench: Mapping[str, Any]) -> Size:
-        """Return the size of a bench from its numbers; the force is 3/32 of piston area times supply pressure."""
+        """Return the size of a bench from its parameters; the force is 3/32 of piston area times supply pressure."""
         return cls(
             force=bench["piston_area"] * bench["supply_pressure"] * 0.09375,
             pressure=bench["supply_pressure"],

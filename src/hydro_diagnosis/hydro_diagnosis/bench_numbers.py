@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bench files that lack numbers, and the numbers that each equation needs.
+"""Bench files with unknown parameters, and the parameters that each equation requires.
 
-A number that is not given has a stand-in that no residual reads and that passes every check of sizes; it is never
-written. Viscous friction and spring have none: where they are not given, there are none.
+An unknown parameter has a stand-in value, which no residual uses, which passes every check of magnitudes, and which is
+never written. Viscous friction and spring have none: if they are not given, the bench is taken to lack them.
 
-A force that only the pressures tell brings the motion equation in where the mass is known; a force cell always does.
-Viscous friction and spring are in the motion equation where the bench has them. Without a spring a load cell measures
-what the rod gives away, and is in the motion equation: m x_p'' = f_h - f_l - friction.
+The motion equation is checked if the hydraulic force is recorded, or if the pressures are and the mass is known.
+Viscous friction and spring are part of it if the bench has them. Without a spring a load cell measures the force
+transmitted by the rod, and is part of the motion equation: m x_p'' = f_h - f_l - friction.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from hydro_sim.model.bench import Bench
 
 SPRING = ("spring_stiffness", "spring_rest_position")
 OPTIONAL_NUMBERS = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
-"""Numbers that a bench need not have, and their values where they are not given."""
+"""Optional parameters of a bench, with their values if not given."""
 _STAND_INS = {"stroke": 5.0, "valve_current_max": 10.0}
-"""Stand-ins that no recording comes near; the others are those of the nominal bench."""
+"""Stand-in values that no recording reaches; those of other parameters are the nominal bench's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,19 +35,19 @@ class PartialBench(Bench):
     spring_stiffness: Annotated[float, quantity("N/m", 0.0, 1e8)]
     """0: no spring."""
     unknown: frozenset[str] = frozenset()
-    """Numbers that hold stand-ins."""
+    """Parameters that have stand-in values."""
     absent: frozenset[str] = frozenset()
-    """Numbers of `OPTIONAL_NUMBERS` that were not given: none, unless a diagnosis finds some."""
+    """Parameters of `OPTIONAL_NUMBERS` that were not given: the bench has none, unless a diagnosis names some."""
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return keys and values of what is known."""
+        """Return the known parameters by key."""
         still = {name for name in self.absent if getattr(self, name) == OPTIONAL_NUMBERS[name]}
         hidden = {"unknown", "absent", *self.unknown, *still}
         return {key: value for key, value in super().to_mapping().items() if key not in hidden}
 
 
 def knows(bench: Bench, *names: str) -> bool:
-    """Return whether these numbers of a bench are known, not stand-ins."""
+    """Return whether these parameters of a bench are known, not stand-ins."""
     return not (isinstance(bench, PartialBench) and bench.unknown & set(names))
 
 
@@ -57,12 +57,12 @@ def has_spring(bench: Bench) -> bool:
 
 
 def lacks(bench: Bench, name: str) -> bool:
-    """Return whether a number was not given."""
+    """Return whether a parameter is not given by the bench file."""
     return isinstance(bench, PartialBench) and name in bench.unknown | bench.absent
 
 
 def with_unknown(bench: Bench, names: Collection[str]) -> Bench:
-    """Return the bench with these numbers marked as unknown: their values are stand-ins."""
+    """Return the bench with these parameters marked as unknown: their values are stand-ins."""
     if not names:
         return bench
     values = {entry.name: getattr(bench, entry.name) for entry in fields(bench)}
@@ -70,10 +70,10 @@ def with_unknown(bench: Bench, names: Collection[str]) -> Bench:
 
 
 def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Bench:
-    """Read a bench file that may lack numbers: a `Bench` where it holds all, else a `PartialBench`.
+    """Read a bench file in which parameters may be missing: a `Bench` if it is complete, else a `PartialBench`.
 
-    `path`: bench.yaml or corrected.yaml. `estimated`: numbers that will be estimated: those that are not given hold
-    stand-ins, also of `OPTIONAL_NUMBERS`. Raises ValueError: as `Bench.load`.
+    `path`: bench.yaml or corrected.yaml. `estimated`: parameters to be estimated; those not given, even if in
+    `OPTIONAL_NUMBERS`, are unknown rather than absent. Raises ValueError: as `Bench.load`.
     """
     content = read_yaml(path)
     try:
@@ -83,7 +83,7 @@ def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Ben
 
 
 def parse_bench(content: Mapping[str, Any], estimated: frozenset[str] = frozenset()) -> Bench:
-    """Return the bench of a file's content: a `Bench` where it holds all numbers, else a `PartialBench`.
+    """Return the bench of a file's content: a `Bench` if it is complete, else a `PartialBench`.
 
     `estimated` and errors: as of `read_bench`.
     """
@@ -103,23 +103,23 @@ def parse_bench(content: Mapping[str, Any], estimated: frozenset[str] = frozense
 
 
 def numbers() -> tuple[str, ...]:
-    """The numbers that a whole bench file holds, in the order of `Bench`."""
+    """Names of the parameters in a complete bench file, in the order of `Bench`."""
     return tuple(name for name in Bench.quantities() if name != "load_cell_bandwidth")
 
 
 def with_known(bench: Bench, **values: float) -> Bench:
-    """Return the bench with these numbers replaced and marked as known."""
+    """Return the bench with these parameters replaced and marked as known."""
     if not isinstance(bench, PartialBench):
         return replace(bench, **values)  # type: ignore[arg-type]
     return replace(bench, unknown=bench.unknown - values.keys(), **values)  # type: ignore[arg-type]
 
 
 class UnknownNumberError(Exception):
-    """A number was read that is not known."""
+    """An unknown parameter of a bench was read."""
 
 
 class Guarded:
-    """A bench that raises `UnknownNumberError` where a number that is not known is read."""
+    """Proxy of a bench that raises `UnknownNumberError` when an unknown parameter is read."""
 
     def __init__(self, bench: Bench, unknown: frozenset[str]) -> None:
         self._bench, self._unknown = bench, unknown
@@ -131,11 +131,11 @@ class Guarded:
 
 
 VALVE = frozenset({"valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop"})
-"""Numbers of which the valve's gain is made."""
+"""Parameters that determine the valve gain."""
 
 
 def guard(bench: Bench) -> Bench:
-    """Return a bench that raises `UnknownNumberError` where a stand-in or an absent number is read."""
+    """Return a bench that raises `UnknownNumberError` when a stand-in or an absent parameter is read."""
     if not isinstance(bench, PartialBench):
         return bench
     return cast(Bench, Guarded(bench, bench.unknown | bench.absent))
@@ -143,17 +143,17 @@ def guard(bench: Bench) -> Bench:
 
 @dataclass(frozen=True)
 class Connection:
-    """Recorded channels that make an equation available."""
+    """Availability of an equation: the recorded channels and the bench parameters that it requires."""
 
     block: str
     """Block of residuals: PRESSURE, MOTION, LOAD or HYDRAULIC."""
     equation: str
-    """Words for it."""
+    """Name of the equation, as printed."""
     channels: frozenset[str]
     numbers: tuple[str, ...]
-    """Numbers of the bench that it needs."""
+    """Bench parameters that the equation requires."""
     if_known: str = ""
-    """Number without which the equation is left out instead of asking for it."""
+    """Parameter without which the equation is omitted, rather than the bench file refused."""
 
 
 CONNECTIONS = (
@@ -177,7 +177,7 @@ CONNECTIONS = (
 
 
 def at_the_rod(channels: Collection[str], bench: Bench) -> bool:
-    """Return whether the load cell is part of the motion's balance: a force drives, and no spring makes the load's."""
+    """Return whether the load cell is in the motion equation: hydraulic force or pressures recorded, and no spring."""
     driven = {"hydraulic_force"} <= set(channels) or {"pressure_a", "pressure_b"} <= set(channels)
     return {"load_force", "piston_position"} <= set(channels) and driven and not has_spring(bench)
 
@@ -195,7 +195,7 @@ def available_connections(channels: Collection[str], bench: Bench) -> tuple[Conn
 
 
 def refuse_unconnected(channels: Collection[str], bench: Bench, notes: Sequence[str] = ()) -> None:
-    """Raise `InputError` if no equation can be checked: what is lacking, and `notes` on what was left out and why."""
+    """Raise `InputError` if no equation can be checked, with the missing channels, and `notes` on omitted ones."""
     if available_connections(channels, bench):
         return
     ways = dict.fromkeys(
@@ -212,7 +212,7 @@ def refuse_unconnected(channels: Collection[str], bench: Bench, notes: Sequence[
 
 
 def required_numbers(channels: Collection[str], bench: Bench) -> dict[str, str]:
-    """Return the numbers that the recorded channels require, each with the first equation that needs it."""
+    """Return the bench parameters that the recorded channels require, each with the first equation that needs it."""
     found: dict[str, str] = {}
     for one in available_connections(channels, bench):
         spring = SPRING if one.block == MOTION and any(not knows(bench, name) for name in SPRING) else ()
@@ -222,7 +222,7 @@ def required_numbers(channels: Collection[str], bench: Bench) -> dict[str, str]:
 
 
 def refuse_missing(channels: Collection[str], bench: Bench, estimated: Collection[str] = ()) -> None:
-    """Raise `InputError` if numbers are needed that are neither known nor estimated: all of them in one sentence."""
+    """Raise `InputError` if required parameters are neither known nor estimated; the message lists all of them."""
     lacking = {
         name: equation
         for name, equation in required_numbers(channels, bench).items()
@@ -238,10 +238,10 @@ def refuse_missing(channels: Collection[str], bench: Bench, estimated: Collectio
 
 
 def omission_notes(channels: Collection[str], bench: Bench) -> list[str]:
-    """Return notes, one sentence each, on what the bench file lacks.
+    """Return notes on the consequences of parameters that the bench file lacks, one sentence each.
 
-    On every equation that is not checked and every coefficient assumed zero because the file lacks it, and on a load
-    cell that is part of the motion's balance because there is no spring.
+    On every equation that is not checked, every coefficient that is assumed zero, and on a load cell that is part of
+    the motion equation because the bench has no spring.
     """
     if not isinstance(bench, PartialBench):
         return []
@@ -261,7 +261,7 @@ def omission_notes(channels: Collection[str], bench: Bench) -> list[str]:
 
 
 def applies(effect: Effect, bench: Bench) -> bool:
-    """Return whether an effect can act on a bench: its spring exists and its numbers are known."""
+    """Return whether an effect can act on a bench: its bench parameters are known, and for the load a spring exists."""
     if not isinstance(bench, PartialBench):
         return True
     if effect.equations[:1] == ("load",) and not has_spring(bench):
@@ -274,5 +274,5 @@ def applies(effect: Effect, bench: Bench) -> bool:
 
 
 def can_simulate(bench: Bench) -> bool:
-    """Return whether a run of the bench can be simulated: all numbers are known, and it has a spring."""
+    """Return whether the bench can be simulated: all parameters are known, and a partial bench has a spring."""
     return not isinstance(bench, PartialBench) or (not bench.unknown and has_spring(bench))

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One number over many recordings: when it changed, and how it runs since, with the interval of each value.
+"""Change points and trend of one parameter over many recordings, from its estimates and their standard deviations.
 
-Between changes it runs along a line, by weighted least squares. Where it may change is found by the optimal partition
-of Killick, Fearnhead and Eckley (2012), of the library `ruptures`, for scatter that lasts for different times; which of
-these holds, and with it the long-run variance that means are judged by, the likelihood tells. A change needs `DECISIVE`
-evidence by the BIC.
+The model is piecewise linear, fitted by weighted least squares. Candidate partitions are optimal ones (PELT: Killick,
+Fearnhead and Eckley 2012, library `ruptures`), for several correlation times of the scatter; the likelihood selects
+among them, and with them the long-run variance of means. A change needs `DECISIVE` evidence by the BIC.
 """
 
 from __future__ import annotations
@@ -28,39 +27,39 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, OUTLYING, QUANTILE
 
 FEWEST = 14
-"""Recordings below which nothing is judged: the scatter between them is not known."""
+"""Smallest number of recordings to be judged: the scatter between fewer is unknown."""
 _PER_CHANGE = 3
-"""Numbers that a change adds: its time, a level and a slope."""
+"""Parameters that a change adds: its time, a level and a slope."""
 SHORTEST = _PER_CHANGE + 1
-"""Recordings between two changes."""
+"""Smallest number of recordings between two changes."""
 _SIZES = (0.0, 0.25, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
-"""Variances of lasting scatter that are tried, over that by neighbours' differences."""
+"""Trial variances of the correlated scatter, relative to the variance by `scatter_between`."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """A weighted line through values over time [days]."""
+    """Line fitted to values over time [days] by weighted least squares."""
 
     begin: float
     middle: float
     end: float
     level: float
-    """At `middle`."""
+    """Value at `middle`."""
     slope: float
     """Per day."""
     level_sd: float
     slope_sd: float
 
     def at(self, time: ArrayLike) -> Any:
-        """Value at times [days]."""
+        """Value of the line at times [days]."""
         return self.level + self.slope * (np.asarray(time) - self.middle)
 
     def sd(self, time: ArrayLike) -> Any:
-        """Its standard deviation there."""
+        """Standard deviation of the line's value at times [days]."""
         return np.hypot(self.level_sd, self.slope_sd * (np.asarray(time) - self.middle))
 
     def reaches(self, limit: float, upwards: bool) -> tuple[float, float, float]:
-        """Days after `end` at which it passes a limit, and their 95 % interval; inf where it does not in ten years."""
+        """Days after `end` at which the line passes a limit, with 95 % interval; inf if not within ten years."""
         ahead = np.arange(0.0, 3651.0)
         value, spread, sign = self.at(self.end + ahead), QUANTILE * self.sd(self.end + ahead), 1.0 if upwards else -1.0
         past = [sign * (value + shift - limit) >= 0.0 for shift in (0.0, sign * spread, -sign * spread)]
@@ -70,33 +69,33 @@ class Line:
 
 @dataclass(frozen=True)
 class Change:
-    """A change between two recordings; all times in days."""
+    """Change point between two recordings; all times in days."""
 
     time: float
-    """Of the first recording after it."""
+    """Time of the first recording after the change."""
     earliest: float
     latest: float
-    """95 % interval of that time, by the profile of the likelihood."""
+    """End of the 95 % interval of `time`, from `earliest`, by the profile likelihood."""
     evidence: float
-    """BIC that is lost without it."""
+    """Increase of the BIC without the change."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """A number's course."""
+    """Piecewise linear course of a parameter: change points and the lines between them."""
 
     changes: list[Change]
     lines: list[Line]
     running: bool
-    """Whether there is evidence for a slope since the last change."""
+    """Whether the slope since the last change is significant."""
 
     @property
     def findings(self) -> int:
-        """Changes; 1 where there is none and the line runs up or down all the time."""
+        """Number of changes; without any, 1 if the slope is significant, else 0."""
         return len(self.changes) or int(self.running)
 
 
-class _Lines(BaseCost):  # a cost function of the user's own, as the library documents it
+class _Lines(BaseCost):  # user-defined cost function of `ruptures`
     """Weighted sum of squares about a line, from sums over the rows (time, value, weight) of the signal."""
 
     model = "weighted lines"
@@ -129,10 +128,10 @@ class _Lines(BaseCost):  # a cost function of the user's own, as the library doc
 
 
 def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike = 0.0) -> Course | None:
-    """Changes of a number and lines between them; None for fewer recordings than `FEWEST`.
+    """Fit the course of a parameter: change points and lines between them; None for fewer recordings than `FEWEST`.
 
-    `time`: days, ascending; `value` and its standard deviation by the diagnosis, shape (n,). `bound`: distance within
-    which a value lies that was not named, 0 where it was; it counts for the date of a change.
+    `time`: days, ascending; `value` and its standard deviation `sd` by the diagnosis, shape (n,). `bound`: half-width
+    of the interval of a value that was not named, else 0; used for the dates of changes only.
     """
     if len(time) < FEWEST:
         return None
@@ -149,14 +148,14 @@ def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike
 
 
 class _Noise:
-    """Scatter between recordings that lasts (Ornstein-Uhlenbeck), and each recording's own on top of it."""
+    """Noise model: Ornstein-Uhlenbeck scatter between recordings, plus white noise of each recording."""
 
     def __init__(self, time: FloatArray, value: FloatArray, own: FloatArray, sd: FloatArray, between: float) -> None:
         self._time, self._value, self._weight = time - time.mean(), value - np.median(value), own**-2.0
         self._white = np.maximum(own**2 - between**2, sd**2)
         gap, base = np.diff(time), max(between**2, 0.1 * float(np.median(self._white)))
         spacing = float(np.median(gap)) or 1.0
-        lasting = (0.0, 1.0, 2.0, 4.0, 8.0)  # in spacings of the recordings; 0: it is new each time
+        lasting = (0.0, 1.0, 2.0, 4.0, 8.0)  # correlation times, in median spacings of the recordings; 0: white
         grid = [(one, size) for one in lasting for size in _SIZES]
         keep = np.exp(-1.0 / np.maximum([one for one, _ in grid], 1e-3))
         self._variance = base * np.array([size for _, size in grid]) / (1.0 - keep)
@@ -164,11 +163,11 @@ class _Noise:
         self._lasts = (1.0 + keep) / (1.0 - keep)
 
     def long(self, k: int) -> FloatArray:
-        """Standard deviation of each value in means over many: by the long-run variance of the scatter."""
+        """Long-run standard deviation of each value, shape (n,), as it counts in means; `k`: index into the grid."""
         return np.sqrt(self._white + self._variance[k] * self._lasts[k])
 
     def partition(self) -> tuple[list[int], list[float], FloatArray]:
-        """Edges of the parts, evidence of each change, and each value's long-run standard deviation."""
+        """Edges of the partition, evidence of each change, and each value's long-run standard deviation."""
         count = len(self._time)
         found, price = [[0, count]], _PER_CHANGE * log(count)
         for k in range(_SIZES.index(1.0), len(self._lasts), len(_SIZES)):
@@ -179,7 +178,7 @@ class _Noise:
                 break
 
         def sure(edges: list[int]) -> float:
-            """Share of a likelihood ratio that counts where so many numbers are estimated (Sims 1980)."""
+            """Small-sample factor of a likelihood ratio for the number of estimated parameters (Sims 1980)."""
             return max(0.0, 1.0 - (_PER_CHANGE * (len(edges) - 1) + 1) / count)
 
         deviance, best = self.deviance(found)
@@ -203,7 +202,7 @@ class _Noise:
     def _searched(self, long: FloatArray, price: float) -> list[int]:
         middle, count = np.median(long), len(long)
         cost = _Lines().fit(np.column_stack([self._time, self._value / middle, (middle / long) ** 2]))
-        step = min(1 + count // 50, 3)  # at every third place first: nine times as fast
+        step = min(1 + count // 50, 3)  # on a coarse grid first: nine times as fast at every third place
         try:
             found = Pelt(custom_cost=cost, min_size=SHORTEST, jump=step).fit(cost.signal).predict(pen=DECISIVE + price)
         except BadSegmentationParameters:  # too few for two parts
@@ -216,7 +215,7 @@ class _Noise:
         return edges
 
     def deviance(self, partitions: list[list[int]]) -> tuple[FloatArray, FloatArray]:
-        """Least -2 log likelihood of each partition's lines over the grid, and where: by a Kalman filter."""
+        """Least -2 log likelihood of each partition's lines over the grid, and its grid index, by a Kalman filter."""
         left = np.empty((len(partitions), len(self._time), 1))
         for k, edges in enumerate(partitions):
             for a, b in pairwise(edges):
@@ -234,7 +233,7 @@ class _Noise:
 
 
 def _change(signal: FloatArray, evidence: float) -> Change:
-    """A change and its date: a jump, or where two lines meet, whichever is likelier by the BIC.
+    """Change point, dated as a jump or as the kink between two lines, whichever has the lower BIC.
 
     `signal`: time, value, weight of the values between the changes before and after it.
     """
@@ -252,7 +251,7 @@ def _change(signal: FloatArray, evidence: float) -> Change:
 
 
 def scatter_between(value: FloatArray, sd: FloatArray) -> float:
-    """Standard deviation between neighbours beyond their own `sd`: the median of their squared differences."""
+    """Standard deviation of the scatter beyond `sd`, by the median squared difference of neighbouring values."""
     steps, own = np.diff(value) ** 2, sd[1:] ** 2 + sd[:-1] ** 2
     scale, median = float(steps.max()), float(chi2.ppf(0.5, 1))
 
@@ -263,7 +262,7 @@ def scatter_between(value: FloatArray, sd: FloatArray) -> float:
 
 
 def line(time: FloatArray, value: FloatArray, sd: FloatArray) -> Line:
-    """Weighted least squares; its standard deviations grow where the values scatter more than `sd` says."""
+    """Fit a line by weighted least squares; its standard deviations are inflated if the scatter exceeds `sd`."""
     weight = 1.0 / sd**2
     middle = float(np.average(time, weights=weight))
     off = time - middle

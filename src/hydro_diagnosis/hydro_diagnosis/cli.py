@@ -17,7 +17,7 @@ from hydro_diagnosis.stage_bar import StageBar
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the command-line parser."""
     options = argparse.ArgumentParser(
         prog="diagnose", description="Find, name and size the physics that a simulation leaves out."
     )
@@ -79,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
+    """Run the command; returns 0 for any verdict, 128 + the signal's number if interrupted, with a partial report."""
     options = parser()
     chosen = options.parse_args(arguments)
     if [bool(chosen.recordings), chosen.page, bool(chosen.reports)].count(True) != 1:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proposal of a column map, from the columns' names, units and numbers; a person confirms it.
+"""Proposal of a column map from the columns' names, units and values, to be confirmed by the user.
 
-A column scores for words of its name that stand for a field, for a unit of the field's quantity, and for numbers of the
-bench's size. The best pairs are taken one by one. Columns whose names say nothing are told apart by their units and by
-what they are to each other: chamber A is the one whose pressure rises with the load, the hydraulic force is
-A_A p_A - A_B p_B. Where no name and no unit says anything, the bench's equations and numbers alone do. What scores too
-little stays unmapped.
+A column scores for words of its name that denote a field, for a unit of the field's quantity, and for values of
+plausible magnitude; pairs are assigned greedily by score. Columns with uninformative names are assigned by their units
+and correlations: chamber A's pressure rises with the position, the hydraulic force is A_A p_A - A_B p_B. Without
+informative names and units, only the bench's equations and parameters are used. Low scores stay unmapped.
 """
 
 from __future__ import annotations
@@ -46,25 +45,25 @@ _WORDS: Mapping[str, str] = {
     "valve_current": r"i|u|i_?v|u_?v|cur\w*|(servo_?)?valve\w*|\w*strom|ventil\w*|servo\w*|spool_?cmd",
     "reference_force": r"(\w*_)?(ref\w*|set_?point|soll\w*|desired)|(f|force)_?(ref|set|des)\w*|soll\w*",
 }
-"""Names of columns, or words in them, that stand for a field."""
+"""Column names, or words in them, that denote a field."""
 _ANY_FORCE = re.compile(r"kraft|force|f", re.IGNORECASE)
-"""Words that say which force it is only where there is one."""
+"""Words for a force that do not distinguish between several."""
 _ACTS_ON = {
     "hydraulic_force": re.compile(r"zylinder|kolben|cyl(inder)?|piston|actuator|hyd\w*", re.IGNORECASE),
     "load_force": re.compile(r"feder|spring|last|load|probe|specimen", re.IGNORECASE),
 }
-"""Words that say of a force which it is."""
+"""Words that distinguish the two forces."""
 _LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
-"""Units that are tried where none is stated."""
+"""Units tried for a quantity if none is stated."""
 _REFERENCE = re.compile(_WORDS["reference_force"] + r"|\w*(ref|soll|target|desired|setpoint)", re.IGNORECASE)
 _VALVE = re.compile(r"valve|spool|ventil|schieber|servo", re.IGNORECASE)
 _NEVER = re.compile(r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
 
 
 def propose_sources(found: Columns, bench: Bench) -> ColumnMap:
-    """Propose a source for each field; unknown fields are left out, as is the time where clocks state their units.
+    """Propose a column map; unrecognised fields are omitted, as is the time if the clocks state their units.
 
-    Numbers that are not known of a bench are taken to be of the nominal one's size.
+    Unknown parameters of the bench are replaced by the nominal bench's.
     """
     known, sprung = bench.to_mapping(), has_spring(bench)
     sizes = ("piston_area", "area_ratio", "supply_pressure", "stroke", "valve_current_max", "spring_stiffness")
@@ -85,7 +84,7 @@ def propose_sources(found: Columns, bench: Bench) -> ColumnMap:
     pairs = [(_score(field, name, found, bench), field, name) for field in _WORDS for name in free]
     exact = [(100.0, name, name) for name in STATE_FIELDS if name in found.series]
     for score, field, name in sorted([*exact, *pairs], key=lambda pair: -pair[0]):
-        # a word or a letter, and a unit or a range that agrees
+        # from a word or letter of the name, and a consistent unit or range
         if score >= 3.0 and field not in sources and name not in taken:
             taken.add(name)
             sources[field] = Source(name, unit=_unit(field, name, found, bench))
@@ -101,9 +100,9 @@ def propose_sources(found: Columns, bench: Bench) -> ColumnMap:
 
 
 def _move_lone_force(sources: dict[str, Source], found: Columns, sprung: bool) -> None:
-    """Take the only force for the cylinder's where it does not go with the position as that of a spring does.
+    """Assign a single force to the hydraulic force, unless it follows the position as a spring force does.
 
-    A name that says load, spring or cell stands.
+    Names that denote a load, spring or cell keep it the load force.
     """
     load, place = sources.get("load_force"), sources.get("piston_position")
     if load is None or place is None or "hydraulic_force" in sources or _forces(found) > 1:
@@ -119,7 +118,7 @@ def _move_lone_force(sources: dict[str, Source], found: Columns, sprung: bool) -
 
 
 def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) -> None:
-    """Add columns of a stated unit whose names say nothing; where several may be meant, by how they move together."""
+    """Add columns with a stated unit but an uninformative name; several of one quantity by their correlations."""
     left: dict[str, list[str]] = {}
     taken = {source.column for source in sources.values()}
     for name, values in found.series.items():
@@ -133,7 +132,7 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
             left[QUANTITY_OF[field]].remove(name)
 
     def nearest(field: str, like: FloatArray) -> str | None:
-        """Return the column that moves most like `like`; None where no two may be meant."""
+        """Return the column with the highest correlation with `like`; None unless there are several."""
         names = left.get(QUANTITY_OF[field], [])
         return max(names, key=lambda name: _correlation(found.series[name], like)) if len(names) > 1 else None
 
@@ -159,7 +158,7 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
 
 
 def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) -> None:
-    """Add columns of which neither a name nor a unit says anything, where they fulfil the bench's equations.
+    """Add columns with neither an informative name nor a unit, if they satisfy the bench's equations.
 
     A_A p_A - A_B p_B is the hydraulic force, all forces are about the spring's, a reference has no noise, and the
     velocity follows the current.
@@ -175,14 +174,14 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         return
 
     def sized(field: str, taken: set[str]) -> dict[Source, FloatArray]:
-        """Means over `MEAN` rows [SI] of the columns in each unit in which their numbers are of the field's size."""
+        """Block means over `MEAN` rows [SI] of the columns, in each unit in which they are plausible for the field."""
         units = ("", *_LIKELY.get(QUANTITY_OF[field], ()))
         there = {Source(name, unit=unit): to_si(unit) * free[name] for name in free for unit in units}
         sizes = {source: means(one, MEAN) for source, one in there.items() if source.column not in taken}
         return {source: one for source, one in sizes.items() if _fits(field, one, bench)}
 
     def solved(force: Source, a: Source, b: Source) -> dict[str, Source]:
-        """Return the fields, if this force is about that of these pressures."""
+        """Return the sources of fields that are consistent with this force and these pressures."""
         taken, fields = {a.column, b.column}, {"pressure_a": a, "pressure_b": b}
 
         def take(field: str, fitting: Sequence[Source]) -> None:
@@ -202,7 +201,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         slopes = {one: block_regression(places[place], values, 1) for one, values in sized("load_force", taken).items()}
         silent = [one for one in slopes if _silent(free[one.column])]
         take("load_force", [one for one in slopes if one not in silent and _like_spring(*slopes[one], bench)])
-        take("reference_force", [one for one in silent if _like_spring(*slopes[one], bench, 0.5)])  # it lags behind it
+        take("reference_force", [one for one in silent if _like_spring(*slopes[one], bench, 0.5)])  # a force lags it
         speed = np.diff(places[place])
         currents = {one: abs(_correlation(values[1:], speed)) for one, values in sized("valve_current", taken).items()}
         best = max(currents.values(), default=0.0)
@@ -222,9 +221,10 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
 
 
 def _balance(force: FloatArray, a: FloatArray, b: FloatArray, bench: Bench, within: float = 0.3) -> float:
-    """Share of a force that A_A p_A - A_B p_B leaves, with areas that are fitted; 1 if they are not the bench's.
+    """Residual share of a force's variance on A_A p_A - A_B p_B, with fitted areas; 1 if these are not the bench's.
 
-    Where one pressure rises as the other falls, which the areas of a double rod make, only their sum can be fitted.
+    A fit of one common factor is tried as well: only that is identifiable if one pressure rises as the other falls, as
+    with a double rod.
     """
     areas = bench.piston_area * np.array([1.0, bench.area_ratio])
     both, one = np.column_stack([a, -b]) * areas, (areas[0] * a - areas[1] * b)[:, None]
@@ -242,7 +242,7 @@ def _like_spring(slope: float, left: float, bench: Bench, most: float = 0.1) -> 
 
 
 def _silent(force: FloatArray) -> bool:
-    """Return whether a force was computed, not measured, by the white noise in it; steps do not count."""
+    """Return whether a force is computed rather than measured: it has almost no white noise, steps ignored."""
     return float(np.median(np.abs(np.diff(force, 3))) / np.sqrt(20.0) / np.std(force)) < 1e-4
 
 
@@ -251,7 +251,7 @@ def _correlation(one: FloatArray, other: FloatArray) -> float:
 
 
 def as_yaml(columns: ColumnMap) -> str:
-    """The map as a YAML file for `--columns`."""
+    """Column map as the text of a YAML file for `--columns`."""
     words: dict[str, Any] = {}
     for field, source in columns.sources.items():
         entry = {"column": source.column, "unit": source.unit} if source.unit else {"column": source.column}
@@ -292,7 +292,7 @@ def _is_force(name: str, found: Columns) -> bool:
 
 
 def _forces(found: Columns) -> int:
-    """How many columns are forces that were measured."""
+    """Number of columns that are measured forces."""
     named = [_own_name(name) for name in found.series if _is_force(name, found)]
     return sum(not _NEVER.search(name) and not any(map(_REFERENCE.fullmatch, _words(name))) for name in named)
 
@@ -305,7 +305,7 @@ def _words(name: str) -> list[str]:
 
 
 def _own_name(name: str) -> str:
-    r"""The last part of a path that tells: `Model Root/pA/Out1` is pA, INCA's `pA\ADC:1` too, `/pressure_a.data`."""
+    r"""Last informative part of a path: pA of `Model Root/pA/Out1` and `pA\ADC:1`, pressure_a of `/pressure_a.data`."""
     parts = [part for part in re.split(r"[/\\.]", split_unit(name)[0]) if part]
     telling = [
         part for part in parts if not re.fullmatch(r"(out|in|value|data|samples|fluid_pressure)?\d*|.*:\d+", part, re.I)
@@ -314,7 +314,7 @@ def _own_name(name: str) -> str:
 
 
 def _unit(field: str, name: str, found: Columns, bench: Bench) -> str:
-    """The unit that is stated, or the one in which the numbers are of the bench's size; empty for SI."""
+    """Unit of a column: stated, or the one in which the values are plausible for the field; empty for SI."""
     wanted, unit = QUANTITY_OF.get(field, ""), found.unit(name)
     if unit or name == field:
         return unit if quantity(unit) == wanted and to_si(unit) != 1.0 else ""
@@ -324,7 +324,7 @@ def _unit(field: str, name: str, found: Columns, bench: Bench) -> str:
 
 
 def _fits(field: str, values: FloatArray, bench: Bench) -> bool:
-    """Return whether numbers in SI units are of the size that the field has on the bench."""
+    """Return whether values in SI units are of a plausible magnitude for the field on the bench."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return False
@@ -340,7 +340,7 @@ def _fits(field: str, values: FloatArray, bench: Bench) -> bool:
 
 
 def _time_unit(name: str, found: Columns) -> str:
-    """The unit that is stated, or the one in which there are 10 rows a second or more; empty for seconds."""
+    """Unit of a time column: stated, or the one that gives 10 rows a second or more; empty for seconds."""
     if unit := found.unit(name):
         return unit if quantity(unit) == "time" and to_si(unit) != 1.0 else ""
     step = float(np.nanmean(np.diff(found.series[name])))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shapes of the force's curve as claims of the table, with the law of the position, and what they account for."""
+"""Claims from the curve of the missing force: named causes, the force over the position, and the explained shares."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ LABELS = {
     "dry": "friction_coulomb", "viscous": "friction_viscous", "constant": "force_offset",
     "stribeck": "friction_stribeck",
 }  # fmt: skip
-"""Effects of the elementary shapes."""
+"""Labels of the effects that the terms of a shape represent."""
 DIRECTIONAL, MASS, RISE, CELL = (
     "friction_viscous:directional", "moving_mass", "friction_presliding", "sensor_lag:hydraulic_force",
 )  # fmt: skip
 OPERATORS = frozenset({MASS, RISE, "sensor_lag"})
-"""Ids of what stands beside the shapes of the speed."""
+"""Ids of the effects by operators, not by the shape: moving mass, presliding, sensor lag."""
 NOTHING = {"named": 0.0, "all": 0.0}
-"""Shares where nothing is claimed."""
+"""Explained shares where nothing is claimed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveClaims:
-    """Claims that the curve of the force supports."""
+    """Claims that the curve of the missing force supports."""
 
     shape: FittedShape | None = None
     claims: tuple[Claim, ...] = ()
     bounds: Sequence[Interval] = ()
-    """Of all parameters of the claims, in their order."""
+    """Intervals of all parameters of the claims, in their order."""
     evidence: Mapping[str, dict[str, float]] = field(default_factory=dict)
-    """By label, as in report.json."""
+    """Evidence by label of the effect, as in report.json."""
     rivals: Sequence[Rival] = ()
-    """What would do as well as the operator that was chosen."""
+    """Causes that explain the recordings as well as a claimed one."""
     closures: Sequence[ClosureReport] = ()
     accounted: Mapping[str, float] = field(default_factory=lambda: NOTHING)
-    """Shares of the force that the held-out recordings miss, its mean aside."""
+    """Explained shares of the held-out missing force, its mean subtracted: by `named` claims, and by `all` terms."""
     why: str = ""
-    """Which sign of a mechanism is missing; empty if none is."""
+    """Reason in words if no shape is claimed; else empty."""
 
 
 def claims_from_curve(
@@ -69,7 +69,7 @@ def claims_from_curve(
             label = DIRECTIONAL if len(numbers) > 1 else LABELS[name]
             if name == "stribeck":
                 numbers.append((shape.shape.stribeck, *fading_interval(curve.points, shape, curve.top)))
-            if name != "constant" or not terms.position:  # else it is the law's
+            if name != "constant" or not terms.position:  # else it is part of the position term
                 gain = share(shape, terms) - share(shape.without(name), terms)
                 found.add(label, numbers, _rise(curve, shape, name), gain)
     dry = shape.number("dry") if shape is not None else []
@@ -98,7 +98,7 @@ def claims_from_curve(
 
 @dataclass
 class _Claims:
-    """Claims as they are found."""
+    """Collection of claims with their intervals and evidence."""
 
     effects: Mapping[str, Effect]
     claims: list[Claim] = field(default_factory=list)
@@ -106,7 +106,7 @@ class _Claims:
     evidence: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def add(self, label: str, numbers: Sequence[tuple[float, float, float]], delta_bic: float, gain: float) -> None:
-        """Add a claim, if it may be made, of the values of its first parameters with their intervals."""
+        """Add a claim, if its effect is allowed, with `numbers`: value and interval of each of its first parameters."""
         effect = self.effects.get(label)
         if effect is None:
             return
@@ -141,7 +141,7 @@ def _share(curve: ForceCurve, unseen: Sequence[Motion], shape: FittedShape | Non
 
 
 def _rise(curve: ForceCurve, shape: FittedShape, name: str) -> float:
-    """Evidence [BIC] of the points for a name."""
+    """Evidence [BIC] of the points for a term of the shape."""
     without = shape.shape.without(name)
     while name in without.names:
         without = without.without(name)
@@ -151,7 +151,7 @@ def _rise(curve: ForceCurve, shape: FittedShape, name: str) -> float:
 
 
 def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Return an operator's number and interval: within it the held-out RMS rises by `PRACTICAL_SHARE` at most."""
+    """Return an operator's parameter and interval: within it the held-out RMS rises by `PRACTICAL_SHARE` at most."""
     if name == "mass":
         value, error = curve.mass
         return [(value, value - QUANTILE * error, value + QUANTILE * error)]
@@ -179,7 +179,7 @@ def _rivals(curve: ForceCurve) -> list[Rival]:
 def _law(
     curve: ForceCurve, problem: Problem, shape: FittedShape | None, found: _Claims, accounted: Mapping[str, float]
 ) -> ClosureReport:
-    """Add the force over the position to the claims; it is no cause, and has no name."""
+    """Add the force over the position to the claims, as a closure, and return its report."""
     constant = sum(one for one, *_ in shape.number("constant")) if shape is not None else 0.0
     effect = closure(grammar.FORMS[MOTION, "table over position"], problem.bench, curve.limits)
     values = dict(zip((one.name for one in effect.parameters), (curve.over_position + constant).tolist(), strict=True))

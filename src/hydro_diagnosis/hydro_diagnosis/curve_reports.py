@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is missing as curves of its arguments, as they stand in report.json, with what the claims make of them.
+"""Curves of report.json: missing force and flow over their arguments, with the part that the claims explain.
 
 ::
 
-    motion        force over speed, rests and turns left out; over position where that makes some of it
+    motion        force over speed, rests and turns left out; over position if the model has that term
     pressure_a    flow into chamber A, over the current at steady speed, and over the pressure difference at rest
 
-Measured flow: what the piston displaces and what the oil's compression stores.
+The measured flow is the displacement of the piston plus the compression of the oil.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 def curve_reports(
     problem: Problem, claims: Sequence[Claim], curve: ForceCurve | None, by_curve: CurveClaims | None
 ) -> list[CurveReport]:
-    """The curves that the recordings hold points of; `by_curve`: the claims, where they are shapes of the curve."""
+    """Return the curves with points in the recordings; `by_curve`: the claims, where they are shapes of the curve."""
     found = []
     if curve is not None and curve.points:
         points = curve.points
@@ -87,10 +87,10 @@ def _report(
 
 
 def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> list[tuple[float, float, float, float, float]]:
-    """At, missing flow, its standard error, stretches (five or more), and what claims make of it: ten points.
+    """Argument, missing flow, its standard error, number of stretches (five or more), explained flow: ten points.
 
-    Of samples around which the piston all but stands, else of those around which its speed is steady for 0.1 s: means
-    over that time, in which an encoder's steps are not.
+    Of samples around which the piston is at rest (`rest`), else of those around which its speed is steady for 0.1 s:
+    means over that time, which average out an encoder's steps.
     """
     steady_for = 0.1
     top = max(float(np.percentile(np.abs(model.v), 95)) for model in problem.models)

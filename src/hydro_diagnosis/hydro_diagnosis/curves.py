@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Missing force as curves of its arguments, estimated from the recordings before any cause is named.
+"""Missing force as an additive model of the motion, estimated from the recordings before any cause is named.
 
 In the band of the recorded motion the force that the bench file does not explain is an additive model (Hastie and
 Tibshirani 1990), fitted jointly, so that one curve does not leak into another::
 
     missing = cell( g(speed, direction) s(position) + m acceleration + h(position) + constant )
 
-`g` is straight between speeds, for each direction, neighbours held together by a penalty (P-splines: Eilers and Marx
-1996); `s` is the direction of motion, behind a play and an elastic rise where there is memory (Dahl 1968); `cell` is
-the identity, or the low-pass of a slow cell. A term or an operator joins if it halves the held-out RMS over strokes.
-Errors are those of whole strokes (a sandwich over strokes, and over recordings where there are three). Rests, and turns
-of the piston, are no evidence of friction: neither makes a point of the curve.
+`g` is piecewise linear in the speed, for each direction, with a smoothness penalty (P-splines: Eilers and Marx 1996);
+`s` is the direction of motion, behind a play and an elastic rise where there is memory (Dahl 1968); `cell` is the
+identity, or the low-pass of a slow force cell. A term or an operator joins if it halves the held-out RMS over strokes.
+Standard errors are clustered by stroke (sandwich), and by recording where there are three. Samples at rest, and at
+turns of the piston, are no evidence of friction: the points of the curve exclude them.
 """
 
 from __future__ import annotations
@@ -37,19 +37,21 @@ from hydro_sim.model.tables import KNOTS
 SAMPLES_PER_PERIOD = 16.0
 """Samples per period of the cut-off."""
 STANDSTILL_SHARE = 0.03
-"""Share of the top speed below which the piston stands: a tenth of a decade above what the band resolves of a turn."""
-SPEED_RATIO = 1.4
-"""Ratio of neighbouring speeds of the curve: ten to a direction from `SLOW` to the top."""
-SMOOTHING_WEIGHT = 0.03
-"""Weight of the penalties between neighbouring speeds, and on the bend over the position, over that of all samples."""
-ROUGH_RATIO = 2.5
-"""What the most flexible curve leaves over the force's white noise, from which recordings are rough: 3.1 and more on 24
-of 26 real rigs, at most 1.8 on drawn ones whose causes are shapes of the motion (docs/reports/real_recordings.md).
+"""Share of the top speed below which the piston is at rest: a tenth of a decade above the band's resolution of a turn.
 """
+SPEED_RATIO = 1.4
+"""Ratio of neighbouring knots over the speed: eleven per direction, from about `STANDSTILL_SHARE` to the top speed."""
+SMOOTHING_WEIGHT = 0.03
+"""Factor of the smoothness penalties on first differences over the speed and second ones over the position, relative to
+the root of the samples' total weight."""
+ROUGH_RATIO = 2.5
+"""Ratio of the most flexible curve's residual to the force's white noise above which recordings are rough: 3.1 and more
+on 24 of 26 real rigs, at most 1.8 on drawn ones whose causes are shapes of the motion
+(docs/reports/real_recordings.md)."""
 
 
 def motion_bandwidth(position: FloatArray, step: float) -> float:
-    """Return the cut-off [Hz] below which a position, sampled every `step` s, holds its motion and yields its speed."""
+    """Return the cut-off [Hz] of a position's motion, sampled every `step` [s], low enough for its speed's noise."""
     frequency, power = welch(
         position - position.mean(), 1.0 / step, nperseg=min(len(position), max(256, len(position) // 2)),
         detrend="linear",
@@ -61,22 +63,22 @@ def motion_bandwidth(position: FloatArray, step: float) -> float:
     speed = float(np.std(np.diff(position[::period]))) * motion / 0.1
     quiet = (3.0 * (PRACTICAL_SHARE * speed) ** 2 / (4.0 * np.pi**2 * noise)) ** (
         1.0 / 3.0
-    )  # noise of the speed up to there
-    within = min(5.0 * motion, quiet)  # with the motion's harmonics, in which friction shows
+    )  # up to there the speed's noise is small
+    within = min(5.0 * motion, quiet)  # with the motion's harmonics, which friction excites
     return float(np.clip(within, min(40.0 / (len(position) * step), 0.2 / step), 0.2 / step))
 
 
 class Motion:
-    """A stretch in the band of its motion, `RATE` samples to a period of the cut-off.
+    """Recorded motion and force, low-passed and resampled at `SAMPLES_PER_PERIOD` per period of the cut-off.
 
     Attributes
     ----------
     position, velocity, acceleration
         SI units, shape (n,).
     measured, known
-        Force of the cell or of the pressures, and what of it the bench file explains [N].
+        Force [N] of the cell or of the pressures, and its part that the bench file explains, shape (n,).
     noise
-        Standard deviation [N] of white noise of the force in the band.
+        Standard deviation [N] of the force's white noise in the band.
     """
 
     def __init__(self, models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> None:
@@ -101,19 +103,19 @@ class Motion:
             + bench.viscous_friction * self.velocity
             + bench.spring_stiffness * (position - bench.spring_rest_position)
         )
-        if baseline:  # what the bench file holds of an earlier diagnosis
+        if baseline:  # effects of an earlier diagnosis in the bench file
             self.known = self.known + self.force_of((), baseline)
         frequency, power = welch(raw, 1.0 / step, nperseg=min(len(raw), 1024))
         self.noise = float(np.sqrt(np.median(power[frequency > 0.35 / step]) * self.band))
         self.memory = Memory(self.step)
 
     def low_pass(self, signals: FloatArray, step: float) -> FloatArray:
-        """Return signals, sampled every `step` s, after a zero-phase low-pass at the cut-off, shape (n, ...)."""
+        """Return signals, sampled every `step` [s], after a zero-phase low-pass at the cut-off, shape (n, ...)."""
         order, reach = butter(4, self.band, fs=1.0 / step, output="sos"), int(3 / (self.band * step))
         return np.asarray(sosfiltfilt(order, signals, axis=0, padlen=min(len(signals) - 1, reach)))
 
     def force_of(self, baseline: Sequence[Claim], claims: Sequence[Claim]) -> FloatArray:
-        """Force [N] that claims add to what the recorded motion needs, shape (n,)."""
+        """Return the force [N] that claims add to that required by the recorded motion, low-passed, shape (n,)."""
         parts = [
             (one.required_force((*baseline, *claims)) - one.required_force(baseline))[one.segment.phase :: one.spacing]
             for one in self.models
@@ -135,7 +137,7 @@ class Motion:
         return there & ~rest, there & ~rest & ~turning
 
     def stroke_numbers(self, top: float) -> npt.NDArray[np.int64]:
-        """Return the number of each sample's stroke, from one turn to the next, shape (n,).
+        """Return the index of each sample's stroke, from one turn to the next, shape (n,).
 
         A stroke lasts five periods of the cut-off (one of the motion) at most: errors farther apart are independent.
         """
@@ -149,9 +151,9 @@ class Motion:
 
 
 def motions(models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> list[Motion]:
-    """Return one motion per recording without a gap: consecutive segments are joined.
+    """Return one motion per gapless part of a recording: consecutive segments are joined.
 
-    `baseline`: effects that the bench file holds in addition to its numbers.
+    `baseline`: effects that the bench file contains in addition to its parameters.
     """
     groups: list[list[SegmentModel]] = []
     for one in models:
@@ -165,7 +167,7 @@ def motions(models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> l
 
 
 def _share(there: npt.NDArray[np.bool_], reach: float) -> FloatArray:
-    """Share of the samples within a reach that are there."""
+    """Share of the samples within `reach` of each sample for which a mask is true."""
     width = 2 * int(reach) + 1
     return np.convolve(there, np.full(width, 1.0 / width), "same")
 
@@ -176,59 +178,59 @@ class Terms:
 
     mass: bool = False
     position: str = ""
-    """`straight`, `curved`, or empty: none."""
+    """Force over the position: `straight`, `curved`, or empty: none."""
     play: float = 0.0
-    """m."""
+    """Width [m] of a play ahead of the friction; 0: none."""
     rise: float = 0.0
-    """m in which the force would rise to that of sliding at its first slope; 0: at once."""
+    """Distance [m] of the elastic rise to the sliding force, extrapolated from its initial slope; 0: no rise."""
     sharp: bool = False
-    """Whether it rises straight to that of sliding (Prandtl), not ever more slowly (Dahl)."""
+    """Whether the rise is linear up to the sliding force (Prandtl), not exponential (Dahl)."""
     cell: float = 0.0
-    """Hz; 0: no low-pass."""
+    """Bandwidth [Hz] of the force cell's low-pass; 0: none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
-    """Rows of the model's least squares, over all recordings."""
+    """Regression of the additive model over all recordings: design matrix, target, and signals of each row."""
 
     columns: FloatArray
-    """Speeds of either direction, the position's, the acceleration, 1: shape (n, k)."""
+    """Design matrix, shape (n, k): hat functions of the speed by direction, position terms, acceleration, constant."""
     missing: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
     position: FloatArray
     sign: FloatArray
-    """The direction behind its memory."""
+    """Direction of motion, -1 to 1, after its play and rise."""
     stroke: npt.NDArray[np.int64]
     recording: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """Missing force at a speed."""
+    """Point of the force curve: missing force at a velocity."""
 
     at: float
-    """m/s."""
+    """Velocity [m/s], with its sign."""
     force: float
-    """N, without what position and acceleration make."""
+    """Missing force [N], without the terms of position and acceleration."""
     error: float
     """Standard error [N] between strokes, or between recordings."""
     strokes: int
 
 
 CurveSamples = tuple[tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]], npt.NDArray[np.int64], FloatArray]
-"""Of a recording: masks of `Motion.motion_masks`, stroke numbers, and hat functions of the speed."""
+"""Samples of a recording: masks of `Motion.motion_masks`, indices of strokes, and hat functions of the speed."""
 
 
 class ForceCurve:
-    """The additive model of the missing force, fitted.
+    """Additive model of the missing force, fitted to recordings.
 
     Parameters
     ----------
     motions
-        Of the recordings that are fitted.
+        Motions of the fitted recordings.
     terms
-        Chosen if not given.
+        Terms of the model; chosen by held-out RMS if not given.
     """
 
     def __init__(self, motions: Sequence[Motion], terms: Terms | None = None) -> None:
@@ -237,13 +239,13 @@ class ForceCurve:
         """Top speed [m/s]."""
         self.limits = min(float(m.position.min()) for m in motions), max(float(m.position.max()) for m in motions)
         self.stroke = float(np.median([np.ptp(one.position) for one in motions]))
-        """Usual distance [m] of a recording."""
+        """Median range [m] of the recordings' positions."""
         count = int(np.ceil(np.log(1.0 / STANDSTILL_SHARE) / np.log(SPEED_RATIO)))
         self.knots = np.concatenate([[0.0], self.top * SPEED_RATIO ** np.arange(1 - count, 2.0)])
-        """Speeds [m/s] between which the curve is straight."""
+        """Knots [m/s] of the curve, which is linear between them."""
         self._kept: dict[int, CurveSamples] = {}
         self.rivals: list[Terms] = []
-        """Terms that would do as well as those that were chosen."""
+        """Alternatives to the chosen terms that fit as well."""
         self.terms = self._chosen() if terms is None else terms
         design = self.design(self.terms, self.motions, sliding=True)
         weight = np.ones(len(design.missing))
@@ -302,7 +304,7 @@ class ForceCurve:
 
     @cached_property
     def position_confounded(self) -> bool:
-        """Whether a bend over the position cannot be told from the curve over the speed, as in strokes of one size.
+        """Whether curvature over the position cannot be told from the curve over the speed, as in equal strokes.
 
         Then the mean at each speed leaves less than a fifth of the bend's variance.
         """
@@ -335,7 +337,7 @@ class ForceCurve:
     # -- least squares -------------------------------------------------------------------------------------------------
 
     def nearest_knot(self, speed: FloatArray) -> npt.NDArray[np.int64]:
-        """Return the index of the point whose knot is nearest by ratio to each speed [m/s], shape (n,)."""
+        """Return the index of the knot nearest by ratio to each speed [m/s], shape (n,); 0 below the others."""
         return np.searchsorted(self.knots[1:] / SPEED_RATIO**0.5, speed)
 
     def hat_basis(self, speed: FloatArray) -> FloatArray:
@@ -343,14 +345,14 @@ class ForceCurve:
         return np.stack([np.interp(speed, self.knots, one) for one in np.eye(len(self.knots))], axis=-1)
 
     def _samples_of(self, motion: Motion) -> CurveSamples:
-        """Return what does not depend on the terms: masks, stroke numbers and hat functions, computed once."""
+        """Masks, stroke indices and hat functions of a recording, independent of the terms and computed once."""
         if id(motion) not in self._kept:
             hats = self.hat_basis(np.abs(motion.velocity))
             self._kept[id(motion)] = motion.motion_masks(self.top), motion.stroke_numbers(self.top), hats
         return self._kept[id(motion)]
 
     def design(self, terms: Terms, motions: Sequence[Motion], *, sliding: bool = False) -> Design:
-        """The rows of some recordings; `sliding`: without turns."""
+        """Return the regression of some recordings; `sliding`: without turns and unfinished elastic rises."""
         parts: list[dict[str, npt.NDArray[Any]]] = []
         for number, one in enumerate(motions):
             judged, stroke, hats = self._samples_of(one)
@@ -363,7 +365,7 @@ class ForceCurve:
                 bends = [share - 0.5] if terms.position == "straight" else list(splines(share)[:, 1:].T)
             further = np.column_stack([*bends, *([one.acceleration] if terms.mass else []), np.ones(len(sign))])
             columns = np.concatenate([one.low_pass(cell(speeds), one.step), cell(further)], axis=1)
-            if sliding:  # behind an elastic beginning, a sample says something of the force once that has risen
+            if sliding:  # an elastic rise must be complete
                 there = there & (np.abs(sign) > 0.9)
             rows = {
                 "columns": columns, "missing": one.measured - cell(one.known), "velocity": one.velocity,
@@ -393,7 +395,7 @@ class ForceCurve:
         return np.clip((position - self.limits[0]) / max(self.limits[1] - self.limits[0], 1e-12), 0.0, 1.0)
 
     def _normal(self, design: Design, weight: FloatArray, terms: Terms) -> FloatArray:
-        """Inverse of the normal matrix, with the penalties that hold neighbours together."""
+        """Inverse of the normal matrix, with the smoothness penalties."""
         columns, speeds = design.columns, len(self.knots)
         held = np.zeros((2 * (speeds - 1) + (KNOTS - 2 if terms.position == "curved" else 0), columns.shape[1]))
         for row, k in enumerate([*range(speeds - 1), *range(speeds, 2 * speeds - 1)]):
@@ -413,9 +415,9 @@ class ForceCurve:
     def predicted(
         self, motion: Motion, shape: Callable[[FloatArray, FloatArray], FloatArray], terms: Terms
     ) -> FloatArray:
-        """Force [N] that a shape of the speed and these terms make in a recording, as band and cell pass it.
+        """Return the force [N] predicted by a shape and terms for a recording, after band and cell, shape (n,).
 
-        `shape`: of speed and of the direction behind its memory, shape (n,) each.
+        `shape`: force over the velocity [m/s] and the direction after its memory (-1 to 1), shape (n,) each.
         """
         force = shape(motion.velocity, self._sign(motion, terms))
         if terms.mass:
@@ -434,14 +436,14 @@ class ForceCurve:
 
     @classmethod
     def over_speed(cls, motions: Sequence[Motion]) -> ForceCurve:
-        """The curve over the speed alone."""
+        """Return the model with the curve over the speed alone."""
         return cls(motions, Terms())
 
-    # -- what was found ------------------------------------------------------------------------------------------------
+    # -- results -------------------------------------------------------------------------------------------------------
 
     @cached_property
     def covariances(self) -> list[FloatArray]:
-        """Of the values: the sandwich over strokes, and over recordings where there are three."""
+        """Covariances of the coefficients, clustered by stroke (sandwich), and by recording where there are three."""
         inverse = self._normal(self.sliding, self.weight, self.terms)
         scores = self.sliding.columns * (self.weight * self.residual)[:, None]
         found = []
@@ -454,12 +456,12 @@ class ForceCurve:
         return found
 
     def error(self, row: FloatArray) -> float:
-        """Standard error of a sum of values, `row` times them: the larger one."""
+        """Return the standard error of a linear combination `row` of the coefficients, shape (k,): the largest one."""
         return float(np.sqrt(max(row @ one @ row for one in self.covariances)))
 
     @cached_property
     def points(self) -> list[Point]:
-        """The curve over the speed: of speeds that at least two strokes have, from the slowest."""
+        """Points of the curve over the speed, where at least two strokes have samples, by ascending velocity."""
         design, count, found = self.sliding, len(self.knots), []
         place = self.nearest_knot(np.abs(design.velocity))
         for side in (1.0, -1.0):
@@ -469,7 +471,7 @@ class ForceCurve:
                 rising = np.count_nonzero(here & (design.acceleration * side > 0.0))
                 alone = min(rising, np.count_nonzero(here) - rising) < 0.1 * np.count_nonzero(here)
                 if strokes < 2 or (alone and self.terms.rise):
-                    continue  # what is left of a stroke behind an elastic beginning slows down
+                    continue  # after an elastic rise, the rest of a stroke only decelerates
                 row, at = np.zeros(len(self.values)), float(design.velocity[here].mean())
                 first = 0 if side > 0.0 else count
                 row[first : first + count], row[-1] = side * self.hat_basis(np.array([abs(at)]))[0], 1.0
@@ -519,9 +521,9 @@ class ForceCurve:
 
     @property
     def rough(self) -> bool:
-        """Whether even the most flexible curve leaves far more than noise, so that names cannot explain all of it.
+        """Whether even the most flexible curve leaves far more than noise, so that named causes cannot explain it all.
 
-        By the median of the held-out residuals: not because of single strokes.
+        By the median of the held-out residuals, so that single strokes do not decide.
         """
         terms = Terms(mass=True, position="curved")
         off = np.abs(self._held_out(self.design(terms, self.motions, sliding=True), terms))
@@ -530,7 +532,7 @@ class ForceCurve:
 
 
 def splines(share: FloatArray) -> FloatArray:
-    """`KNOTS` uniform cubic B-splines over 0 to 1, as of `model.tables`, shape (n, KNOTS)."""
+    """Return the `KNOTS` uniform cubic B-splines of `model.tables` at positions from 0 to 1, shape (n, KNOTS)."""
     step = 1.0 / (KNOTS - 3)
     knots = step * np.arange(-3, KNOTS + 1)
     inside = np.clip(share, 0.0, 1.0 - 1e-12)

@@ -50,9 +50,9 @@ PARAMETERS = pa.schema([
 
 
 def recordings_in(words: Sequence[str]) -> dict[str, Path]:
-    """Recordings by name, in order: files, bags, all of a folder or of a store, or a pattern.
+    """Recordings by name, in order: files, bags, and those of folders, remote stores or glob patterns.
 
-    Raises UserError: nothing is there.
+    Raises UserError if a word gives no recording.
     """
     found: dict[Path, None] = {}
     for word in words:
@@ -78,9 +78,9 @@ def _within(path: Path) -> Iterator[Path]:
 
 
 def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
-    """Parts of a bag by name, `every` s each, the last half to one and a half of it; another file as it is.
+    """Parts of a bag by name, `every` s each (the last 0.5 to 1.5 times that); other files are not divided.
 
-    Parts are counted anew behind a minute without a message, or where the clock was set, which is told.
+    Parts restart after a minute without a message, or where the clock was set; both are reported on stderr.
     """
     if not is_bag(path) or split_location(path)[1] is not None:
         return {name: str(path)}
@@ -130,7 +130,7 @@ def diagnose_part(path: str, folder: str, options: Mapping[str, Any]) -> dict[st
 
 
 def write_study(folder: Path, found: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write both tables of what was found, by the recordings' names."""
+    """Write both tables of a study; `found`: rows by recording, as of `diagnose_part`."""
     diagnoses = [{"recording": name, **one["diagnosis"]} for name, one in found.items()]
     parameters = [{"recording": name, **row} for name, one in found.items() for row in one["parameters"]]
     for name, table, schema in (("diagnoses", diagnoses, DIAGNOSES), ("parameters", parameters, PARAMETERS)):
@@ -140,7 +140,7 @@ def write_study(folder: Path, found: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the command-line parser."""
     options = argparse.ArgumentParser(
         prog="diagnose_many", description=__doc__, formatter_class=argparse.RawTextHelpFormatter,
         fromfile_prefix_chars="@",

@@ -2,11 +2,11 @@
 """Choice of the next recording, when the present ones do not separate the hypotheses.
 
 Every reference of a small catalog is simulated on the believed bench (`hydro_sim.model.plant.AnalyticPlant` with the
-box's own force law, which knows nothing of the effects). What matters is how much of one cause's signature the other
-cannot mimic by any values of its parameters: the distance of two fitted models, in BIC.
+box's own force law, without the effects). The criterion is the part of one cause's signature that the other cannot
+reproduce with any parameter values: the distance of two fitted models, in BIC.
 
-A bench's physics is never exactly a law of the grammar: for a closure, a second law is taken for a rival already where
-it gains nearly as much.
+A bench's physics is never exactly a law of the grammar: for a closure, a second law is a rival even if it gains 10 %
+less.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ def simulated_recording(
     bench: Bench, reference: ReferenceSignal, *, gains: tuple[float, float] = (60.0, 10.0), seconds: float = 10.0,
     noise: float = 1.0, seed: int = 0, truth: Bench | None = None,
 ) -> Recording:  # fmt: skip
-    """One run under the box's force law.
+    """Simulate a recording under the box's force law.
 
-    `bench`: what the box believes. `reference`, `gains`, `seconds`: what is commanded, K_p [1/s], K_i [1/s^2], length.
-    `noise`, `seed`: scale and seed of the sensors' noise. `truth`: what is simulated, `bench` by default.
+    `bench`: bench model of the law. `reference`, `gains`, `seconds`: commanded force, (K_p [1/s], K_i [1/s^2]), length.
+    `noise`, `seed`: scale and seed of the sensors' noise. `truth`: simulated bench, `bench` by default.
     """
     plant = AnalyticPlant(replace(truth or bench, effects=(), closures=()), noise=noise)
     believed = replace(bench, effects=(), closures=())
@@ -57,7 +57,7 @@ PROPOSED = 20.0
 
 
 def catalog(bench: Bench) -> list[ReferenceSignal]:
-    """References that the box can run, over the working range: forces in proportion to the bench's largest."""
+    """Candidate references over the working range; forces scale with the bench's piston area times supply pressure."""
     nominal = Bench.nominal()
     strength = bench.piston_area * bench.supply_pressure / (nominal.piston_area * nominal.supply_pressure)
     of_nominal = []
@@ -80,7 +80,7 @@ def catalog(bench: Bench) -> list[ReferenceSignal]:
 
 
 def next_recording(problem: Problem, outcome: SearchOutcome, assessment: Assessment) -> dict[str, Any] | None:
-    """The recording that separates the closest pair of rivals; None if all are distinguished."""
+    """Proposed recording that separates the closest pair of rivals; None if all are distinguished."""
     close = []
     for claim in assessment.fit.claims:
         for rival in outcome.rivals.get(claim.effect.label, []):
@@ -96,7 +96,7 @@ def next_recording(problem: Problem, outcome: SearchOutcome, assessment: Assessm
 
 
 def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike: str) -> dict[str, Any]:
-    """The reference of the catalog on which two fits differ most; `alike`: how near they are, without a full stop."""
+    """Report entry with the catalog's reference on which two fits differ most; `alike`: their likeness, as a clause."""
     gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog(problem.bench)]
     gain, reference = max(gains, key=lambda one: one[0])
     if gain < DECISIVE:
@@ -111,7 +111,7 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
 
 
 def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
-    """BIC by which `PROPOSED` seconds of a reference would tell a fit from a rival to it."""
+    """Expected BIC difference between a fit and its rival after `PROPOSED` seconds of a reference."""
     seconds = 10.0
     try:
         recording = simulated_recording(problem.bench, reference, seconds=seconds)
@@ -128,7 +128,7 @@ def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, ri
 
 
 def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
-    """The recording that separates the weightiest law of a fit from its rival; None without a law or a rival."""
+    """Proposed recording that separates the most significant law of a fit from a rival; None without either."""
     fits = {
         k: fit(problem, found.claims_without(claim))
         for k, claim in enumerate(found.claims)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forecast: what the missing physics does to control. The recorded loop is closed on the bench file and on what it is.
+"""Forecast of the control error: the recorded closed loop, simulated on the bench file and on the corrected bench.
 
 ::
 
@@ -8,10 +8,10 @@
                                                └── sensors with the recording's noise <── plant <────┘
                                                    bench file | corrected | corrected without one cause
 
-The law is taken for known where it gives the nominal current that was recorded from what the box had measured. Every
-RMSE, the recorded one too, is that of f_r less the load cell's reading, over the same seconds: the noise of the cell,
-as the diagnosis measures it, is in all of them. A compensated law is run with the f_c, C_1 and C_2 that were recorded,
-which its host had fitted to the bench.
+The law counts as known if it reproduces the recorded nominal current from the recorded measurements. Every RMSE, the
+recorded one included, is that of f_r minus the load cell's reading, over the same seconds: all contain the cell's
+noise, as estimated by the diagnosis. A compensated law is run with the recorded f_c, C_1 and C_2, which its host had
+fitted to the bench.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 
 MISSED = 0.2
-"""Share of the recorded RMSE by which a forecast that is said to miss is off."""
+"""Relative error of a forecast, over the recorded RMSE, beyond which it is reported to miss."""
 LAW_STATE_TOPIC = "/hydro/law_state"
 
 
 @dataclass(frozen=True)
 class Loop:
-    """The closed loop of a recording, from where the box was armed on."""
+    """Recorded closed loop of an armed box: its belief, settings and schedule, with reference and measured force."""
 
     recording: str
     belief: Bench
-    """What the box's force law believes."""
+    """Bench model of the box's force law."""
     config: BoxConfig
     schedule: Schedule
     reference: FloatArray
@@ -66,20 +66,20 @@ class Loop:
     start: FloatArray
     """Measurement x of the first sample, shape (8,)."""
     scored_samples: slice
-    """Samples over which the RMSE is taken: recorded ones, once the loop has settled."""
+    """Samples of the RMSE: recorded ones, once the loop has settled."""
 
     def rmse(self, force: FloatArray) -> float:
         """RMSE [N] of a load force against the reference."""
         return float(np.sqrt(np.mean(np.square((self.reference - force)[self.scored_samples]))))
 
     def simulated(self, bench: Bench, sensors: Sensors) -> float:
-        """RMSE [N] on a simulated bench; infinite where its box trips."""
+        """RMSE [N] of the loop on a simulated bench; infinite if its box trips."""
         states = simulate(_InitialisedPlant(bench, sensors, self.start), self.belief, self.schedule, config=self.config)
         return float("inf") if np.any(states["flags"] & Flag.TRIPPED) else self.rmse(states["load_force"])
 
 
 class _InitialisedPlant(AnalyticPlant):
-    """A bench in the state of a measurement x, shape (8,), what has no sensor at rest."""
+    """Plant that starts in the state of a measurement x, shape (8,); states without a sensor start at rest."""
 
     def __init__(self, bench: Bench, sensors: Sensors, start: FloatArray) -> None:
         self._start = start
@@ -96,7 +96,7 @@ class _InitialisedPlant(AnalyticPlant):
 def forecasts(
     problem: Problem, claims: Sequence[Claim], held: Sequence[Segment], paths: Iterable[str | Path]
 ) -> tuple[list[ForecastReport] | None, str]:
-    """One forecast a recording of `held`, or None with the reason; `paths`: of the recordings that were diagnosed."""
+    """Forecasts of the recordings in `held`, or None; with reasons for missing ones. `paths`: of the recordings."""
     if not can_simulate(problem.bench):
         return None, "the bench file does not hold all numbers that a simulation needs"
     where = {name: Path(path) for path in paths for name in (Path(path).name, Path(path).stem, str(Path(path)))}
@@ -148,9 +148,10 @@ def _newtons(rmse: float) -> str:
 
 
 def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> Loop:
-    """The loop of a segment, whose box believed `bench`, or what the recording at `path` says that it did.
+    """Closed loop of a segment; the box's belief is `bench`, the nominal bench, or one in the recording at `path`.
 
-    Raises ValueError, a sentence without its end: no reference or law is recorded, or it does not give the current.
+    The belief that best reproduces the recorded current is taken. Raises ValueError, its message without a full stop:
+    no reference or law is recorded, the armed part is too short, or the law does not reproduce the current.
     """
     if missing := [name for name in STATE_FIELDS if name not in segment.channels]:
         raise ValueError(f"no force law or reference is recorded ({', '.join(missing)})")
@@ -163,7 +164,7 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     begin, end = max(runs.tolist(), key=lambda run: run[1] - run[0], default=(0, 0))
     spacing = segment.spacing
     begin += (segment.phase - begin) % spacing
-    settle = 2.0  # s after which a loop that began at rest is where the recorded one is: 0.1 % if it is entered late
+    settle = 2.0  # s after which a loop that started at rest has converged to the recorded one, to 0.1 %
     least, most = settle + 1.0, settle + 18.0  # s; 50 ms of computing for a simulation
     end = min(end, begin + round(most / SAMPLE_PERIOD))
     if end - begin < round(least / SAMPLE_PERIOD):
@@ -190,7 +191,7 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
 
 
 def _beliefs(bench: Bench, bag: Recording | None) -> list[Bench]:
-    """Benches that the box may believe: the bench file's, the nominal one, and those that the recording tells."""
+    """Candidate beliefs of the box: the bench file's bench, the nominal one, and those stored in the recording."""
     found, texts = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()], list[Any]()
     if bag is not None:
         boxes = read_messages(bag.path, BOX_TOPIC) if BOX_TOPIC in bag.topics else iter(())
@@ -202,7 +203,7 @@ def _beliefs(bench: Bench, bag: Recording | None) -> list[Bench]:
 
 
 def _law_state(segment: Segment, bag: Recording | None) -> tuple[Law, FloatArray, tuple[float, float]]:
-    """Law, f_c [N] and f_c' [N/s] that it followed, shape (n, 2), and C_1, C_2; the paper's where none is told."""
+    """Law, the reference it followed, f_c [N] and f_c' [N/s], (n, 2), and C_1, C_2; the paper's if none is recorded."""
     channels, at = segment.channels, segment.phase
     paper = Law.PAPER, np.stack([channels["reference_force"], channels["reference_force_rate"]], axis=1), (1.0, 1.0)
     if bag is None or LAW_STATE_TOPIC not in bag.topics:
@@ -229,7 +230,7 @@ def _box(
     channels: Mapping[str, FloatArray], law: Law, followed: FloatArray, scales: tuple[float, float],
     beliefs: Sequence[Bench], spacing: int,
 ) -> tuple[Bench, BoxConfig]:  # fmt: skip
-    """The belief and settings of the box with which its law gives the recorded current best."""
+    """Belief and settings of the box with which its law best reproduces the recorded nominal current."""
     names = zip(("velocity_compensation", "valve_gain_scale"), scales, strict=True)
     fixed = {f"{name}{end}": scale for name, scale in names for end in ("", "_min", "_max")}
     wide = {f"delta_{gain}_{end}": sign * 500.0 for gain in ("kp", "ki") for end, sign in (("min", -1), ("max", 1))}
@@ -239,7 +240,7 @@ def _box(
         config = replace(config, compensated=replace(config.compensated, **fixed, **wide), **wide)  # type: ignore[arg-type]
         tried.append((_law_off(channels, followed, scales, belief, config, spacing), len(tried), belief, config))
     off, _, belief, config = min(tried)
-    if not off <= MISSED / 4.0:  # what misses by less is not the law's doing
+    if not off <= MISSED / 4.0:  # a miss of `MISSED` is then not due to the law
         raise ValueError(
             f"the {law.name.lower()} law with its recorded gains misses the recorded nominal current by "
             f"{100.0 * off:.0f} %: what closed this loop is not known"
@@ -251,7 +252,7 @@ def _law_off(
     channels: Mapping[str, FloatArray], followed: FloatArray, scales: tuple[float, float], belief: Bench,
     config: BoxConfig, spacing: int,
 ) -> float:  # fmt: skip
-    """RMS by which the law misses the nominal current, over that current's; the integral's beginning is fitted."""
+    """Relative RMS error of the law's nominal current; the initial value of the integral is fitted."""
     n, nominal, error = belief.constants().view(np.recarray)[0], channels["nominal_valve_current"], followed[:, 0]
     error = error - channels["load_force"]
     stiff = eq.stiffnesses(n, (n.bulk_modulus,) * 2, eq.clip(channels["piston_position"], 0.0, n.stroke))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`diagnose --grow`: a law that diagnoses found on several benches becomes a named effect.
 
-The law that all reports hold is read from their closures, its numbers are compared, and the effect is written.
+The law common to all reports is read from their closures, its parameters are compared, and the effect is written.
 
 Cochran's Q: squared deviations from the mean, which is weighted by the inverse variances, over these variances; of
 equal values it follows chi-squared. Source: Cochran 1954, The combination of estimates from different experiments.
@@ -41,9 +41,9 @@ class Agreement:
     name: str
     unit: str
     common: float
-    """Weighted mean; the median where one value does not fit, or fewer than two benches identify the number."""
+    """Weighted mean; the median if one value does not fit, or fewer than two benches identify the parameter."""
     ci95: tuple[float, float] | None = None
-    """Of the weighted mean; None where fewer than two benches identify the number."""
+    """95 % interval of the weighted mean; None if fewer than two benches identify the parameter."""
     probability: float | None = None
     """Probability of deviations as large as these if one value holds for all; None likewise."""
 
@@ -54,7 +54,7 @@ class Agreement:
 
     @property
     def sentence(self) -> str:
-        """The finding, for the command and for the effect's docstring."""
+        """Agreement as a sentence, for the command and for the effect's file."""
         if self.probability is None or self.ci95 is None:
             return f"{self.name}: too few benches identify it to compare its values."
         if not self.consistent:
@@ -87,19 +87,19 @@ def agreements(found: Sequence[LawEstimate]) -> list[Agreement]:
 
 
 def _probability(value: float) -> str:
-    least = 1e-6  # below which no figure is given
+    least = 1e-6  # smallest probability that is printed
     return f"p = {value:.2g}" if value >= least else f"p < {least:g}"
 
 
 @dataclass(frozen=True)
 class LawEstimate:
-    """A law with the parameters that one diagnosis estimated."""
+    """Law with the parameters estimated by one diagnosis."""
 
     report: str
     """Path of the report, as it was given."""
     law: Law
     estimates: Mapping[str, ParameterEstimate]
-    """By the law's parameters."""
+    """Estimates by name of the law's parameter."""
 
 
 def units(law: Law) -> dict[str, str]:
@@ -176,12 +176,12 @@ def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], LawE
 
 
 def write_effect(found: Sequence[LawEstimate], agreed: Sequence[Agreement], path: Path) -> None:
-    """Write the effect as `hydro_sim.model.effects.grown` reads it."""
+    """Write a law as an effect file, in the format of `hydro_sim.model.effects.grown`."""
     law = found[0].law
     about = [f'Grown by `diagnose --grow` from the law "{law.form}" ({law.equation}), found on {len(found)} benches.',
              *(one.sentence for one in agreed)]  # fmt: skip
     numbers = {}
-    reach = 10.0  # of a parameter's bounds, over the largest and under the smallest that was seen, on its side of 0
+    reach = 10.0  # factor from the extreme estimates to the parameter's bounds, on the same side of 0
     for one in agreed:
         seen = [sighting.estimates[one.name] for sighting in found]
         ends = [end for estimate in seen for end in (estimate.value, *(estimate.ci95 or ()))]
@@ -201,7 +201,7 @@ def write_effect(found: Sequence[LawEstimate], agreed: Sequence[Agreement], path
 
 
 def grow(chosen: argparse.Namespace) -> int:
-    """Compare the reports, write the effect, say what was found; `chosen`: by `cli.parser`."""
+    """Compare the reports, write the effect and print the agreement; `chosen`: options of `cli.parser`."""
     folder = chosen.out or grown.target_folder()
     path = folder / f"{chosen.id}.yaml"
     if not re.fullmatch(r"[a-z][a-z0-9]*(_[a-z0-9]+)*", chosen.id):

@@ -53,7 +53,7 @@ _POLICY = (
 
 
 class Upload(msgspec.Struct, tag="upload", frozen=True, forbid_unknown_fields=True):
-    """A file follows in binary messages."""
+    """Request to store a file, which follows in binary messages."""
 
     name: str
     size: int
@@ -61,38 +61,38 @@ class Upload(msgspec.Struct, tag="upload", frozen=True, forbid_unknown_fields=Tr
 
 
 class Check(msgspec.Struct, tag="check", frozen=True, forbid_unknown_fields=True):
-    """A map to be checked."""
+    """Request to check a column map."""
 
     columns: dict[str, dict[str, str]]
-    """By field: its `column`, `unit`, `scale` and `offset`, as in a map."""
+    """Source of each field: `column`, `unit`, `scale` and `offset`, as in a column map."""
 
 
 class Diagnose(msgspec.Struct, tag="diagnose", frozen=True, forbid_unknown_fields=True):
-    """Files to be diagnosed with a map."""
+    """Request to diagnose uploaded files with a column map."""
 
     columns: dict[str, dict[str, str]]
     fit: list[str]
     """Names of files to fit."""
     check: list[str]
-    """Names of files that are checked on; empty: a part of the others."""
+    """Names of held-out files; empty: a part of the fitted ones is held out."""
 
 
 _DECODER = msgspec.json.Decoder(Upload | Check | Diagnose)
 
 
 class Import:
-    """One page's recordings and its requests.
+    """Session of one page: stores its uploads and answers its requests.
 
-    `connection`: to the page. `folder`: where its files go. `bench`: baseline, until the page sends a bench file.
+    `connection`: to the page. `folder`: of its uploads. `bench`: baseline, until the page sends a bench file.
     """
 
     def __init__(self, connection: ServerConnection, folder: Path, bench: Bench) -> None:
         self._connection, self._folder, self._bench = connection, folder, bench
         self._first: tuple[Path, Columns] | None = None
-        """The recording whose columns are shown."""
+        """Recording whose columns are shown, with these columns."""
 
     def serve(self) -> None:
-        """Answer until the page is closed."""
+        """Answer requests until the page is closed."""
         for message in self._connection:
             if isinstance(message, bytes):
                 continue  # the rest of a file that was refused
@@ -110,13 +110,13 @@ class Import:
                 self._send("error", sentence=" ".join(str(error).replace(f"{self._folder}/", "").split()), name=name)
 
     def _remarks(self, columns: ColumnMap) -> Mapping[str, list[str]]:
-        """What looks wrong in the first recording with this map, and what the map leaves out."""
+        """Doubts about the first recording under this map, and equations for which the map lacks fields."""
         doubts = improbable(*self._first, columns, self._bench) if self._first else []
         doubts += self._first[1].broken.values() if self._first else []
         return {"doubts": doubts, "missing": missing(columns)}
 
     def _take(self, upload: Upload) -> None:
-        """Read a file to its end, a bench file or a recording; a name is only the last part of a path."""
+        """Receive a bench file or a recording; only the last part of a name's path is used."""
         path, left = self._folder / Path(upload.name).name, upload.size
         with path.open("wb") as file:
             while left > 0:
@@ -172,9 +172,9 @@ def _map(columns: Mapping[str, Mapping[str, str]]) -> ColumnMap:
 
 
 def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Server:
-    """Return a server of the page at a port, any free one for 0; call its `serve_forever`. `name`: the bench's.
+    """Return a server of the page at `port` (0: any free one), to be run by `serve_forever`; `name`: of the bench.
 
-    Raises UserError: the port cannot be listened at.
+    Raises UserError if the port is not available.
     """
     page = environment("hydro_diagnosis", "page").get_template("import.html")
     files = {

@@ -30,13 +30,13 @@ COSTS = {
     "load equation": "the load's damping and play, and the load cell",
     "force of the pressures": "the pressure sensors and the hydraulic force's scale",
 }
-"""What each equation is for."""
+"""Effects that each equation identifies."""
 ROWS = 100_000
-"""Rows of a longer bag that are listed, evenly taken; counts and ranges are those of all."""
+"""Number of rows to which longer bags are thinned evenly; counts and ranges are of all rows."""
 
 
 def sparkline(values: FloatArray) -> str:
-    """The middle of each of 24 parts, from the smallest number (▁) to the largest (█); gaps are blanks."""
+    """Sparkline of the medians of 24 equal parts, smallest (▁) to largest (█); parts without numbers are blank."""
     levels, parts = "▁▂▃▄▅▆▇█", np.array_split(values, min(24, len(values))) if len(values) else []
     middles = np.array([np.nanmedian(part) if np.isfinite(part).any() else np.nan for part in parts])
     if not np.isfinite(middles).any():
@@ -63,7 +63,7 @@ COLUMNS = {
 
 
 def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
-    """Add a row per column of a recording; returns the map, proposed if none is given."""
+    """Add a row per column of a recording to `table`; returns the column map, proposed if `columns` is None."""
     chosen = propose_sources(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
 
@@ -87,7 +87,7 @@ def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, b
 
 
 def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
-    """Samples per second, by a column's clock, else by the column that the map takes for the time."""
+    """Sampling rate [Hz] of a column, by its clock, else by the mapped time; NaN if unknown."""
     mapped = chosen.sources.get("time")
     clock = found.clocks.get(name) or (mapped.column if mapped else "")
     if not clock and is_time(name, found.series[name]):
@@ -102,7 +102,7 @@ def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
 
 
 def arguments() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the command-line parser."""
     options = argparse.ArgumentParser(
         prog="inspect", description="List what recordings hold, and propose a column map."
     )
@@ -177,7 +177,7 @@ def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> 
 
 
 def unlike(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
-    """Return which columns have the name of a field that lacks, but a unit that is not the field's, a sentence each."""
+    """Return a sentence per unmapped field with a column of matching name, but with a unit of another quantity."""
     taken = {source.column for source in proposal.sources.values()}
     left = {split_unit(name)[0]: name for name in found.series if name not in taken and found.unit(name)}
     bare = replace(found, units={}, series={own: found.series[name] for own, name in left.items()})
@@ -193,7 +193,7 @@ def unlike(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
 
 
 def missing(proposal: ColumnMap) -> list[str]:
-    """Return what is not checked for lack of which fields, a clause per equation."""
+    """Return a clause per equation that cannot be checked, with the fields that it lacks."""
     there = proposal.sources.keys()
     lacking: dict[str, list[str]] = {}
     for one in CONNECTIONS:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judgement of the search: retained claims and verdict. Decided once, from a few scores that a user can read.
+"""Judgement of the search: retained claims and verdict, decided once, from a few scores that a user can read.
 
 A claim is retained if its interval excludes its absence, if it is physically possible, and if it does not increase the
 held-out errors. Where the names leave more than noise, those that act there may only mimic what is missing: they are
@@ -25,9 +25,9 @@ from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, 
 from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE
 
 NEARLY_ALL = 0.98
-"""Share of the squared mismatch that names explain where something remains beside them: six sevenths of it."""
+"""Least share of the squared mismatch that retained causes explain if something remains: six sevenths of its RMS."""
 Accounted = dict[str, dict[str, float]]
-"""By equation: shares that the `named` claims, and `all` terms, account for."""
+"""Shares explained by the `named` claims and by `all` terms, by equation."""
 _EQUATION = {"hydraulic": "sensor"}
 
 
@@ -58,7 +58,7 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) 
         count = len(found.claims)
         if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < NEARLY_ALL:
             suspects, noisy = set(), problem.remaining(found.residual)
-            for claim in found.cause_claims:  # that shows mainly in channels in which something remains
+            for claim in found.cause_claims:  # that acts mainly in channels in which something remains
                 shown = problem.mean_squares(problem.residual(found.claims_without(claim)) - found.residual)
                 if max(shown, key=lambda name: shown[name]) in noisy:
                     suspects.add(claim.effect.label)
@@ -134,11 +134,11 @@ def assess(
         return Assessment(verdict, kept, places, (), (), dropped)
     forms = free_forms(problem, kept)
     remainder = tuple(locate(problem, kept.residual, forms))
-    if not remainder:  # a term without a name may be small, and what was held out may hold more
+    if not remainder:  # an unnamed term may be small, and the held-out recordings may have more
         remainder = tuple(locate(holdout, holdout.residual(kept.claims))) or tuple(
             locate_claims(problem, found, nothing.residual)
         )
-        nowhere = tuple(() for _ in problem.models)  # of what was fitted
+        nowhere = tuple(() for _ in problem.models)  # in the fitted recordings
         remainder = tuple(replace(one, windows=nowhere) for one in remainder)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
     whole = all(one["all"] >= 1.0 - PRACTICAL_SHARE for one in accounted.values()) and bool(accounted)

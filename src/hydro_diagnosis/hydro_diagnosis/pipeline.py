@@ -42,17 +42,17 @@ def diagnose(
     seconds: float | None = None,
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
-    """Locate, name, size and model what a bench has and its simulation leaves out.
+    """Locate, name, quantify and model the physics of a bench that its simulation lacks.
 
     Parameters
     ----------
     recordings
         rosbag2 folders, .mcap, or files of other loggers (see `table.read_table`).
     holdout
-        Recordings on which nothing is fitted; without, the last recording, or the last third of the only one.
+        Held-out recordings; by default the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
-        A file or content needs only the numbers that the recorded channels connect (`bench_numbers.required_numbers`).
+        A file or content needs only the parameters that the channels require (`bench_numbers.required_numbers`).
     model
         File of a learned bench as the baseline, in place of `bench`.
     columns
@@ -60,28 +60,28 @@ def diagnose(
     without
         Causes that are ruled out, by id or by id and options (`friction_viscous:directional`): they are not tried.
     estimate
-        Numbers of the bench file that are not known, or only roughly: they are estimated, and are no causes.
+        Bench parameters that are unknown or uncertain: they are estimated, and are no causes.
     as_wired
         Take the recordings as they are: repairs of wiring are not tried (`stages.hypotheses`).
     simulated
-        Recordings of a simulator that was driven with the bench's commands: they are diagnosed alike, against the same
-        bench file, and compared (`twin`).
+        Recordings of a simulator that was driven with the bench's commands: they are diagnosed against the same bench
+        file, and the results are compared (`twin`).
     simulated_columns
-        Column map of these; absent: `columns`.
+        Column map of the simulator's recordings; default: `columns`.
     settings
-        Of the search.
+        Settings of the search.
     seconds
-        Budget of work [s of CPU, counted: `estimation.problem`]: then the best answer so far is given. Default: 24, in
-        proportion beyond 60,000 samples.
+        Budget of work [s of CPU, counted: `estimation.problem`], after which the best result so far is returned.
+        Default: 24, in proportion beyond 60,000 samples.
     progress
-        Is told the stages.
+        Called with the name of each stage as it begins, and with texts on its steps.
 
     Raises
     ------
     InputError
-        If a recording cannot be diagnosed, or numbers are missing that it needs, in one sentence.
+        If no recording can be diagnosed, or the bench file lacks parameters that they require.
     DiagnosisInterrupted
-        On Ctrl-C once the recordings are read; its `report` holds what was finished.
+        On Ctrl-C once the recordings are read; its `report` contains the results so far.
     """
     question = Question(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
@@ -108,7 +108,7 @@ def diagnose(
 
 
 def _read(question: Question, progress: Progress) -> tuple[Case, float]:
-    """The case, and how long it took to read [s]."""
+    """Case of a question, and the time taken to read it [s]."""
     begun = time.monotonic()
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
         return read_repaired(question, progress), time.monotonic() - begun

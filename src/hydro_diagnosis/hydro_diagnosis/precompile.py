@@ -41,4 +41,4 @@ def _equations() -> None:
 
 
 STEPS: dict[str, Callable[[], None]] = {"diagnosis": _memory, "chamber equations of the diagnosis": _equations}
-"""By what is said while one runs. Recordings are simulated by `hydro_sim`, whose own steps compile that."""
+"""Compilation steps by progress text. `hydro_sim`, whose functions simulate recordings, has steps of its own."""

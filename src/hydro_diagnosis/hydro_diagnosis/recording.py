@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording as the diagnosis sees it: segments of equally spaced samples, channels by BenchState field name."""
+"""Recordings prepared for the diagnosis: segments of equally spaced samples, channels by BenchState field name."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ TEXTS = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
 SUFFIXES = (*TEXTS, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
 SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
 LAST_THIRD = "the last third of the only recording was held back to check on"
-"""Note on the quality of a data set."""
+"""Note on a data set of one recording, whose last third is held out."""
 
 
 def named_in_full(paths: Sequence[str | Path]) -> set[Path]:
-    """Recordings whose names are their paths, since another one has the same file name: most bags are called `bag`."""
+    """Paths that share a file name with another, and are therefore named in full (most bags are called `bag`)."""
     different = {Path(path) for path in paths}
     stems = Counter(path.stem for path in different)
     return {path for path in different if stems[path.stem] > 1}
 
 
 def unreadable(path: Path) -> str:
-    """Return why a file is no recording."""
+    """Return the reason why a file cannot be read as a recording."""
     if path.suffix.lower() in SPREADSHEETS:
         return "a spreadsheet: save its table as CSV"
     return f"not a rosbag2 folder, nor a file .mcap, {', '.join(SUFFIXES)}"
@@ -44,45 +44,45 @@ class InputError(ValueError):
 
 
 class UnusableRecordingError(InputError):
-    """A readable recording without information; others beside it may have some."""
+    """Readable recording that cannot be diagnosed; others of the data set may be."""
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Samples without a gap."""
+    """Contiguous segment of a recording, with equally spaced samples."""
 
     recording: str
-    """Name of the recording it is part of."""
+    """Name of the recording that contains the segment."""
     start: float
     """s since the start of the recording."""
     step: float
-    """s between samples."""
+    """Sampling time [s]."""
     channels: Mapping[str, FloatArray]
-    """By field name, each of shape (n,)."""
+    """Signals by field name, SI units, each of shape (n,)."""
     spacing: int = 1
-    """Samples from one row that the logger recorded to the next: 1 at 1 kHz, 5 at 200 Hz; between them splines."""
+    """Samples per row of the logger: 1 at 1 kHz, 5 at 200 Hz; the samples between rows are interpolated by splines."""
     measured: npt.NDArray[np.bool_] | None = None
-    """Whether a row was recorded, shape (n,); None: every one was."""
+    """Mask of the recorded samples, shape (n,); None: all are recorded."""
     thinner: Segment | None = None
-    """The same stretch from half of the rows, where rows are missing: the missing ones may change as much."""
+    """The same segment from half of the rows, if rows are missing: shows how much these may change results."""
 
     def __len__(self) -> int:
         return len(next(iter(self.channels.values())))
 
     @property
     def time(self) -> FloatArray:
-        """s since the start of the recording, shape (n,)."""
+        """Times [s] since the start of the recording, shape (n,)."""
         return self.start + self.step * np.arange(len(self), dtype=np.float64)
 
     @property
     def phase(self) -> int:
-        """First sample that lies at one of the logger's rows."""
+        """Index of the first sample on the grid of the logger's rows."""
         return 0 if self.measured is None else int(np.argmax(self.measured)) % self.spacing
 
     def evaluated_rows(self, begin: int, end: int, stride: int, margin: int) -> npt.NDArray[np.int64] | slice:
-        """Return the rows at which residuals are evaluated: recorded ones, `stride` recorded rows apart.
+        """Return the recorded samples in [`begin`, `end`) for residuals, `stride` recorded rows apart or more.
 
-        A slice where every row was recorded. None is missing within `margin` rows of them.
+        A slice if all samples are recorded. No row is missing within `margin` rows of any of them.
         """
         if self.measured is None:
             return slice(begin, end, stride)
@@ -99,7 +99,7 @@ class Segment:
         return np.array(chosen, dtype=np.int64)
 
     def cut(self, begin: int, end: int) -> Segment:
-        """The samples from `begin` up to `end`."""
+        """Return the segment of the samples from `begin` up to `end`."""
         return replace(
             self,
             start=self.start + self.step * begin,
@@ -111,12 +111,12 @@ class Segment:
 
 @dataclass(frozen=True)
 class Recording:
-    """One run."""
+    """Recording as contiguous segments, with notes on its quality."""
 
     name: str
     segments: tuple[Segment, ...]
     quality: tuple[str, ...] = field(default=())
-    """Faults that were found and repaired, one sentence each."""
+    """Notes on faults and their repair, one sentence each."""
 
     @property
     def seconds(self) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outcome of a diagnosis as typed values, and as report.json (report_json.md: a contract)."""
+"""Report of a diagnosis as typed records, and as report.json (report_json.md: a contract)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from hydro_core.files.atomic import encode_json, write_whole
 
 INTERRUPTED = "interrupted"
-"""Value in place of a verdict where there is none."""
+"""Verdict of a diagnosis that was interrupted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,31 +21,31 @@ class Location:
     """pressure_a, pressure_b, motion, load, actuation or sensor."""
     share: float
     windows: dict[str, list[list[float]]]
-    """By recording: stretches [s, s] in which it stands out."""
+    """Time windows [s, s] with a significant mismatch, by recording."""
     region: dict[str, list[float]]
-    """By variable: [low, high], SI units."""
+    """Range [low, high] of each variable with a significant mismatch: 10th and 90th percentile, SI units."""
     sentence: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterEstimate:
-    """One number of a claimed effect."""
+    """Estimate of one parameter of a claimed effect or closure."""
 
     value: float
     ci95: list[float] | None
-    """None if the recordings do not identify it."""
+    """95 % confidence interval; None if the recordings do not identify the parameter."""
     unit: str
 
 
 def row_of(estimate: ParameterEstimate | NumberEstimate) -> dict[str, Any]:
-    """An estimate as a row of a table: value, 95 % interval (None for none) and unit."""
+    """Table row of an estimate: value, 95 % interval (None for both ends if not identified) and unit."""
     low, high = estimate.ci95 or (None, None)
     return {"value": estimate.value, "low": low, "high": high, "unit": estimate.unit}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LookAlike:
-    """Another cause in a claim's place for which the table has no id."""
+    """Rival of a claim that is not an effect of the table."""
 
     likeness: str
     """Description of the resemblance."""
@@ -57,7 +57,7 @@ class LookAlike:
 
 @dataclass(frozen=True, kw_only=True)
 class Rival:
-    """Another cause of the table in a claim's place."""
+    """Rival of a claim: another effect of the table in its place."""
 
     id: str
     delta_bic: float
@@ -77,21 +77,22 @@ class EffectReport:
     sentence: str
     parameters: dict[str, ParameterEstimate]
     evidence: dict[str, float]
-    """delta_bic: loss without it; holdout_gain: share of the held-out error beyond the noise that it removes."""
+    """delta_bic: increase of the BIC without it; holdout_gain: share of the held-out error above the noise it removes.
+    """
     rivals: list[Rival]
     look_alikes: list[LookAlike]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClosureReport:
-    """One term of a closure. It is no cause: it states what is missing, not why."""
+    """Term of a closure: it models the mismatch without naming its cause."""
 
     equation: str
     """motion, pressure (from chamber A into B), pressure_a, pressure_b, actuation or load."""
     form: str
     """law or smooth."""
     expression: str
-    """The term as an equation, with units; what it gives: `hydro_sim.model.laws`."""
+    """The term as an equation, with units; its output and sign: `hydro_sim.model.laws`."""
     terms: dict[str, ParameterEstimate]
     range: list[float] | None
     """Recorded range of a smooth function's variable; constant beyond."""
@@ -100,29 +101,29 @@ class ClosureReport:
     share_closed: float
     """Share of the held-out squared error above the noise, left by names alone, that terms and names remove."""
     share_by_form: dict[str, float | None]
-    """The same by form that was tried: shows the cost of condensing a smooth function into a law."""
+    """`share_closed` of each form that was tried: shows the cost of condensing a smooth function into a law."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NumberEstimate:
-    """A number of the bench that was estimated from the recordings."""
+    """Estimate of a bench parameter from the recordings."""
 
     name: str
     """Key of bench.yaml."""
     value: float
     unit: str
     ci95: list[float] | None
-    """None if the recordings do not tell it."""
+    """95 % confidence interval; None if the recordings do not identify it."""
     given: float | None
     """Value in the bench file, if it holds one."""
     alike: list[str]
-    """Causes, or other estimated numbers, that would look the same."""
+    """Causes, or other estimated parameters, with the same signature."""
     sentence: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurveReport:
-    """What is missing in an equation as a function of one variable, SI units; numbers of each point, side by side."""
+    """Missing force or flow of an equation as a function of one variable, SI units; lists with an entry per point."""
 
     equation: str
     over: str
@@ -131,17 +132,17 @@ class CurveReport:
     unit_y: str
     x: list[float]
     y: list[float]
-    """Recorded less what the bench file says."""
+    """Missing force or flow: recorded minus computed by the bench file."""
     low: list[float]
     high: list[float]
     """95 % band of `y`."""
     named: list[float]
-    """What the claimed effects make of it."""
+    """Part of `y` that the claimed effects explain."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForecastReport:
-    """RMSE [N] of the reference less the load cell's reading in the closed loop of a held-out recording."""
+    """Forecast of the closed loop of a held-out recording: RMSE [N] of the reference minus the load cell's reading."""
 
     recording: str
     law: str
@@ -151,35 +152,35 @@ class ForecastReport:
     rmse_bench_file: float
     """Simulated with the bench file; infinite where the box trips in it."""
     rmse_corrected: float
-    """Simulated with all that was found."""
+    """Simulated with the corrected bench."""
     without: dict[str, float]
-    """By cause: simulated with all but it."""
+    """By cause: simulated with the corrected bench without it."""
     misses: bool
-    """Whether `rmse_corrected` is off what was recorded by more than `forecast.MISSED` of it."""
+    """Whether `rmse_corrected` deviates from `rmse_recorded` by more than `forecast.MISSED` of the latter."""
     sentence: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class NumberDifference:
-    """A number of a cause on the bench and in a simulator of it; None where there is none."""
+    """Difference of an effect's parameter between a bench and its simulator; a value is None where it is absent."""
 
     real: float | None
     simulated: float | None
     difference: float | None
-    """`real` less `simulated`; None where one is missing."""
+    """`real` minus `simulated`; None where one is missing."""
     ci95: list[float] | None
-    """Of the difference; of the number that there is where one is missing; None: not identified."""
+    """95 % interval of the difference, or of the only value where one is missing; None: not identified."""
     unit: str
 
     @property
     def tells(self) -> bool:
-        """Whether the two are apart: one is missing, or their difference's interval leaves 0 out."""
+        """Whether the difference is significant: one value is missing, or the interval excludes 0."""
         return self.difference is None or (self.ci95 is not None and not self.ci95[0] <= 0.0 <= self.ci95[1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Difference:
-    """A cause by which a bench and a simulator of it differ."""
+    """Effect in which a bench and its simulator differ."""
 
     id: str
     equation: str
@@ -198,26 +199,26 @@ class Report:
     location: list[Location]
     effects: list[EffectReport]
     remainder: dict[str, Any] | None
-    """Unnamed remainder: where it is, the variables on which it depends, and the names that were dropped for it."""
+    """Remaining mismatch: locations, variables on which it depends, dropped names, and resemblances; None if none."""
     closures: list[ClosureReport] = field(default_factory=list)
-    """Terms that model what no name explains; empty where names do, or no term holds on held-out recordings."""
+    """Closure terms of the unnamed mismatch; empty if there is none, or no term holds on held-out recordings."""
     estimated: list[NumberEstimate] = field(default_factory=list)
-    """Numbers of the bench that were to be estimated; they are no causes."""
+    """Estimates of the bench parameters that were requested; they are no causes."""
     curves: list[CurveReport] = field(default_factory=list)
-    """What is missing, as curves."""
+    """Missing forces and flows as curves over one variable."""
     accounted: dict[str, dict[str, float]] = field(default_factory=dict)
-    """By equation: 1 - (rms left) / (rms missing) on what was held out, the noise taken off both; with the `named`
+    """By equation: 1 - (residual RMS) / (mismatch RMS) on held-out recordings, both above the noise; with the `named`
     effects, and with `all` terms."""
     forecast: list[ForecastReport] | None = None
-    """What the missing physics does to control, by held-out recording; `not_checked` says why there is none of one."""
+    """Forecasts of the control error by held-out recording; `not_checked` states the reason for a missing one."""
     simulated: list[Difference] | None = None
-    """By what the recordings of a simulator differ from the bench's; None where none were given."""
+    """Differences between the bench and its simulator; None without recordings of a simulator."""
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]
-    """Equations, as in `Location.equation`; sensor: the hydraulic force against the pressures."""
+    """Checked equations, as in `Location.equation`; sensor: the hydraulic force against the pressures."""
     not_checked: list[str]
-    """Equations; and `forecast: ` and a reason where there is no forecast of control."""
+    """Equations that cannot be checked, and `forecast: ` with the reason for a missing forecast."""
     recordings: list[dict[str, Any]]
     """Recordings, as `location` names them: `name`, and `begin`, the stamp [s] of the first sample of a bag."""
     data_quality: list[str]
@@ -225,19 +226,19 @@ class Report:
     versions: dict[str, str]
     seconds: float
     steps: list[dict[str, Any]] = field(default_factory=list)
-    """Steps of the search: action, label, delta_bic against nothing."""
+    """Steps of the search: action, label, and delta_bic relative to the fit without claims."""
 
     def to_json(self) -> str:
-        """report.json."""
+        """Return the report as JSON text."""
         return encode_json(self).decode()
 
     def write(self, folder: Path) -> None:
-        """Write report.json."""
+        """Write report.json to a folder."""
         write_whole(folder / "report.json", encode_json(self))
 
 
 class DiagnosisInterrupted(KeyboardInterrupt):
-    """Ctrl-C, or another request to end, before the verdict; `status` is the program's exit status."""
+    """Interruption before the verdict, by Ctrl-C or a signal; carries the `report` so far and the exit `status`."""
 
     def __init__(self, report: Report, status: int) -> None:
         super().__init__("the diagnosis was interrupted before its verdict")

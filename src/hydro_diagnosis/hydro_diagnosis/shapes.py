@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names as shapes of the curve of the missing force, and their sizes.
+"""Named causes as parametric shapes of the missing-force curve, and their sizes.
 
-The simplest shape that misses no point, of half as many numbers as points. Where there is none, another name joins as
-long as the points' evidence (BIC, their discrepancy estimated) is for it. A point is missed by more than two standard
-errors and more than `PRACTICAL_SHARE` of the largest force. Where one number is all that few points have room for and
-misses one grossly, it is a number either way: dry friction and a constant force.
+Chosen is the simplest shape that misses no point, with at most half as many parameters as points. If there is none,
+terms are added as long as the points' evidence (BIC, their discrepancy estimated) supports them. A point is missed by
+more than two standard errors and more than `PRACTICAL_SHARE` of the largest force. Where few points allow for one
+parameter alone, and it misses one grossly, dry friction and a constant force are fitted: one parameter per direction.
 
-Sizes are by generalised least squares on the points; their intervals hold the errors between strokes and a discrepancy
-of the shape, estimated from what it misses, whose errors at neighbouring speeds are alike (Kennedy and O'Hagan 2001).
+Sizes are by robust weighted least squares on the points; their intervals include the errors between strokes and a
+discrepancy of the shape, estimated from its residuals and correlated between neighbouring speeds (Kennedy and O'Hagan
+2001).
 """
 
 from __future__ import annotations
@@ -24,25 +25,25 @@ from hydro_diagnosis.curves import ForceCurve, Point
 from hydro_diagnosis.significance import CONFIDENCE, COVERAGE_FACTOR, ITERATIONS, PRACTICAL_SHARE
 
 STRIBECK_VELOCITY_RATIOS = (0.05, 0.1, 0.2, 0.4, 0.6)
-"""Speeds, over the top speed, over which a rise towards standstill may fade."""
+"""Candidate Stribeck velocities, over the top speed."""
 PROFILE = np.geomspace(0.25, 4.0, 33)
-"""Factors of a number of a shape or an operator among which its interval ends."""
+"""Factors of a parameter's estimate at which its profile is evaluated for an interval."""
 OPPOSING = 0.9
-"""Share of the sliding samples in which friction opposes the motion: tanks have 76 %."""
+"""Least share of the sliding samples in which friction must oppose the motion; recordings of tanks have 76 %."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A sum of the elementary shapes: `dry`, `viscous` (one number or one a direction), `constant`, `stribeck`."""
+    """Sum of elementary forces: `dry`, `viscous` (one coefficient, or one per direction), `constant`, `stribeck`."""
 
     dry: bool = False
     viscous: int = 0
     constant: bool = False
     stribeck: float = 0.0
-    """Speed [m/s] over which it fades; 0: none."""
+    """Stribeck velocity [m/s], over which the rise of friction fades; 0: no rise."""
 
     def columns(self, speed: FloatArray, direction: FloatArray | None = None) -> FloatArray:
-        """Columns over a speed [m/s], shape (n, k); `direction`: -1 to 1, behind its memory, where it has one."""
+        """Return the design matrix at velocities `speed` [m/s], (n, k); `direction`: -1 to 1, after its memory."""
         sign = np.sign(speed) if direction is None else direction
         found = [
             *([sign] if self.dry else []),
@@ -55,7 +56,7 @@ class Shape:
 
     @property
     def names(self) -> list[str]:
-        """What each column is."""
+        """Name of each column: dry, viscous, constant or stribeck."""
         return [
             *(["dry"] if self.dry else []), *["", "viscous", "viscous viscous"][self.viscous].split(),
             *(["constant"] if self.constant else []), *(["stribeck"] if self.stribeck else []),
@@ -67,7 +68,7 @@ class Shape:
         return len(self.names) + bool(self.stribeck)
 
     def without(self, name: str) -> Shape:
-        """The shape without a name, or with one number of it instead of two."""
+        """Return the shape without a term (`dry`: nor `stribeck`); of two viscous coefficients, with one."""
         if name == "viscous":
             return replace(self, viscous=self.viscous - 1)
         if name == "constant":
@@ -75,7 +76,7 @@ class Shape:
         return replace(self, dry=self.dry and name != "dry", stribeck=0.0)
 
     def richer(self, top: float) -> Iterator[Shape]:
-        """Shapes with one name more, the most usual first."""
+        """Yield the shapes with one term more, the most usual first."""
         if not self.dry:
             yield replace(self, dry=True)
         if self.viscous < 2:
@@ -88,39 +89,39 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class FittedShape:
-    """A shape with fitted sizes."""
+    """Shape with fitted coefficients and their intervals."""
 
     shape: Shape
     values: FloatArray
     reach: FloatArray
-    """Half of each 95 % interval, discrepancy included, this shape taken for granted."""
+    """Half-width of each 95 % interval given this shape, discrepancy included."""
     low: FloatArray
     high: FloatArray
-    """95 % intervals, over the shapes that may be."""
+    """Bounds of the 95 % intervals, which span all shapes that may hold."""
     squares: float
-    """Weighted squares that are left at the points."""
+    """Weighted sum of the squared residuals at the points, with Huber's loss for outliers."""
     missed: int
     worst: float
-    """Largest miss, over what is uncertain or matters there."""
+    """Largest residual at a point, over its uncertainty or the practically relevant force, whichever is larger."""
 
     def force(self, speed: FloatArray, direction: FloatArray | None = None) -> FloatArray:
-        """N at speeds [m/s], and directions behind their memory."""
+        """Return the force [N] at velocities `speed` [m/s] and directions after their memory, shape (n,)."""
         return np.asarray(self.shape.columns(speed, direction) @ self.values)
 
     def number(self, name: str, factor: float = 1.0) -> list[tuple[float, float, float]]:
-        """Value and interval of what a name stands for, one each; times a factor of -1 or 1."""
+        """Return value and bounds of the 95 % interval of each coefficient of a term, times a `factor` of -1 or 1."""
         rows = [k for k, one in enumerate(self.shape.names) if one == name]
         found = [(self.values[k], self.low[k], self.high[k]) for k in rows]
         return [(factor * value, *sorted((factor * low, factor * high))) for value, low, high in found]
 
     def without(self, name: str) -> FittedShape:
-        """Return the same with the values of a name set to 0."""
+        """Return the fitted shape with the coefficients of a term set to 0."""
         kept = np.where([one == name for one in self.shape.names], 0.0, self.values)
         return replace(self, values=kept)
 
 
 def fit_shape(points: Sequence[Point], shape: Shape, top: float) -> FittedShape:
-    """Return a shape with the sizes fitted to the points; `top`: top speed [m/s]."""
+    """Return a shape with its coefficients fitted to the points; `top`: top speed [m/s]."""
     speed, force, error = (np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error"))
     largest = max(float(np.max(np.abs(force))), 1e-30)
     matters = PRACTICAL_SHARE * largest
@@ -156,10 +157,10 @@ def fit_shape(points: Sequence[Point], shape: Shape, top: float) -> FittedShape:
 def simplest_shape(
     points: Sequence[Point], top: float, viscous: float = 0.0, allowed: frozenset[str] = frozenset()
 ) -> FittedShape:
-    """The simplest shape that misses no point, or to which the points have no evidence of another name.
+    """Return the simplest shape that misses no point, or else one to which the evidence supports no further term.
 
-    `viscous`: friction [N s/m] of the bench file, below which the sum cannot be nothing; `allowed`: names, and
-    `directional` for viscous friction of two numbers.
+    `viscous`: friction [N s/m] of the bench file, whose sum with that of the shape must not be negative; `allowed`:
+    names of terms, and `directional` for viscous friction of two coefficients.
     """
     room = max(len(points) // 2, 1)
 
@@ -195,7 +196,7 @@ def simplest_shape(
 
 
 def drop_uncertain(points: Sequence[Point], found: FittedShape, top: float) -> FittedShape:
-    """Return the shape without names that may be absent, the least evident dropped first; intervals span both fits."""
+    """Return the shape without terms that may be absent, the least evident dropped first; intervals span both fits."""
     while len(found.values):
         unsure = {name for name, value, reach in zip(found.shape.names, found.values, found.reach, strict=True)
                   if abs(value) <= reach}  # fmt: skip
@@ -203,7 +204,7 @@ def drop_uncertain(points: Sequence[Point], found: FittedShape, top: float) -> F
             break
         fewer = [fit_shape(points, found.shape.without(name), top) for name in sorted(unsure)]
         fewer = [one for one in fewer if found.missed or one.worst < COVERAGE_FACTOR]
-        if not fewer:  # without it a point is missed grossly: it is needed, and what it may be ends at nothing
+        if not fewer:  # without them a point is missed grossly: they are needed, and their intervals end at 0
             low = np.where(found.values > 0.0, np.maximum(found.low, 0.0), found.low)
             return replace(found, low=low, high=np.where(found.values < 0.0, np.minimum(found.high, 0.0), found.high))
         fewest = min(fewer, key=lambda one: one.squares)
@@ -221,19 +222,19 @@ def curve_shape(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> F
     if missing_sign(curve):
         return None
     if one_way(curve):
-        allowed = allowed - {"constant"}  # it is one with dry friction
+        allowed = allowed - {"constant"}  # not distinguishable from dry friction
     found = simplest_shape(curve.points, curve.top, viscous, allowed)
     return drop_uncertain(curve.points, found, curve.top)
 
 
 def one_way(curve: ForceCurve) -> bool:
-    """Whether all points are of one direction: dry friction cannot be told from a constant force."""
+    """Return whether all points are of one direction: dry friction cannot be told from a constant force."""
     speeds = [one.at for one in curve.points]
     return min(speeds) > 0.0 or max(speeds) < 0.0
 
 
 def fading_interval(points: Sequence[Point], found: FittedShape, top: float) -> tuple[float, float]:
-    """95 % interval of the speed [m/s] over which a rise towards standstill fades: the profile of the squares."""
+    """Return the 95 % interval of the Stribeck velocity [m/s] by the profile of the squared residuals."""
     tried = found.shape.stribeck * PROFILE
     squares = [fit_shape(points, replace(found.shape, stribeck=float(one)), top).squares for one in tried]
     rise = len(points) * np.log(np.maximum(squares, 1e-12) / max(found.squares, 1e-12))
@@ -242,10 +243,10 @@ def fading_interval(points: Sequence[Point], found: FittedShape, top: float) -> 
 
 
 def missing_sign(curve: ForceCurve) -> str:
-    """Which sign of friction a curve lacks, in words; empty if it has them all."""
+    """Return, in words, the indication of friction that a curve lacks; empty if it lacks none."""
     if len(curve.points) < 2:
         return "hardly a speed is held"
-    if one_way(curve):  # the force must change with the speed by more than matters, and be against the motion all along
+    if one_way(curve):  # the force must vary relevantly with the speed, and always oppose the motion
         force = np.array([one.force * np.sign(one.at) for one in curve.points])
         follows = force.min() > 0.0 and np.ptp(force) > PRACTICAL_SHARE * force.max()
         return "" if follows else "all motion is one way, and the force does not follow the speed"

@@ -6,13 +6,13 @@ from __future__ import annotations
 from scipy.special import ndtri
 
 CONFIDENCE = 0.975
-"""Of each side of an interval: 95 % in all."""
+"""Confidence level of each side of a two-sided 95 % interval."""
 QUANTILE = float(ndtri(CONFIDENCE))
 """Half-width of a 95 % interval in standard deviations of a Gaussian."""
 COVERAGE_FACTOR = 2.0
 """Standard uncertainties from which a value is significant (coverage factor k): `QUANTILE`, rounded up."""
 OUTLYING = 3.0
-"""Standard deviations beyond which a single value is no noise (Huber 1964): one of 400 is."""
+"""Standard deviations beyond which a single value is an outlier (Huber 1964): noise exceeds them once in 400 values."""
 DECISIVE = 10.0
 """Difference of two BICs, or of two deviances, that is very strong evidence (Kass and Raftery 1995, section 3.2)."""
 CLAIM_THRESHOLD = 2.0 * DECISIVE
@@ -21,10 +21,10 @@ nothing missing (`benchmarks.null_simulations`)."""
 PRACTICAL_SHARE = 0.05
 """Share of the largest force, or of any other size, that is of practical relevance."""
 TIE_RATIO = 0.8
-"""Ratio of what two explanations gain, or leave, from which they tie: the simpler or more usual one is then taken."""
+"""Ratio of the gains, or residuals, of two explanations from which they tie: the simpler or more usual one is taken."""
 UNIDENTIFIED_HALF_WIDTH = 0.5
-"""Half-width of a 95 % interval, over the value or its range, from which a number is not identified."""
+"""Half-width of a 95 % interval, over the value or its range, from which a parameter is not identified."""
 FOLDS = 4
-"""Folds of every cross-validation."""
+"""Number of folds of every cross-validation."""
 ITERATIONS = 8
-"""Rounds of any iteration at most; each ends by what it gains, most after three."""
+"""Largest number of rounds of any iteration; most converge, by their gain, after three."""

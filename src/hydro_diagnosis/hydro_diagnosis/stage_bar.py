@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a diagnosis: which of its stages it is in, at most so many, and what it tries."""
+"""Progress bar of a diagnosis: its stages, and the step within a stage."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ CHECKING = "checking on held-out recordings"
 MODELLING = "modelling what has no name"
 FORECASTING = "forecasting control"
 STAGES = (READING, CURVES, SEARCHING, SELECTING, CHECKING, MODELLING, FORECASTING)
-"""In order; the last but one is passed over where names explain everything."""
+"""Stages of a diagnosis, in order; `MODELLING` is skipped if named effects explain everything."""
 LABEL = "diagnosing"
 LINES = 10.0
-"""s between the lines that stand for the bar where there is no terminal."""
+"""Interval [s] of the lines that replace the bar without a terminal."""
 SIMULATOR = "simulator: "
-"""Begins what is told of the simulator's recordings, which have a bar of their own."""
+"""Prefix of progress texts on the simulator's recordings, for which the bar starts anew."""
 
 
 class StageBar:
-    """A bar of `STAGES`, to be called with each stage as it begins, and with what is tried in it."""
+    """Progress bar over `STAGES`, called with each stage as it begins, and with texts on the steps within it."""
 
     def __init__(self) -> None:
         shown = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"

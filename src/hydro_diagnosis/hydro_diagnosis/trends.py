@@ -33,9 +33,9 @@ from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED
 NEUTRAL: Mapping[str, FitParameter] = {
     f"{effect.id}.{one.name}": one for effect in LIBRARY for one in effect.amplitudes if isfinite(one.neutral)
 }
-"""Numbers with a value at which their cause is absent."""
+"""Effect parameters, by `id.parameter`, with a neutral value at which the effect is absent."""
 ALARM = 3
-"""Exit status of a change or a limit."""
+"""Exit status for a new change, or a limit within the horizon."""
 _DAY = pd.Timedelta("1D")
 _COLUMNS = {
     "bench": "the study's folder; the first one needs attention most",
@@ -54,31 +54,31 @@ _COLUMNS = {
 
 @dataclass(frozen=True)
 class Series:
-    """A number over the recordings of one bench."""
+    """Time series of an estimated parameter over the recordings of one bench."""
 
     name: str
-    """cause.parameter, behind it the place: leakage_external.coefficient[chamber=a]."""
+    """Cause, parameter and location: leakage_external.coefficient[chamber=a]."""
     unit: str
     time: FloatArray
     """Days since 1970, ascending, shape (n,)."""
     value: FloatArray
     sd: FloatArray
     bound: FloatArray
-    """Distance from the neutral value within which a number lies that was not named; 0 where it was."""
+    """Half-width of the interval about the neutral value in recordings that do not name the cause; 0 in the others."""
 
     @property
     def key(self) -> str:
-        """cause.parameter."""
+        """Cause and parameter, without the location."""
         return self.name.partition("[")[0]
 
 
 def series_of(study: Path, dates: str | None = None) -> list[Series]:
-    """Each number that some recording of a study named, by name.
+    """Time series of each parameter that some recording of a study names, sorted by name.
 
-    A recording whose mismatch is explained without a cause counts as the cause's neutral value, 95 % within the least
-    that was ever named; of the others, only numbers with an interval count.
+    A recording whose mismatch is explained without the cause counts as its neutral value, with a 95 % half-width of at
+    least the smallest deviation ever named; of the others, only estimates with an interval count.
 
-    Raises UserError: there are no tables, or no recording has a time.
+    Raises UserError if the tables are missing or no recording has a time.
     """
     try:
         diagnoses, numbers = (pd.read_parquet(study / f"{name}.parquet") for name in ("diagnoses", "parameters"))
@@ -117,7 +117,7 @@ def series_of(study: Path, dates: str | None = None) -> list[Series]:
 
 
 def row_of(bench: str, series: Series, found: Course, limit: float | None, asked: argparse.Namespace) -> dict[str, Any]:
-    """A row of the table; `asked`: new and horizon, in days."""
+    """Table row of a parameter's trend; `asked`: options `new` and `horizon`, in days."""
     line, last = found.lines[-1], found.changes[-1] if found.changes else None
     now, spread = float(line.at(line.end)), QUANTILE * float(line.sd(line.end))
     then = series.time <= line.end - asked.new
@@ -141,7 +141,7 @@ def _date(days: float) -> str | None:
 
 
 def sentence(row: Mapping[str, Any], unit: str) -> str:
-    """What has worn since, in words."""
+    """Trend of a parameter as a sentence; `row`: of `row_of`, `unit`: of the parameter."""
     now = f"{row['now']:.3g} {unit} ({row['low']:.3g} to {row['high']:.3g})"
     told = f"steady at {now}"
     if row["since"]:
@@ -156,7 +156,7 @@ def sentence(row: Mapping[str, Any], unit: str) -> str:
 
 
 def picture(series: Series, found: Course, limit: float | None) -> str:
-    """Values with their intervals, lines between changes, the limit."""
+    """Plot the estimates with their intervals, the fitted lines, the change points and the limit, as SVG text."""
     with svg(1, (8.0, 2.4)) as (axes, text):
         axis, zero = axes[0], pd.Timestamp(0)
         time = zero + pd.to_timedelta(series.time, "D")
@@ -177,7 +177,7 @@ def picture(series: Series, found: Course, limit: float | None) -> str:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the command-line parser."""
     options = argparse.ArgumentParser(
         prog="trends", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )  # fmt: skip
@@ -219,7 +219,7 @@ def main() -> int:
             told.append((row, sentence(row, series.unit), picture(series, found, row["limit"])))
 
     def urgency(row: Mapping[str, Any]) -> tuple[bool, str, float]:
-        """Order what needs attention first: new or near, then the nearest limit, then the evidence of change."""
+        """Sort key of rows: new changes and near limits first, then the nearest limit, then the evidence of change."""
         return not row["new"], row["limit_on"] or "9999", -(row["evidence"] or 0.0)
 
     worst: dict[str, tuple[bool, str, float]] = {}  # by bench

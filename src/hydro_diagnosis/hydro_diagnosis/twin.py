@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bench and simulator: two diagnoses against the same bench file, compared by cause and number.
+"""Comparison of a bench with its simulator: two diagnoses against the same bench file, by effect and parameter.
 
-A cause that both have differs where the 95 % interval of a number's difference, the two intervals' half-widths added in
-quadrature, leaves 0 out. What is left is what the bench has that the simulator has not, or the other way round; not
-where one side's cause would explain the other's recordings as well as the cause that was named there.
+An effect of both differs if the 95 % interval of a parameter's difference, with the two half-widths added in
+quadrature, excludes 0. An effect of one side only is a difference as well, unless it and an effect of the other side
+only are rivals that explain the recordings equally well.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def compare_reports(bench: Report, simulator: Report) -> Report:
 
 
 def differences(real: Sequence[EffectReport], simulated: Sequence[EffectReport]) -> list[Difference]:
-    """Causes that one of the two lacks, then those whose numbers differ; none that cannot be told apart."""
+    """Effects that differ: of the bench only, of both, of the simulator only; `indistinct` ones are omitted."""
     own, other = _by_place(real, simulated), _by_place(simulated, real)
     same = [effect for pair in indistinct(real, simulated) for effect in pair]
     found = []
@@ -77,7 +77,7 @@ def differences(real: Sequence[EffectReport], simulated: Sequence[EffectReport])
 def indistinct(
     real: Sequence[EffectReport], simulated: Sequence[EffectReport]
 ) -> list[tuple[EffectReport, EffectReport]]:
-    """Causes of the bench alone and of the simulator alone, one of which is a rival of the other that fits as well."""
+    """Pairs of a bench-only and a simulator-only effect, one of which is a rival of the other that fits as well."""
 
     def rivals(effect: EffectReport) -> set[str]:
         return {rival.id for rival in effect.rivals if not rival.distinguishable}
@@ -89,7 +89,7 @@ def indistinct(
 
 
 def _by_place(effects: Sequence[EffectReport], others: Sequence[EffectReport]) -> dict[tuple[str, ...], EffectReport]:
-    """By id and chamber, cell or sensor. Two forms are one cause, unless one of the two sides has both."""
+    """Effects by id and chamber, cell or sensor. Two forms are one cause, unless one of the two sides has both."""
 
     def place(effect: EffectReport) -> tuple[str, ...]:
         return (effect.id, *(value for key, value in effect.options.items() if key != "form"))
@@ -118,7 +118,7 @@ def _number(
 
 
 def sentences(found: Sequence[Difference]) -> list[str]:
-    """What differs, a sentence a cause."""
+    """Return a sentence for each difference."""
     who = {"real": "the bench has, the simulator has not: ", "simulated": "the simulator has, the bench has not: "}
     said = []
     for one in found:

@@ -2,9 +2,9 @@
 """Held-out validation: the corrected model is simulated on recordings to which no parameter was fitted.
 
 Windows of 70 ms are simulated from the recorded valve current. Their four initial states are estimated from the
-window itself (multiple shooting): an encoder's step is finer than any estimate of the state before it could be. The
-free run, half a second, starts from the recording's smoothed state and is not touched again. Windows that the model
-itself cannot predict are listed and left out of the error that counts.
+window itself (multiple shooting): an estimate from the samples before would be coarser than an encoder's step. The free
+run, half a second, starts from the recording's smoothed state and is not corrected again. Windows that the model itself
+cannot predict are listed and excluded from the error that counts.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from hydro_diagnosis.recording import UNITS
 from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLYING
 
 MOST = 0.25
-"""Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
+"""Largest share of the windows that may be left out; if more are unpredictable, the errors are over all windows."""
 HORIZON = 0.07
 """Length of a window [s]."""
 FREE_RUN = 0.5
 """Length of the free run [s]."""
 _TRIED = tuple(1e3 * sign * size for size in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
-"""Offsets [Pa] of pressure A that are tried."""
+"""Offsets [Pa] of the initial pressure in chamber A that are tried."""
 _START_UNCERTAINTY = np.array([5e-6, 5e-3, 5e4, 5e4])
 """Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
 
@@ -42,24 +42,24 @@ class Comparison:
     """Errors of two claim sets over the same windows."""
 
     channels: dict[str, dict[str, Any]]
-    """`_channel` of each."""
+    """Root mean square errors of each channel, by the keys of `_channel`."""
     windows: int
     left_out: list[dict[str, Any]]
-    """Windows that the second claim set cannot predict itself: not in `rmse_before` and `rmse_after`.
+    """Windows that are unpredictable under the second claim set: not in `rmse_before` and `rmse_after`.
 
     Each by its `recording`, and `start` in s since the recording's.
     """
 
 
 Simulated = tuple[FloatArray, dict[str, FloatArray]]
-"""States in which windows begin, shape (4, windows), and reading minus recording by channel, shape (rows, windows)."""
+"""Initial states of windows, shape (4, windows), and reading minus recording by channel, shape (rows, windows)."""
 Known = dict[tuple[Any, ...], Simulated]
-"""Simulations so far, by recording, horizon and claims."""
+"""Cache of simulations, by segment, horizon, kind of start and claims."""
 
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one recording, and a plant that simulates them."""
+    """Windows of one segment, and the plant that simulates them."""
 
     plant: Plant
     begins: Indices
@@ -80,7 +80,7 @@ class _Windows:
     def unpredictable(self, state: FloatArray, apart: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
         """Return whether the uncertainty of its start explains each window's error, shape (windows,).
 
-        That is where outcomes of starts that are drawn within the sensors' noise at one instant scatter by half of it.
+        It does if the outcomes of starts drawn within the sensors' noise at one instant scatter by half of the error.
         `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
         """
         error = self._size(apart)
@@ -99,16 +99,16 @@ class _Windows:
         return np.asarray((error > COVERAGE_FACTOR) & (scatter >= enough))
 
     def _size(self, apart: dict[str, FloatArray]) -> FloatArray:
-        """Root mean square per window over time and channels, noise floors."""
+        """Root mean square per window over time and channels, in noise floors, shape (windows,)."""
         noise = self.noise
         squares = [np.mean(np.square(one / noise[name]), axis=0) for name, one in apart.items() if noise.get(name, 0.0)]
         return np.asarray(np.sqrt(np.mean(squares, axis=0)))
 
     def shot(self, recorded: FloatArray) -> FloatArray:
-        """Initial states by least squares per window, near the recording's smoothed state as far as that is known.
+        """Initial states by least squares per window, regularised by the recording's smoothed state and uncertainty.
 
-        Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
-        several forces are tried first, a step that makes it worse is halved, and the best state is kept.
+        Where the piston sticks, the time of break-away depends on tenths of a newton, and the cost is not smooth: so
+        several pressures are tried first, a step that increases the cost is halved, and the best state is returned.
         """
         state = recorded
         if self.plant.sticks:
@@ -135,7 +135,7 @@ class _Windows:
         return np.where(reached < cost, state, best)
 
     def _misses(self, states: FloatArray, recorded: FloatArray) -> FloatArray:
-        """Readings and initial state against the recording, in units of their doubt, shape (n, variants, windows)."""
+        """Errors of readings and initial state, over their uncertainties, shape (n, variants, windows)."""
         apart = self.apart(states)
         parts = [apart[name] / self.noise[name] for name in apart if self.noise.get(name, 0.0) > 0.0]
         variants = states.shape[1] // len(self.begins)
@@ -148,7 +148,7 @@ def compare(
     models: Sequence[SegmentModel], before: Sequence[Claim], after: Sequence[Claim], noise: dict[str, float], *,
     seconds: float, windows: int, shooting: bool, known: Known | None = None,
 ) -> Comparison:  # fmt: skip
-    """Errors of both claim sets over the same windows of held-out recordings; `known` is read and added to."""
+    """Return the errors of two claim sets over the same windows of held-out recordings; `known`: cache, extended."""
     seen: list[_Seen] = []
     known = {} if known is None else known
     each = max(windows // len(models), 1)
@@ -187,7 +187,7 @@ def compare(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A recording's windows, and reading minus recording in them, by channel, shape (recorded rows, windows)."""
+    """Windows of a segment, and reading minus recording in them by channel, shape (recorded rows, windows)."""
 
     model: SegmentModel
     begins: Indices
@@ -217,7 +217,7 @@ def _rms(parts: list[FloatArray]) -> float:
 
 
 SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
-"""Channels without which nothing can be simulated."""
+"""Channels that a forward simulation requires."""
 _MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hydraulic_force"}
 _EQUATION_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
 
@@ -263,7 +263,7 @@ def holdout_errors(
 def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, dict[str, Any]]:
     """Return the errors on the recordings of `problem`, by channel, before and after the claims are added.
 
-    As under `fit.equations` in report.json; `signal`: root mean square of what the equation explains.
+    As under `fit.equations` in report.json; `signal`: root mean square of the equation's measured signal.
 
     Residuals are weighted by their inverse variances, as in the fit: where dry friction reverses its sign is uncertain,
     and would dominate every figure. `before` and `after` have the same weights.

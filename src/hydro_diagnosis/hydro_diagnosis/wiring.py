@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Possible mistakes in wiring, naming and scaling of channels, and the column map that corrects each.
 
-Channels are doubted that cannot hold what they are named: numbers far beyond the bench's, another sensor's noise, a
-velocity. Which of the repairs is right the evidence tells (`stages.hypotheses`).
+A channel is doubtful if its values are implausible for the bench, copy another sensor's noise, or are a velocity. The
+residuals select among the possible repairs (`stages.hypotheses`).
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from hydro_diagnosis.io.table import RawTable
 
 Channels = Mapping[str, FloatArray]
-"""By BenchState field, SI units, equally spaced, each of shape (n,)."""
+"""Signals by BenchState field, SI units, equally spaced, each of shape (n,)."""
 
 
 @dataclass(frozen=True)
 class Repair:
-    """One mistake of one field and how to undo it: the sensor is `factor` x + `offset`, `delay` s after what is read.
+    """Repair of a mistake in one field: its true value at t is `factor` x(t + `delay`) + `offset`, x as recorded.
 
-    Or the field has another one's column (`exchanged`), or its column holds another field (`becomes`).
+    Or its column is exchanged with another field's (`exchanged`), or assigned to another field (`becomes`).
     """
 
     field: str
@@ -44,16 +44,16 @@ class Repair:
     offset: float = 0.0
     """SI units."""
     unit: str = ""
-    """The unit in which it was recorded, where it is one."""
+    """Unit in which the field was recorded, if the mistake is a unit's."""
     delay: float = 0.0
-    """s by which it was recorded late, negative: early."""
+    """Delay of the recorded field [s]; negative: early."""
     exchanged: str = ""
-    """Field with which its column was exchanged."""
+    """Field with which its column was exchanged; empty for none."""
     becomes: str | None = None
-    """Field that its column holds, empty for none; None: its own."""
+    """Field that its column actually contains, empty to omit it; None: its own."""
 
     def apply(self, channels: Channels, step: float) -> Channels:
-        """The channels as they would be without the mistake; `step` is the sampling time in s."""
+        """Return the repaired channels; `step`: sampling time [s]."""
         values = channels[self.field]
         if self.becomes is not None:
             others = {name: one for name, one in channels.items() if name != self.field}
@@ -66,7 +66,7 @@ class Repair:
         return {**channels, self.field: self.factor * values + self.offset}
 
     def edit(self, columns: ColumnMap) -> ColumnMap:
-        """The map without the mistake."""
+        """Return the column map with the repair applied."""
         source = columns.sources[self.field]
         if self.becomes is not None:
             without = columns.changed(self.field, None)
@@ -88,12 +88,12 @@ class Repair:
 
 
 def reversed_sign(field: str) -> Repair:
-    """A field with the wrong sign."""
+    """Repair of a field with the wrong sign."""
     return Repair(field, f"{field} has the wrong sign", factor=-1.0)
 
 
 def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -> list[Repair]:
-    """The field in each of these units but the one in which it was `taken`."""
+    """Repairs that read a field in each of `units`, except the present one; `taken`: present units by field."""
     here = taken.get(field, "")
     said = f", not {here}" if here else ""
     factors = {unit: to_si(unit) / to_si(here) for unit in units if unit != here}
@@ -105,34 +105,34 @@ def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -
 
 
 LOOKED_AT = 200_000
-"""Number of samples examined, from the first."""
+"""Number of samples inspected, from the first."""
 PRESSURES = (0.05, 3.0)
-"""Range of the highest pressure, over that of the supply, that a bench can have."""
+"""Plausible range of the highest pressure, relative to the supply pressure."""
 BEYOND = 1.5
-"""Multiple of the stroke or largest current above which a number is in another unit."""
+"""Multiple of the stroke or largest current above which a value is taken to be in another unit."""
 MARGIN = 0.01
 """Share of the stroke by which a position may lie outside of it."""
 TOGETHER = 0.9
-"""Correlation above which a slope is one."""
+"""Correlation above which a regression slope is used."""
 MEAN = 10
-"""Samples over which channels are averaged before they are compared."""
+"""Samples per block mean in regressions between channels."""
 
 Doubt = tuple[Repair, ...]
-"""Repairs of one field, one of which is needed, the likeliest first."""
+"""Alternative repairs of one field with implausible values, the likeliest first."""
 
 
 @dataclass
 class Inspection:
-    """What recordings show before they are diagnosed."""
+    """Plausibility check of recordings: doubtful fields with their alternative repairs, and units."""
 
     doubts: list[Doubt] = field(default_factory=list)
-    """Of each field whose numbers it cannot have."""
+    """Alternative repairs of each field with implausible values."""
     units: dict[str, str] = field(default_factory=dict)
-    """By field, the unit in which its column was taken; none for SI."""
+    """Unit of a field's column before conversion to SI, if stated."""
 
 
 def inspect_table(table: RawTable, bench: Bench) -> Inspection:
-    """Return the repairs of each field whose numbers it cannot have; `bench` as far as it is known."""
+    """Check the fields of a recording for plausibility; checks that need unknown parameters of `bench` are omitted."""
     found, bench, taken = Inspection(units=dict(table.units)), guard(bench), table.units
     looked = {name: values[:LOOKED_AT] for name, values in table.columns.items()}
     looked = {name: values for name, values in looked.items() if np.isfinite(values).sum() > 0.5 * len(values)}
@@ -150,7 +150,7 @@ def inspect_table(table: RawTable, bench: Bench) -> Inspection:
 
 
 def _copies(channels: Channels) -> Iterator[Doubt]:
-    """Two sensors never have the same noise."""
+    """Pairs of channels with identical noise, which two sensors never have."""
     sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
     for one, other in combinations(sensors, 2):
         if block_regression(channels[one], channels[other], 1)[1] < 1e-12:
@@ -159,7 +159,7 @@ def _copies(channels: Channels) -> Iterator[Doubt]:
                 one == "pressure_a"
                 and block_regression(channels.get("hydraulic_force", channels[one]), channels[one])[0] < 0.0
             ):
-                pairs.reverse()  # it falls as the force grows
+                pairs.reverse()  # falls as the force rises: likely pressure_b's column
             yield tuple(
                 Repair(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out", becomes="")
                 for wrong, right in pairs
@@ -180,13 +180,13 @@ def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> It
 
 
 def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
-    """The piston stays within the stroke, which begins at 0."""
+    """Positions outside the stroke, which begins at 0, or too small for it."""
     if "piston_position" not in channels:
         return
     position, stroke = channels["piston_position"], bench.stroke
     low, high = float(position.min()) / stroke, float(position.max()) / stroke
-    factor = 0.0  # by which the position would compress the spring as the load's force says
-    zero = 0.5 * stroke - 0.5 * float(position.min() + position.max())  # m, by the middle, else by the spring
+    factor = 0.0  # scale of the position by the spring force
+    zero = 0.5 * stroke - 0.5 * float(position.min() + position.max())  # m, by the travel, or below by the spring
     if "load_force" in channels:
         slope, left = block_regression(position, channels["load_force"])
         if not left > 1.0 - TOGETHER**2:
@@ -209,7 +209,7 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
 
 
 def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[Repair]:
-    """Units in which the position would lie in the stroke and go with the spring; else the size of one count."""
+    """Units in which the position fits the stroke and the spring force, and the size of an encoder count."""
     for one in in_other_units("piston_position", ("m", "mm", "cm", "um", "in"), taken):
         if one.factor * share < 1.0 + MARGIN and (not factor or 1.0 / 3.0 < abs(factor) / one.factor < 3.0):
             yield one
@@ -237,7 +237,7 @@ def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iter
 
 
 def block_regression(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
-    """Return the least-squares slope of block means over `samples` each, and the share of variance that it leaves.
+    """Return the regression slope of `dependent` on `on`, by means of `samples` each, and the residual variance share.
 
     0 and 1 if one of the signals is constant.
     """

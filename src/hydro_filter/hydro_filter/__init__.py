@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contraction certificate, and the correction of the valve current that enforces it.
 
-Guarantees and limits: safety.md. The decision is C, `firmware/hydro/loop_filter.h`. Stages: `model` (the
-loop's record for it), `metric` (M), `certificate` (its QP), `controller` (the filter), `training` (`learn_metric`),
-`region` (proofs), `validation` (`validate`), `nodes` (executables).
+Guarantees and limits: safety.md. The decision is computed in C, `firmware/hydro/loop_filter.h`. Stages: `model` (the
+loop's record for it), `metric` (M), `controller` (the filter), `training` (`learn_metric`), `region` (proofs),
+`validation` (`validate`), `nodes` (executables).
 """
 
 from pathlib import Path

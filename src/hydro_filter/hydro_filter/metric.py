@@ -13,10 +13,10 @@ the table's last factor.
 In the certified range of K_p, the metric must decay along the frozen loop F + G K without a correction: P solves the
 discrete Lyapunov equation of that loop, sped up by a part of its own decay. Outside, the correction closes the loop, so
 that the metric is that of the best correction: P solves the discrete Riccati equation, and the loop under its feedback
-decays at some 20 1/s. Both are for the nominal bench at rest; training and certificate must show that they hold
+decays at some 20 1/s. Both are for the bench at rest; training and certificate must show that they hold
 elsewhere.
 
-A metric is for a law with one C_1; a file has one or two. Its thresholds were measured with it on held-out runs: the
+A metric is for a law with one C_1; a file has one or two. Its thresholds were measured in simulated runs: the
 noise level of a displacement, and the law's integral on stable runs.
 """
 
@@ -46,7 +46,7 @@ from hydro_sim.model.bench import NOMINAL
 
 @dataclass(frozen=True, kw_only=True)
 class MetricDesign:
-    """Loops for which metrics are solved."""
+    """Design of a scheduled metric: range of gains, decay rate, weights."""
 
     gain_low: Annotated[float, quantity("1/s", 1.0, 1e6)] = 10.0
     """The certified range's lower end."""
@@ -131,8 +131,8 @@ def require_stable_gain(loop: Loop, velocity_compensation: float = 1.0) -> None:
 def limit_to_stable_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     """Return the design with its range of K_p limited to a share of the gain at which the loop at rest turns unstable.
 
-    Dry friction and overlap, which the linearized loop has none of, hold a real bench still at gains beyond that: its
-    rollouts are stable where its loop is not. The share is the reserve that the range has below unstable rollouts.
+    Dry friction and overlap, which the linearized loop leaves out, hold a real bench still at gains beyond that: its
+    rollouts are stable although its loop is not. The share equals the range's reserve below unstable rollouts.
 
     Raises ValueError if the loop does not decay at the range's lower end, or the reserve leaves no range.
     """
@@ -180,7 +180,7 @@ VIOLATION_LIMIT = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """Thresholds measured on held-out runs by `training.data`."""
+    """Thresholds measured in simulated runs by `training.data`."""
 
     noise_size: Annotated[float, quantity("-", 0.0, 1e6)] = 0.0
     """v'Mv of the noise for gains of the certified range."""
@@ -192,7 +192,7 @@ class Thresholds:
 
 @dataclass(frozen=True, kw_only=True)
 class ScheduledMetric:
-    """M(K_p) on loop coordinates in units of their scale."""
+    """Gain-scheduled metric M(K_p) on scaled loop coordinates."""
 
     gains: FloatArray
     """K_p [1/s] of the table's factors but the last, evenly spaced, shape (n,); the ends are the certified range."""
@@ -210,7 +210,7 @@ class ScheduledMetric:
     velocity_compensation: float = 1.0
     """C_1 of the law whose loop decays, at C_2 = 1; 1: the paper's."""
     another: ScheduledMetric | None = None
-    """The one for another C_1 in the same file."""
+    """Metric for another C_1 in the same file; None: there is none."""
 
     @property
     def certificates(self) -> tuple[ScheduledMetric, ...]:

@@ -18,11 +18,11 @@ EXAMPLE_EFFECTS: tuple[dict[str, Any], ...] = (
     {"id": "friction_coulomb", "parameters": {"force": 12.0}},
     {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
 )
-"""Effects that a diagnosis finds on most benches. Others are compiled at first use; new parameter values need none."""
+"""Effects typical of a diagnosed bench. Others are compiled at first use; new parameter values need no compilation."""
 
 
 def _filters() -> None:
-    """Compile the models of the shipped filter, and those with these effects and without any."""
+    """Compile the models of the shipped filter, of `EXAMPLE_EFFECTS`, and of a bench without effects."""
     FilterChoice(bench=Bench.nominal()).make(LoopFilterSettings())
     for effects in (EXAMPLE_EFFECTS, ()):
         loop_filter(ScheduledMetric.load(), replace(Bench.nominal(), effects=effects), Bench.nominal())
@@ -34,4 +34,4 @@ def _validation() -> None:
 
 
 STEPS: dict[str, Callable[[], None]] = {"filter": _filters, "validation": _validation}
-"""Functions by the message shown while each runs."""
+"""Compilation steps by the message shown while each runs."""

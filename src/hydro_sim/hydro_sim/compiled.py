@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Removal of stale numba caches, and a record of what is compiled at run time: nothing should be after set-up.
+"""Removal of stale numba caches, and a log of compilations at run time, of which there should be none after set-up.
 
 numba recompiles a cached function when the function's own file changes, not when a function it calls does: after an
 edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `remove_stale_caches`
@@ -13,7 +13,7 @@ Where the environment variable HYDRO_COMPILATIONS names a file, each compilation
     {"program": "trainer", "process": 4711, "function": "hydro_policy.sac.sac.learn", "seconds": 7.3}
 
 A function that comes from numba's cache appends none. One that is compiled inside of another has a line of its own,
-and the outer one's time holds it.
+and the outer one's time includes it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def remove_stale_caches(*packages: Path) -> None:
 
 
 def file_stats(paths: Iterable[Path]) -> Stats:
-    """Return size and modification time of files, to detect changes."""
+    """Return modification time [ns] and size [bytes] of files by path, to detect changes."""
     found = {str(path): path.stat() for path in sorted(paths)}
     return {path: [stat.st_mtime_ns, stat.st_size] for path, stat in found.items()}
 
@@ -78,7 +78,7 @@ def file_stats(paths: Iterable[Path]) -> Stats:
 def imported_sources(modules: Iterable[Path], packages: tuple[Path, ...]) -> set[Path]:
     """Return the modules and all sources of `packages` that they import, directly or indirectly.
 
-    A package's `__init__` counts where something is imported from it, not where it only stands around a module.
+    A package's `__init__` counts if something is imported from it, not as the mere parent of an imported module.
     """
     found: set[Path] = set()
     coming = list(modules)
@@ -119,7 +119,7 @@ LOG_VARIABLE = "HYDRO_COMPILATIONS"
 
 
 def record_compilations() -> None:
-    """Start recording if the environment asks for it. Call it once, before anything is compiled."""
+    """Start logging compilations if `LOG_VARIABLE` is set. Call it once, before anything is compiled."""
     if not (name := os.environ.get(LOG_VARIABLE)):
         return
     file = Path(name)

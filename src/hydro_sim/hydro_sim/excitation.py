@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Schedules: segments of references and gains, and their one YAML form, checked whole as it is read.
+"""Schedules: segments of references and gains, and their YAML format, which is validated as a whole when read.
 
-What `ros2 run hydro_policy collect` plays into the graph and what the emulator records offline (schedule.md). A fade
+`ros2 run hydro_policy collect` plays them into the graph, the emulator records them offline (schedule.md). A fade
 of 0.3 s joins the segments (protocol.md).
 """
 
@@ -22,7 +22,7 @@ from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_sim.model.bench import NOMINAL
 
 WaveformName = Literal["hold", "sine", "multisine", "smooth_step"]
-"""`Waveform` in YAML."""
+"""Names of `Waveform` in YAML."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +71,7 @@ def parse_schedule(data: object, where: str) -> list[Segment]:
 
 
 def save_schedule(segments: Sequence[Segment], path: str | Path) -> None:
-    """Write a schedule as `load_schedule` reads it; missing folders are made."""
+    """Write a schedule in the format of `load_schedule`; missing folders are created."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"segments": [to_mapping(segment) for segment in segments]}, sort_keys=False)
     write_whole(Path(path), text.encode())
@@ -92,11 +92,11 @@ class ExcitationRange:
     frequency: tuple[float, float] = (0.15, 4.0)
     """Hz, drawn evenly on a logarithmic scale."""
     kp: tuple[float, float] = (15.0, 75.0)
-    """1/s, what the guard lets through; the emulated bench is stable to about 120 in small motions, less in large
+    """1/s, within the guard's limits; the emulated bench is stable to about 120 in small motions, less in large
     ones.
     """
     ki: tuple[float, float] = (5.0, 15.0)
-    """1/s^2, what the guard lets through."""
+    """1/s^2, within the guard's limits."""
 
     @classmethod
     def of_force(cls, force: float) -> ExcitationRange:

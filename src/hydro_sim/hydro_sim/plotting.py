@@ -60,9 +60,9 @@ STYLE: dict[str, Any] = {
 def figure(
     path: str | Path, rows: int = 1, *, size: tuple[float, float], **layout: Any
 ) -> Iterator[tuple[Figure, Any]]:
-    """Open a figure of `rows` axes above one another (shape (rows,)) in the house style; saved to `path` at the end.
+    """Open a figure of `rows` axes above one another (shape (rows,)) in `STYLE`; saved to `path` at the end.
 
-    `path`: file to write, its suffix decides the format; missing folders are made. `size`: width and height [inch].
+    `path`: file to write, its suffix decides the format; missing folders are created. `size`: width and height [inch].
     `layout`: passed on to `Figure.subplots`.
     """
     import matplotlib as mpl

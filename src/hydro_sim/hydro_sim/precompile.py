@@ -59,4 +59,4 @@ STEPS: dict[str, Callable[[], None]] = {
     "emulator": _emulator,
     "emulator, offline and in single precision": _emulator_offline,
 }
-"""By the message shown while each runs."""
+"""Compilation steps by the message shown while each runs."""

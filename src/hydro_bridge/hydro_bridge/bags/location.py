@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _PART = re.compile(r"^(?P<whole>.*)#t=(?P<begin>\d+\.?\d*)?(,(?P<end>\d+\.?\d*)?)?$")
 _STORED = re.compile(r"^s3:/+")
-_AHEAD = 4 << 20  # bytes read at once from a store, where each request takes its time
+_AHEAD = 4 << 20  # bytes read at once from a store, where each request has its latency
 
 
 def split_location(path: Path | str) -> tuple[Path, tuple[float, float] | None]:
@@ -44,7 +44,7 @@ def is_bag(path: Path | str) -> bool:
 
 
 def exists(path: Path | str) -> bool:
-    """Return whether a location exists; always True for an S3 store, where only reading tells."""
+    """Return whether a location exists; always True for an S3 store, which is not queried."""
     whole, part = split_location(path)
     return is_remote(path) or (whole.exists() and (part is None or is_bag(path)))
 

@@ -35,16 +35,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Extent:
-    """Count and range of a field's finite numbers, where the table keeps only every `every`-th row."""
+    """Count and range of a field's finite values, over all rows; the table keeps every `every`-th row only."""
 
     every: int
     count: int = 0
-    """Finite numbers."""
+    """Number of finite values."""
     low: float = inf
     high: float = -inf
 
     def merge(self, values: npt.ArrayLike) -> Extent:
-        """Return the extent with further numbers included."""
+        """Return the extent extended by further values."""
         numbers = np.asarray(values, dtype=np.float64)
         finite = numbers[np.isfinite(numbers)]
         low, high = float(np.min(finite, initial=self.low)), float(np.max(finite, initial=self.high))
@@ -61,9 +61,9 @@ class Recording:
     qos: dict[str, TopicQos]
     """Offered quality of service of each topic."""
     tables: dict[str, Table]
-    """Array of each topic whose type is numbers only."""
+    """Table of each topic whose type has numeric fields only."""
     extents: dict[str, dict[str, Extent]]
-    """Extent of each field of each table, if `read_bag` was told to keep some rows only."""
+    """Extent of each field of each table, if `read_bag` was called with `rows`."""
     metadata: dict[str, dict[str, str]]
     """MCAP metadata records; `hydro` holds the run's parameters, code version and digests."""
     attachments: dict[str, bytes]
@@ -118,8 +118,8 @@ def read_bag(
 ) -> Recording:
     """Read a recording into arrays.
 
-    `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: of a longer table every
-    n-th row is kept, less than twice so many. `salvages`: blocks that are damaged are left out, with a note. Raises
+    `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: longer tables are
+    decimated to fewer than twice as many rows. `salvages`: damaged blocks are skipped, with a note. Raises
     RecordingError: nothing there, damaged, or a topic in `topics` has no messages.
     """
     source = BagSource(Path(path), salvages)
@@ -159,7 +159,7 @@ def stream_bag(
 ) -> Iterator[Table]:
     """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`.
 
-    `notes` gets what was tolerated (`Recording.notes`) once all is read.
+    `notes`: receives the tolerated irregularities (`Recording.notes`) once all is read.
     """
     source = BagSource(Path(path), salvages)
     for scan, channel, block, span in source.spans(topic):

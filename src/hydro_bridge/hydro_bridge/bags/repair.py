@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Repair of a recording whose recorder was killed, or that is damaged: `recorder --repair FOLDER`.
 
-Each file is copied record by record, as it is: definitions, channels, times, metadata and attachments of whoever wrote
-it. What cannot be read is left out and told. The copies are read back and counted before they take the places of the
-files, which are kept in a sub-folder: a repair removes nothing. A recording that is still being written is refused: our
-recorder holds a lock on its file (`try_lock`), another's has it open.
+Each file is copied record by record, with the definitions, channels, times, metadata and attachments of its writer.
+Unreadable parts are skipped and reported. The copies are read back and counted before they replace the files, which
+are moved to a sub-folder: a repair removes nothing. A recording in progress is refused: our recorder holds a lock on
+its file (`try_lock`), another recorder has it open.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hydro_bridge.bags.writer import TopicEntry, bag_metadata, try_lock
 BACKUP_FOLDER = "before_repair"
 """Sub-folder that keeps the original files."""
 _RECENT, _GROWS = 10.0, 1.5
-"""s since a file was written within which it is watched, and for how long."""
+"""s since the last write within which a file is watched for growth, and duration of that."""
 
 
 @dataclass
@@ -43,7 +43,7 @@ class CopiedFile:
     span: tuple[int, int] = (2**63 - 1, 0)
     """Log times of first and last message [ns]."""
     missing: list[str] = field(default_factory=list)
-    """Sentences on what could not be read."""
+    """Sentences on unreadable parts."""
     custom: dict[str, str] = field(default_factory=dict)
     """Metadata record `hydro`."""
 
@@ -53,13 +53,13 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
 
     Returns
     -------
-    Number of messages kept, and sentences on what is missing and where the files are that were there before.
+    Number of messages copied, and sentences on missing parts and on the folder of the original files.
 
     Raises
     ------
     RecordingError
-        The folder is no recording, or whole; it is being written, holds files of which metadata.yaml says nothing or
-        those of several recordings, nothing can be read, or there is no room. Then nothing was changed.
+        The folder is no recording, or undamaged; it is being written, has files that metadata.yaml does not list or
+        files of several recordings, no message can be read, or there is no room. No data is removed then.
     """
     folder = Path(folder).resolve()
     if folder.is_file():
@@ -182,7 +182,7 @@ def _at_rest(path: Path) -> Iterator[None]:
         if not try_lock(file):
             raise RecordingError(f"{path} is being written by a recorder: end that first")
         wanted = path.stat()
-        for entry in Path("/proc").glob("[0-9]*/fd/*"):  # of the processes that this user may look at
+        for entry in Path("/proc").glob("[0-9]*/fd/*"):  # of the processes that this user may inspect
             with suppress(OSError, ValueError, IndexError):
                 found = entry.stat()
                 if (found.st_dev, found.st_ino) == (wanted.st_dev, wanted.st_ino):
@@ -191,7 +191,7 @@ def _at_rest(path: Path) -> Iterator[None]:
                         writer = entry.parent.parent.name
                         raise RecordingError(f"{path} is open for writing in process {writer}: end that first")
         before = path.stat()
-        if time.time() - before.st_mtime < _RECENT:  # on another machine, say
+        if time.time() - before.st_mtime < _RECENT:  # perhaps written from another machine
             time.sleep(_GROWS)
             if path.stat().st_size != before.st_size:
                 raise RecordingError(f"{path} grows: end the recorder that writes it first")

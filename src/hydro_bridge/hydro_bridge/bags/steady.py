@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Monotonic times of a recording whose clock was set, or that has long gaps."""
+"""Monotonic times for a recording whose clock was set, or that has long gaps."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from hydro_core.signals import FloatArray
 
 BACKWARD_TOLERANCE = 0.1
-"""s by which messages of two topics may be out of order; a larger step back means that the clock was set."""
+"""Tolerated disorder [s] between messages of two topics; a larger step back means that the clock was set."""
 
 
 class MonotonicTimes:
@@ -21,7 +21,7 @@ class MonotonicTimes:
         self._ahead, self._offset = ahead, 0.0
         self._last: float | None = None
         self.jumps: list[tuple[float, float]] = []
-        """Time on the steady clock, and step, of each jump [s]."""
+        """Monotonic time and step [s] of each jump."""
 
     def convert(self, stamps: FloatArray) -> FloatArray:
         """Return the monotonic times [s] of the next messages from their stamps [s], both of shape (n,)."""

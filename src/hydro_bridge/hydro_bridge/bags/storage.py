@@ -122,7 +122,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = Struct("<BQ")
 MESSAGE_HEAD = Struct("<HIQQ")
 """Channel, sequence, log time and publish time [ns] before the data of a message."""
-_LOOSE = 1 << 20  # bytes of messages outside chunks that are handed on together
+_LOOSE = 1 << 20  # bytes of messages outside chunks that are yielded together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,17 +145,17 @@ class McapScan:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
     finished: bool = False
-    """Whether the end of the file was reached as its writer meant it."""
+    """Whether the file is complete up to its closing magic bytes."""
     part: tuple[float, float] | None = None
-    """Log times [ns] from which and up to which messages are read, without metadata and attachments; None: all."""
+    """Interval [ns] of the log times to read, without metadata and attachments; None: all messages."""
     salvages: bool = False
-    """Whether damaged chunks are left out in place of an error."""
+    """Whether damaged chunks are skipped instead of raising an error."""
     damaged: int = 0
-    """Chunks that were left out."""
+    """Number of skipped chunks."""
     unread: int = 0
-    """Bytes behind the last record that could be read, of a file that is not finished."""
+    """Bytes after the last readable record of an unfinished file."""
     ours: bool = False
-    """Whether our writer wrote it, whose channels have the order of metadata.yaml."""
+    """Whether this package wrote the file: its channels are then numbered in the order of metadata.yaml."""
 
     def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
         """Yield the bytes of each block and the location of each channel's messages in it.
@@ -196,7 +196,7 @@ class McapScan:
         with self._opened() as (stream, _):
             for chunk in self._indexed_chunks(stream):
                 edges = np.array([chunk.message_start_time, chunk.message_end_time])
-                if edges[1] - edges[0] > 1e9 * gap:  # in it or between two slow messages: they tell
+                if edges[1] - edges[0] > 1e9 * gap:  # a gap in it, or slow messages: read their log times
                     for block in self._blocks_of(stream, [chunk]):
                         edges = np.sort(np.concatenate([span.log_times for span in self._split(block).values()]))
                 ends = np.flatnonzero(np.diff(edges) > 1e9 * gap)
@@ -285,7 +285,7 @@ class McapScan:
             yield bytes(loose)
 
     def _chunk(self, stream: BinaryIO, length: int) -> Iterator[bytes]:
-        """Yield the content of the chunk that begins here; nothing of a damaged one that is left out."""
+        """Yield the content of the chunk that begins here; nothing of a damaged one that is skipped."""
         place, body = stream.tell(), stream.read(length)
         try:
             unpacked, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
@@ -300,7 +300,7 @@ class McapScan:
             yield content
 
     def _split(self, block: bytes, begin: float = -inf, end: float = inf) -> dict[int, Span]:
-        """Return the messages of each channel with `begin` <= log time < `end` [ns]; keep what describes them."""
+        """Return the messages of each channel with `begin` <= log time < `end` [ns]; store schemas and channels."""
         places: dict[int, list[tuple[int, int, int]]] = {}
         place, size = 0, len(block)
         record, message, kind = (_RECORD.unpack_from, MESSAGE_HEAD.unpack_from, int(Opcode.MESSAGE))
@@ -349,7 +349,7 @@ class BagSource:
 
     path: Path
     salvages: bool = False
-    """Whether damaged blocks are left out, with a note, in place of an error."""
+    """Whether damaged blocks are skipped, with a note, instead of raising an error."""
     scans: list[McapScan] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
@@ -359,7 +359,7 @@ class BagSource:
         whole, part = split_location(self.path)
         files, self.notes = mcap_files(whole)
         self.scans = [McapScan(path, salvages=self.salvages) for path in files]
-        with suppress(RecordingError):  # in the order of their first messages, where all have an index that tells
+        with suppress(RecordingError):  # in the order of their first messages, if the index of each file has it
             first_times = {scan.path: scan.times()[0] for scan in self.scans} if len(files) > 1 else {}
             if all(first_times.values()):
                 self.scans.sort(key=lambda scan: first_times.get(scan.path, 0))
@@ -428,7 +428,7 @@ class BagSource:
         return schema.name, text
 
     def layout(self, scan: McapScan, channel: Channel) -> FixedLayout | None:
-        """Return the layout of a channel's type, None if it is not numbers only; raises RecordingError."""
+        """Return the layout of a channel's type, None if not all fields are numeric; raises RecordingError."""
         name, text = self.type_of(scan, channel)
         if (name, text) not in self._layouts:
             try:
@@ -442,7 +442,7 @@ class BagSource:
     def messages(self, scan: McapScan, channel: Channel, block: bytes, span: Span) -> Iterator[tuple[float, Any]]:
         """Yield log time [s] and message object of one channel of any type in one block; raises RecordingError.
 
-        A type is that of its first channel.
+        A type's definition is that of its first channel.
         """
         name, text = self.type_of(scan, channel)
         if name not in self._types.types:

@@ -27,7 +27,7 @@ from hydro_core.signals import StateArray
 
 VERSION = 9
 UNFINISHED = "recording was not finished"
-"""Value of custom_data `hydro` in metadata.yaml while the recording runs."""
+"""Value of `hydro` in the custom_data of metadata.yaml while the recording is in progress."""
 
 
 @dataclass(kw_only=True)
@@ -96,7 +96,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._schemas: dict[str, int] = {}
         self._span = (2**63 - 1, 0)
         self._file = self.path.open("wb")
-        try_lock(self._file)  # as long as it is written
+        try_lock(self._file)  # while it is written
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="hydro_bridge")
         for name, data in (attachments or {}).items():

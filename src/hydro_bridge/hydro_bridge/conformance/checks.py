@@ -127,7 +127,7 @@ def check_refusal_counts(host: Host, values: int, references: int) -> None:
 
 
 def check_disarmed_state(host: Host, last: int = 0) -> None:
-    """Check the state of a disarmed box: no current, and the reference equal to the followed force."""
+    """Check the state of a disarmed box: no current, and the reference equal to the feedback force."""
     for state in confirmed_states(host)[-last:]:
         if any(state_value(state, name) != 0.0 for name in ("valve_current", "nominal_valve_current")):
             raise ViolationError("a current is not 0")
@@ -237,8 +237,8 @@ def check_valve_current(host: Host) -> None:
 def check_force_law(host: Host, tolerance: float = 2e-7, share: float = 1e-4) -> None:
     """Check u_nom since arming against the force law for the box's measurements and its form of the integral.
 
-    The integral stands still while the current is at its limit and K_i e has the current's sign. Whether the current
-    includes the correction is checked by `check_valve_current`.
+    The integral is frozen (anti-windup) while the current is at its limit and K_i e has the current's sign. Whether
+    the current includes the correction is checked by `check_valve_current`.
     """
     integral, armed, paper = 0.0, False, host.info.integral == "paper"
     full = (1.0 - FLOAT32_TOLERANCE) * host.info.valve_current_max
@@ -292,7 +292,7 @@ _SMALL = 0.05
 
 
 def check_force_direction(host: Host, by: float) -> None:
-    """Check that the feedback force moved towards the reference by at least `by` [N, in the box's size].
+    """Check that the feedback force moved towards the reference by at least `by` [N, scaled to the box].
 
     Raises InconclusiveError: the current stayed small and the force constant, as with a valve's overlap.
     """
@@ -329,9 +329,9 @@ def check_rates(host: Host) -> None:
 
 
 def check_units(host: Host, share: float = 0.05) -> None:
-    """Check that readings are in Pa, m and N: within the bench's ranges, with f_h equal to that of the pressures.
+    """Check that readings are in Pa, m and N: within the bench's ranges, and f_h equal to the force of the pressures.
 
-    `share`: of piston area times supply pressure, by which f_h may differ.
+    `share`: tolerance of f_h, relative to piston area times supply pressure.
     """
     supply, stroke, area = (host.bench[name] for name in ("supply_pressure", "stroke", "piston_area"))
     for state in host.new_states:
@@ -368,9 +368,9 @@ def check_law_limits(host: Host) -> None:
 
 
 _CLOSE = 2e-6
-"""Rounding of float32 in a number of the shaping, relative to its limits."""
+"""Rounding of float32 in a value of the shaping, relative to its limits."""
 _KINK = 4e-3
-"""Time constant [s] with which a jump of f_r'' comes into f_c."""
+"""Time constant [s] of the low-pass of f_r'' in f_c."""
 
 
 def _demand(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[float], tuple[float, float]]:
@@ -390,10 +390,10 @@ def _demand(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[f
 def check_compensated_reference(host: Host, tolerance: float = 0.02) -> None:
     """Check gains, shaping and f_c of each armed sample against the one before and the command in force.
 
-    `tolerance` is of f_c [N], in the box's size, and 50 times as much of f_c' [N/s].
+    `tolerance`: of f_c [N], scaled to the box; that of f_c' [N/s] is 50 times as large.
 
-    The shaping goes to the one that was commanded, within its limits, no faster than LAW says; to the safe one where
-    the command is late or for the paper's law. f_r and f_r' are the box's own, f_r'' and f_r''' those of its command.
+    The shaping (a_0 to a_3, C_1, C_2) follows the commanded one within the limits and rate limits in LAW; the safe one
+    if the command is late or for the paper's law. f_r and f_r' are those of STATE, f_r'' and f_r''' of the command.
     """
     law, commands = host.law, {each.sequence: each.command for each in host.sent}
     assert law is not None, "its case needs a compensated law"

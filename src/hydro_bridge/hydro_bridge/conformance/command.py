@@ -37,7 +37,7 @@ NOMINAL_FORCE_GAIN = 10.53e6
 
 
 class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One requirement on a box."""
+    """Test case for one requirement on a box."""
 
     id: str
     says: str
@@ -45,7 +45,7 @@ class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     steps: tuple[dict[str, Any], ...]
     """Per step the name of its handler (`host.STEP_HANDLERS`), or `check`, and its parameters."""
     moving: bool = False
-    """Whether the case arms the box, or asks it to arm: the piston may move."""
+    """Whether the case arms the box, or requests arming: the piston may move."""
     needs: str = ""
     """Precondition, `bench`, `compensated law`, or both of these; empty: none."""
 
@@ -68,7 +68,7 @@ def shipped_cases() -> tuple[Case, ...]:
 def parse_cases(content: Any) -> tuple[Case, ...]:
     """Parse the cases from a file's content.
 
-    Raises UserError: a verb is unknown, or a case that is not marked as moving asks a box to arm;
+    Raises UserError: a step is unknown, or a case that is not marked as moving asks a box to arm;
     msgspec.ValidationError: a case is incomplete.
     """
     return msgspec.convert(content, tuple[Case, ...])
@@ -85,7 +85,7 @@ class Result:
     outcome: str
     """`PASS`, `FAIL`, `LEFT_OUT` or `NOT_JUDGED`."""
     found: str
-    """Reason why it did not pass, or what was not examined."""
+    """Reason for an outcome other than `PASS`, or aspects that were not examined."""
 
 
 def run_cases(
@@ -107,7 +107,7 @@ def run_cases(
 
 
 def _run(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] | None, moving: bool) -> Result:
-    """Run a case; a failure while this host was late is repeated once, and then not held against the box."""
+    """Run a case; a failure while this host was late is repeated once, then counted as not judged."""
     if case.moving and not moving:
         return Result(case, LEFT_OUT, "may move the piston: --moving")
     if "bench" in case.needs and bench is None:

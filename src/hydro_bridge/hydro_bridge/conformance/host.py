@@ -28,7 +28,7 @@ _PATIENCE = 1.0
 _LOOK = 0.005
 """s, longest wait of one read of the line."""
 READ_INTERVAL_MAX = 0.015
-"""s, longest interval between two reads with which this host is in time: a read ends whatever the box does."""
+"""s, longest interval between two reads of a host that is in time: a read ends whatever the box does."""
 
 
 class NoStateError(UserError):
@@ -36,12 +36,12 @@ class NoStateError(UserError):
 
 
 class NoFrameError(UserError):
-    """Nothing received since the port was opened is a frame."""
+    """No valid frame has arrived since the port was opened."""
 
 
 @dataclass(frozen=True)
 class SentCommand:
-    """A command and its time of sending."""
+    """Sent command, with its place among the received states."""
 
     sequence: int
     command: Command
@@ -53,13 +53,13 @@ class SentCommand:
 class Host:
     """One session with a box: commands sent, states received.
 
-    `line`: a port, or a box that is run in step. `clock`: returns seconds; the line's own clock of such a box.
+    `line`: a port, or a box that is run in lock-step. `clock`: returns seconds; the line's own clock of such a box.
     """
 
     line: Port
     clock: Callable[[], float] = time.monotonic
     bench: Mapping[str, Any] = field(default_factory=dict)
-    """Numbers of the bench file that the box believes; empty: unknown."""
+    """Bench parameters assumed by the box's force law; empty: unknown."""
     sequence: int = 0
     info: protocol.BoxInfo = field(default_factory=protocol.BoxInfo)
     """Content of the box's last HELLO."""
@@ -78,17 +78,17 @@ class Host:
     marked_sent: int = 0
     greeted_at: int = 0
     lag: int = 0
-    """Samples from a command to its confirming state, beyond the minimum; measured when the conversation begins."""
+    """Delay [samples] of a command's confirmation beyond the minimum; measured when the session begins."""
     silence: float = 0.0
-    """s, longest time between two reads of the line, during which no command can have been sent."""
+    """Longest interval [s] between two reads of the line, during which no command can have been sent."""
     looked: float | None = None
     correction: float = 1.0
-    """Factor on the cases' delta_u, so that it moves this bench no further than the nominal one in proportion."""
+    """Factor on the cases' delta_u, so that the motion is no larger, in proportion, than the nominal bench's."""
     notes: list[str] = field(default_factory=list)
     """Aspects that a passed check could not examine."""
 
     def begin_step(self) -> None:
-        """Begin a step of a case: checks examine what is received from here on."""
+        """Begin a step of a case: checks examine the states received from here on."""
         self.marked, self.marked_sent = len(self.states), len(self.sent)
 
     def snapshot(self) -> Host:
@@ -98,7 +98,7 @@ class Host:
 
     @property
     def feedback(self) -> str:
-        """Name of the force field that the box feeds back: as given in DETAILS, else `load_force`."""
+        """Name of the feedback force's field: as given in DETAILS, else `load_force`."""
         return f"{self.details.feedback or 'load'}_force"
 
     @property
@@ -115,7 +115,7 @@ class Host:
     def confirmation_index(self, sequence: int) -> int:
         """Return the index of the first state that confirms this command or a later one; the number of states if none.
 
-        Only equal numbers confirm: the newest may be of the previous conversation, and larger.
+        Sequence numbers are compared for equality: the newest may be of the previous session, and larger.
         """
         first = next((n for n, each in enumerate(self.sent) if each.sequence == sequence), None)
         behind = {sequence} if first is None else {each.sequence for each in self.sent[first:]}
@@ -170,7 +170,7 @@ class Host:
 _LOAD_FORCE_LIMIT = 700.0
 """N, of the nominal bench's box."""
 _UNPLAYABLE = 1e6
-"""N, from which a number in a case is meant for any box."""
+"""Force [N] from which a value in a case applies to any box, unscaled."""
 _FORCES = ("amplitude", "offset")
 
 
@@ -193,11 +193,11 @@ _CHANGED = {"waveform 4": (_WAVEFORM, 4), "version 9": (_VERSION, 9), "type 200"
 REPLY_SAMPLES = 300
 """Samples within which a HELLO must be answered, and a command confirmed."""
 _APART = 1000
-"""Offset of a conversation's sequence numbers from those of the previous one."""
+"""Offset of a session's sequence numbers from those of the previous session."""
 
 
 def open_session(host: Host) -> None:
-    """Send HELLO until the box replies, then safe commands until it confirms one; discard what came before."""
+    """Send HELLO until the box replies, then safe commands until it confirms one; discard all earlier states."""
     for n in range(3 * REPLY_SAMPLES):
         if n % REPLY_SAMPLES == 0:
             host.send_hello()
@@ -207,7 +207,7 @@ def open_session(host: Host) -> None:
     else:
         raise NoStateError(f"the box answered no HELLO within {3 * REPLY_SAMPLES} samples")
     host.receive(2)
-    host.sequence = (host.states[-1].last_command + _APART) % _CIRCLE  # not a number of the previous conversation
+    host.sequence = (host.states[-1].last_command + _APART) % _CIRCLE  # not a number of the previous session
     host.command = Command()
     host.begin_step()
     host.send()
@@ -263,7 +263,7 @@ def _once(host: Host, words: dict[str, Any]) -> None:
 
 
 def _greet(host: Host, words: dict[str, Any]) -> None:
-    """Greet; checks begin after the answer, if there is one."""
+    """Send HELLO; checks begin after the reply, if there is one."""
     host.begin_step()
     host.details, host.law, host.greeted_at = protocol.BoxDetails(), None, len(host.states)
     host.send_hello()
@@ -319,7 +319,7 @@ def _damaged(host: Host, words: dict[str, Any]) -> None:
 
 
 def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
-    """Return the words that change a command, forces in this box's size.
+    """Return a step's changes of the command, with forces scaled to this box.
 
     A number may be given by the name of an entry of DETAILS.
     """

@@ -11,7 +11,7 @@ from hydro_bridge.conformance.host import Host
 from hydro_core.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 
 FADE_TIME = 0.3
-"""s, length of a cross-fade."""
+"""Duration of a cross-fade [s]."""
 
 _RATIOS = tuple(map(sqrt, (1.0, 3.0, 7.0, 13.0)))
 _WEIGHTS = tuple(1.0 / ratio / sum(1.0 / other for other in _RATIOS) for ratio in _RATIOS)
@@ -87,10 +87,10 @@ def _volumes(bench: Mapping[str, Any], position: float) -> tuple[float, float]:
 def nominal_current(
     bench: Mapping[str, Any], values: Mapping[str, float], integral: float, force: str, scales: Sequence[float] = (1, 1)
 ) -> float:
-    """Return u_nom [A] of one STATE, by field name, where `reference_force` and its rate are f_c and f_c'.
+    """Return the nominal current [A] for `values` of one STATE, by name; `reference_force` and its rate are f_c, f_c'.
 
     `integral` is I [N/s], `force` the name of the feedback force's field, `scales` are C_1 and C_2. g is limited below
-    by a share of that of the bench at rest with p_a = alpha p_b, p_a + p_b = p_s and the spring relaxed.
+    by `FLOOR_SHARE` of its value for the bench at rest: p_a = alpha p_b, p_a + p_b = p_s, the spring relaxed.
     """
     alpha = bench["area_ratio"]
     pressure_b = bench["supply_pressure"] / (1.0 + alpha)
@@ -106,7 +106,7 @@ def nominal_current(
 
 
 def force_gain(bench: Mapping[str, Any]) -> float:
-    """Return g [N/s/A] in the middle of the stroke, with half of the supply's pressure in both chambers."""
+    """Return the force gain g [N/s/A] at mid-stroke, with half of the supply pressure in both chambers."""
     return float(_gain(bench, bench["stroke"] / 2, (bench["supply_pressure"] / 2,) * 2, 1.0))
 
 
@@ -125,7 +125,7 @@ def is_acceptable(signal: ReferenceSignal, force_range: float) -> bool:
 
 
 def expected_references(host: Host) -> Iterator[list[Derivatives | None]]:
-    """Yield the expected reference at each state, None where disarmed; twice, for both roundings of a fade's end."""
+    """Yield the expected reference at each state (None: disarmed), once for each rounding of a fade's end."""
     reach = host.details.force_range or 1e6
     commands = {each.sequence: each.command for each in host.sent}
     for fade in (FADE_TIME - _ROUNDING, FADE_TIME + _ROUNDING):

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Live page of a running graph, without ROS: thinned series, status texts, command rules, a local web server."""
+"""Live page of a running graph, without ROS: downsampled series, status texts, command rules, a local web server."""

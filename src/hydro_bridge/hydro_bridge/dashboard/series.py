@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns that the page plots, extracted from serialized messages, and their thinning to screen resolution.
+"""Columns that the page plots, extracted from serialized messages, and their downsampling to screen resolution.
 
 `column_descriptions` gives the page names and units. A slot keeps minimum and maximum: a pulse of one sample stays
 visible.
@@ -33,7 +33,7 @@ class Column:
     field: str
     unit: str = ""
     scale: float = 1.0
-    """Unit of the page / SI."""
+    """Factor from the SI unit to the page's."""
 
 
 STATE_COLUMNS = (
@@ -80,7 +80,7 @@ def column_values(number: int, table: npt.NDArray[np.void]) -> FloatArray:
 
 
 SLOT_TIME = 0.01
-"""s; a page of 10 s has 1000 slots, about one per pixel of a plot."""
+"""Duration of a slot [s]; a page of 10 s has 1000 slots, about one per pixel of a plot."""
 HISTORY_SLOTS = 6000
 """Slots kept for viewers that connect later: 60 s."""
 
@@ -90,7 +90,7 @@ class Slots:
     """Consecutive complete slots of a downsampled series."""
 
     first: int
-    """Number of the first one: floor(time / SLOT)."""
+    """Number of the first slot: floor(time / SLOT_TIME)."""
     values: npt.NDArray[np.float32]
     """Minimum and maximum, shape (slots, columns, 2)."""
 
@@ -138,7 +138,7 @@ class Downsampler:
         return slots
 
     def history(self) -> Slots:
-        """Return all polled slots still in the ring, for a new viewer the next `poll`."""
+        """Return all slots in the ring up to the last `poll`, for a new viewer that gets the next ones by `poll`."""
         return self._between(max(self._begin, self._open - len(self._ring) + 1), self._taken)
 
     def _between(self, first: int, end: int) -> Slots:
@@ -147,13 +147,13 @@ class Downsampler:
 
 
 SLOTS_MAX = 2**16
-"""Number of slots: 655 s at 10 ms; an hour is 5.6 times that, in slots of 80 ms."""
+"""Default number of slots: 655 s in slots of 10 ms, an hour in slots of 80 ms."""
 
 
 class GrowingDownsampler:
     """Reduces a stream of unknown length to minimum and maximum per slot; the slots double as it grows.
 
-    `columns`: number of values in a sample. `begin`: start of the first slot, s. `limit`: number of slots kept, even.
+    `columns`: values per sample. `begin`: start of the first slot, s. `limit`: maximum number of slots, even.
     """
 
     def __init__(self, columns: int, begin: float, limit: int = SLOTS_MAX) -> None:
@@ -163,7 +163,7 @@ class GrowingDownsampler:
         self._table = np.full((limit, columns, 2), np.nan, np.float32)
         self._count = 0
         self.slot = SLOT_TIME
-        """s."""
+        """Duration of a slot [s]."""
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
         """Add samples; those before `begin` are left out.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Web server of the live page: its files and one WebSocket per viewer, in a separate thread; and who may do what.
+"""Web server of the live page: its files and one WebSocket per viewer in a separate thread; authorisation of commands.
 
 ::
 
@@ -137,7 +137,7 @@ Message = str | bytes
 
 
 class PageServer:
-    """Serves the page until `close`.
+    """Web server of the live page, which runs until `close`.
 
     `act`: executes a received command and returns the answer for the viewer; called in the server's thread. `host`,
     `port`: address to listen at; port None: `PORT`, or any free one. Raises UserError: the address cannot be listened
@@ -162,7 +162,7 @@ class PageServer:
             raise UserError(f"the page cannot be served at {where}: {error.strerror or error}") from None
         self.port: int = next(iter(self._server.sockets)).getsockname()[1]
         self.address = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
-        """Of the page."""
+        """Address of the page."""
         self._thread = threading.Thread(target=self._loop.run_forever, name="page server", daemon=True)
         self._thread.start()
 

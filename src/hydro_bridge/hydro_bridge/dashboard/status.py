@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status of the graph for the page, besides the series: messages, names of flags, learning progress.
+"""Status of the graph for the page: encoding of messages, labels of flags, learning curve.
 
 The learning curve is bounded: at most `CURVE_POINTS_MAX` episodes.
 """
@@ -47,8 +47,8 @@ class LearningCurve:
     ) -> None:
         """Add a TrainingStatus; `episode` is the present one, in other phases than training the last one.
 
-        RMSE [N] and return are of the last finished episode: another result is another episode's. An episode number
-        that falls back starts another run. The losses are the present ones.
+        RMSE [N] and return are those of the last finished episode: changed results are those of a further episode. A
+        smaller episode number starts another run. The losses are the present ones.
         """
         if episode < self._last:
             self._rows.clear()

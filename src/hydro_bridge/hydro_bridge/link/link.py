@@ -4,11 +4,11 @@
 One thread runs `run`: it opens the port, negotiates, passes on each new sample and ensures that a command follows each
 sample. Other threads set the guard's inputs (under `lock`) and may `send` at once. CLOSED -> OPEN -> CONNECTED.
 
-The line is alive by frames, not by bytes: without a new sample, and before a box has greeted without a frame, for
-`silence_max` it is closed and opened anew, and what came in their place is told. What is said of a box, armed or not,
-is younger than `SAMPLE_AGE_MAX`.
+Frames count as signs of life, bytes do not: after `silence_max` without a new sample (without a frame, before a box has
+answered HELLO) the port is reopened, and the bytes received instead are reported. The reported state of a box, armed or
+not, is younger than `SAMPLE_AGE_MAX`.
 
-An emulator that goes by its own clock says so (CLOCK): stamps and ages are then in its time. Where it waits, one
+An emulator that runs by its own clock announces this (CLOCK): stamps and ages are then in its time. If it waits, one
 command is sent for each sample, with the sample's time, once the graph has answered (`pace`).
 """
 
@@ -50,7 +50,7 @@ NO_HELLO_REPLY = (
 )
 
 SAMPLE_AGE_MAX = 0.1
-"""s, age of the last sample up to which what it says still holds; of a box in real time."""
+"""Largest age [s] of the last sample at which its content still holds; for a box in real time."""
 
 _RECENT = 256  # number of samples and commands kept
 _WRAP = 0xFFFFFFFF
@@ -64,7 +64,7 @@ _GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no
 
 
 class _MuteError(PortLostError):
-    """The port is there, and no frame of a box comes."""
+    """The port is open, but no frame of a box arrives."""
 
 
 class LinkState(Enum):
@@ -88,13 +88,13 @@ class LinkReport:
     heartbeats: int = 0
     """Commands sent because no correction arrived in time."""
     turnaround: Latency = field(default_factory=Latency)
-    """From receiving a state frame to sending the command frame that corrects it: publishing, the filter, and back."""
+    """From receiving a state frame to sending the command with its correction: publishing, the filter, and back."""
     round_trip: Latency = field(default_factory=Latency)
     """From sending a command frame to the first state frame that confirms it; up to one sample of it is the box's."""
 
 
 class Link(PlantSide):
-    """The line to one box.
+    """Host side of the line to one box.
 
     Parameters
     ----------
@@ -108,8 +108,8 @@ class Link(PlantSide):
     on_box
         Called in the thread of `run` at each connection with the box's self-description.
     correct
-        Called like `on_state`, before it; by then a filter in this process may have told the guard its correction, and
-        the command goes out before the sample is passed on.
+        Called like `on_state`, before it: a filter in this process sets its correction in the guard, and the command
+        goes out before the sample is passed on.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Link(PlantSide):
         self.port = port
         self.pace.go_on = self._send
         self.emulated: ClockFrame | None = None
-        """What an emulator says of its clock; None: the box runs in real time."""
+        """CLOCK frame of an emulator; None: the box runs in real time."""
         self.counts = LinkCounts()
         self.report = LinkReport()
         self._arrived: dict[int, float] = {}  # s of the monotonic clock, by sequence of the last samples
@@ -137,10 +137,10 @@ class Link(PlantSide):
         self.details: BoxDetails | None = None
         """The box's DETAILS."""
         self.law: BoxLaw | None = None
-        """The box's compensated law; None: it runs the paper's only, and a command for another goes out as the safe
-        one."""
+        """Compensated law of the box; None: it runs the paper's only, and the safe command replaces any command for
+        another law."""
         self.refused: tuple[int | None, int | None] = (None, None)
-        """Values and references that the box refused since its power-on; None: no sample came yet."""
+        """Counts of values and references that the box refused since its power-on; None: before the first sample."""
         self.state = LinkState.CLOSED
         self._wanted_limits = guard.settings
         self._on_state, self._correct = on_state, correct
@@ -156,10 +156,10 @@ class Link(PlantSide):
         """HELLO of a box, until its DETAILS arrive, and its LAW if it offers one."""
         self._told: BoxDetails | None = None
         """DETAILS of such a box, until its LAW arrives."""
-        self._clock_told: ClockFrame | None = None  # of the box that greets
-        self._sampled = -inf  # when the last new sample came, s of the monotonic clock
+        self._clock_told: ClockFrame | None = None  # CLOCK of the box, during the handshake
+        self._sampled = -inf  # arrival of the last new sample, s of the monotonic clock
         self._framed = LinkCounts()  # counts at the last frame that kept the line alive
-        self._box_us = self._offset_us = 0  # time of the last sample; what keeps it from going back
+        self._box_us = self._offset_us = 0  # time of the last sample; offset that keeps it ascending
         self._met = False
 
     @property
@@ -169,7 +169,7 @@ class Link(PlantSide):
 
     @property
     def paced(self) -> bool:
-        """Whether each sample waits for the answers to the last one."""
+        """Whether plant and graph run in lock-step: each sample waits for the answers to the previous one."""
         return self.emulated is not None and self.emulated.waits
 
     def now(self) -> float:
@@ -202,7 +202,7 @@ class Link(PlantSide):
             backoff = min(2 * backoff, self.port.settings.backoff_max)
 
     def stop(self) -> None:
-        """Disarm, and end `run`; the sample with which an emulator answers the last command is passed on no more."""
+        """Disarm, and end `run`; an emulator's sample in reply to the last command is not passed on."""
         self._ending = True
         with self.lock:
             self.guard.set_arm(False)
@@ -212,7 +212,7 @@ class Link(PlantSide):
     def send(self, corrects: int | None = None) -> None:
         """Send the command that the guard allows now; `corrects` is the sample whose correction has just arrived.
 
-        Where each sample waits for its answers, they decide when: only a command that corrects nothing goes at once.
+        With a paced plant the answers determine the time: only a command without a correction goes out at once.
         """
         if not self.paced:
             self._send(corrects)
@@ -249,7 +249,7 @@ class Link(PlantSide):
 
     @property
     def absence_reason(self) -> str:  # type: ignore[override]
-        """Why there is no box; empty: it is connected."""
+        """Reason why no box is connected; empty: one is."""
         return "" if self.state is LinkState.CONNECTED else f"the port is {self.state.value}"
 
     @property
@@ -291,7 +291,7 @@ class Link(PlantSide):
                 raise _MuteError(f"{self.port.settings.path}: {no_frames_message(self.counts, self._framed, limit)}")
 
     def _give_sign(self) -> None:
-        """Tell an emulator that waits that the graph is still at work on its sample."""
+        """Report to a waiting emulator that the graph still works on its sample."""
         with self.lock:
             self.port.write(protocol.encode_clock(self._box_us - self._offset_us, waits=True))
 
@@ -362,7 +362,7 @@ class Link(PlantSide):
         if self.paced:
             self.pace.begin_sample(frame.sequence, publish)
         publish()
-        if not self.paced and missed and not self._corrected:  # nor of the sample before: a command is sent regardless
+        if not self.paced and missed and not self._corrected:  # nor for the previous sample: send a command
             self.report.heartbeats += 1
             self._send()
 
@@ -418,7 +418,7 @@ class Link(PlantSide):
             self._news.notify_all()
 
     def _complain(self, sentence: str) -> None:
-        """Report a fault once, not at every attempt: with other numbers it is the same."""
+        """Report a fault once, not at every attempt: sentences that differ only in numbers report the same fault."""
         told, self.complaint = self.complaint, sentence
         if re.sub(r"[0-9.]+", "", sentence) != re.sub(r"[0-9.]+", "", told):
             self._warn(sentence)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box on the serial line as a plant of the graph.
+"""Bridge node: the box on the serial line as a plant of the graph.
 
 ros2 run hydro_bridge bridge --port /dev/ttyUSB0 [--baud 2000000] [--bench FILE] [--ros-args ...]
 """
@@ -30,13 +30,13 @@ from hydro_core.size import Size
 
 
 class SerialPlant(Link):
-    """A link with its status for /diagnostics."""
+    """Link to a box, with a status for /diagnostics."""
 
     foreign = ""
     """Differences between the box and its bench file, if any."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.safety.plant_side.PlantSide`."""
+        """Return the status for /diagnostics: port, box, counts and latencies."""
         report = self.report
         values = {
             "port": self.port.settings.path,
@@ -64,7 +64,7 @@ class SerialPlant(Link):
 
 
 class BridgeNode(PlantNode):
-    """Plant node over a serial line; `bench` holds the numbers of the box's bench file, if known."""
+    """Plant node over a serial line; `bench`: parameters in the box's bench file, if known."""
 
     def __init__(
         self, settings: PortSettings, bench: Mapping[str, Any] | None, corrector: Corrector | None, *, realtime: bool

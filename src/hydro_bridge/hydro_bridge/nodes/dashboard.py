@@ -51,7 +51,7 @@ from hydro_msgs.msg import Authority, TrainingStatus
 from hydro_msgs.srv import Claim, OverrideGains
 
 QUEUE_DEPTH = 500
-"""Messages per topic that wait for the next frame: half a second."""
+"""Depth of the message queue of each topic until the next frame: half a second."""
 
 
 class SampleReceiver:
@@ -66,13 +66,13 @@ class SampleReceiver:
             self._queues[topic] = self.mailbox.subscribe(topic, kind, qos), fixed_layout(topics.type_name(kind))
         self._sequence = -1
         self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES)
-        """Thinners of the samples, of the corrections and of the compensated law."""
+        """Downsamplers of the samples, of the corrections and of the compensated law."""
         self.decided: Counter[int] = Counter()
         """Number of corrections of each status since this was last cleared."""
         self.taken_at = -inf
-        """s, monotonic time at which the last sample was taken."""
+        """s, monotonic time of the poll that received the last sample."""
         self.compensated_at = -inf
-        """s, monotonic time at which the compensated law acted last."""
+        """s, monotonic time of the poll that received the last state of the compensated law."""
         self.flags = 0
         """Flags of the last sample."""
         self.count = 0
@@ -92,7 +92,7 @@ class SampleReceiver:
             try:
                 rows = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), -1)
                 table = layout.decode(rows, np.zeros(len(alike), np.int64))
-            except ValueError:  # of a plant of another version
+            except ValueError:  # messages of another version
                 continue
             if topic == topics.STATE:
                 sequence = table["sequence"].astype(np.int64)

@@ -8,7 +8,7 @@
     /hydro/answered ──────────────────────────────────────────────> pace ────┤
     /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law, /clock <─ publish_… ──┘
 
-The guard is told commands of the lease's holder only (`hydro_bridge.safety.lease`), with its session's epoch, from a
+The guard receives only commands of the lease's holder (`hydro_bridge.safety.lease`), with its session's epoch, from a
 single publisher. While two nodes publish one of these topics the status is ERROR, nothing can be armed, and an armed
 plant is disarmed::
 
@@ -19,12 +19,12 @@ plant is disarmed::
 A publisher is matched with the subscription before its messages can arrive. A second publisher is therefore known by
 the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
 
-A filter in the plant's process is a `Corrector`: it is handed each sample and answers at once, in the plant's thread,
-before the sample is published. Its corrections are published like any; the plant then hears nobody else's. One that
-raises an error is asked no more: the guard goes to base gains, as for any filter that is silent.
+A filter in the plant's process is a `Corrector`: it is called with each sample in the plant's thread, before the sample
+is published. Its corrections are published like any; the plant then has no subscription to other nodes' corrections.
+After an error it is called no more: the guard goes to base gains, as for any filter that is silent.
 
-Where the plant goes by its own clock (`PlantSide.paced`), times are the plant's, and what the plant says about a sample
-(the session that ends with a trip, /clock, its law) is published before the sample.
+Where the plant runs by its own clock (`PlantSide.paced`), times are the plant's, and its messages about a sample (end
+of the session by a trip, /clock, state of the law) are published before the sample.
 """
 
 from __future__ import annotations
@@ -76,10 +76,10 @@ _LOOK = 0.1  # s between two checks of the publishers
 
 
 class Corrector(Protocol):
-    """A filter in the plant's process; see `PlantNode`."""
+    """Contraction filter in the plant's process; see `PlantNode`."""
 
     def correct(self, state: Any, law: Any, epoch: int) -> Any:
-        """Return the record of the Correction of a sample; None: there is none yet.
+        """Return the Correction record of a sample; None: there is none yet.
 
         `state`, `law`: records of the sample's BenchState and LawState, None: the paper's law. `epoch`: the session's.
         """
@@ -92,12 +92,12 @@ _TROUBLED = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
 
 
 def mode(flags: int) -> str:
-    """Return the state of the box's arming in a word."""
+    """Return the arming state of a box: tripped, armed or disarmed."""
     return "tripped" if flags & Flag.TRIPPED else "armed" if flags & Flag.ARMED else "disarmed"
 
 
 class LeaseServer:
-    """The lease of a plant in the graph: /hydro/claim, /hydro/arm, /hydro/authority; the lease itself decides.
+    """Services and topic of a plant's lease: /hydro/claim, /hydro/arm, /hydro/authority; the `Lease` itself decides.
 
     `node`: node of the plant. `plant`: plant that is armed and disarmed. `tripped`: whether the box has disarmed by
     itself.
@@ -109,7 +109,7 @@ class LeaseServer:
         self._following = threading.Lock()
         self._armed, self._conflict = False, ""
         self.heard: dict[str, Subscription] = {}
-        """Source of the commands of each topic; without one they come from this process."""
+        """Subscription to the commands of each topic; commands of other topics come from this process."""
         self._publisher = create_publisher(node, topics.AUTHORITY)
         self._told: Counter[str] = Counter()
         self._corrected = False  # corrections were refused in the second before
@@ -191,7 +191,7 @@ class LeaseServer:
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
-        """Start again with another holder: no reference or law, and after a silent holder no armed plant, remains."""
+        """Reset reference and law for another holder, and disarm a plant that a silent holder left armed."""
         if succeeds and self._plant.guard.armed:
             self._plant.arm(False)
         with self._plant.lock:
@@ -269,7 +269,7 @@ class PlantNode(Node):
         super().__init__(name)
         self._corrector = corrector
         self.done: Future = Future()
-        """Done once the plant's thread has failed."""
+        """Future that gets the exception if the plant's thread fails."""
         self._defect = ""  # of a filter in this process
         self.components = [] if corrector is None else [corrector]
         self._publisher = create_publisher(self, topics.STATE)
@@ -278,7 +278,7 @@ class PlantNode(Node):
         self._box_law_publisher = create_publisher(self, topics.BOX_LAW)
         self._clock_publisher = create_publisher(self, topics.CLOCK)
         self._clock_message = ClockMessage()
-        self._peers: set[str] = set()  # in the graph at the last look
+        self._peers: set[str] = set()  # in the graph at the last poll
         self._flags, self._tripped = 0, False
         self._beside_another = False
 
@@ -321,13 +321,13 @@ class PlantNode(Node):
 
     def close(self) -> None:
         """Disarm, and end the plant's thread."""
-        self.side.stop()  # first: what `pace` releases is another sample, or none, as the threads run
+        self.side.stop()  # first: `pace` may release one more sample, depending on the timing of threads
         self.side.pace.close()
         if self._thread.is_alive():
             self._thread.join(2.0)
 
     def correct(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int, law: LawState | None) -> None:
-        """Have a sample corrected by the filter in this process, if there is one; before it is published."""
+        """Correct a sample by the filter in this process, if there is one, before the sample is published."""
         if self._corrector is None:
             return
         state, acting = STATES.record(stamp_ns, sequence, *values, flags), None
@@ -346,7 +346,7 @@ class PlantNode(Node):
     def publish_sample(
         self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int, law: LawState | None
     ) -> None:
-        """Publish one sample, behind its force law, the paper's is not worth a message, and before its correction.
+        """Publish one sample, after the state of its law unless that is the paper's, and before its correction.
 
         Call from the plant's thread only. `values`: in STATE_FIELDS order.
         """
@@ -364,9 +364,9 @@ class PlantNode(Node):
             self._corrector.publish()
 
     def publish_box(self, box: KnownBox, law: BoxLaw | None) -> None:
-        """Publish the box's identity, assumed bench and compensated law, None: it has none, and offer it to the guard.
+        """Publish the box's description and its compensated law, None if it has none, and set that law in the guard.
 
-        At the start, and whenever it may be another box.
+        Call at the start, and whenever another box may be connected.
         """
         with self.side.lock:
             self.side.guard.set_box_law(law)
@@ -375,7 +375,7 @@ class PlantNode(Node):
         self._box_publisher.publish(box_to_message(box, now))
 
     def _on_command(self, topic: str, message: Any) -> None:
-        """Take a commander's message that has the epoch of the session."""
+        """Set gains, law or reference in the guard, from a message with the epoch of the session."""
         if self.leases.admits(topic, message.epoch):
             law = law_command_from_message(message) if topic == topics.LAW else None
             signal = reference_from_message(message) if topic == topics.REFERENCE else None

@@ -53,7 +53,7 @@ class RecorderNode(Node):
         scheduling = request_realtime(realtime=realtime, nice=_NICE)  # before samples arrive
         self._writer, self._messages, self._bytes = make_writer(), dict.fromkeys(GRAPH, 0), 0
         self._tracker = SequenceTracker()
-        """Of the samples of /hydro/state."""
+        """Sequence numbers of the samples of /hydro/state."""
         self._newest = -1  # sample
         self.failed = False
         self.done: Future = Future()
@@ -87,7 +87,7 @@ class RecorderNode(Node):
         )
 
     def _fetch(self) -> None:
-        """Write what has arrived, by its time of arrival, and tell a plant that waits for it."""
+        """Write the arrived messages by time of arrival, and acknowledge the samples to a paced plant."""
         arrived = [
             (time_ns, topic, data)
             for topic, subscription in self._heard.items()

@@ -68,7 +68,7 @@ def replay(
 
 
 class ReplayerNode(Node):
-    """Publishes a recording in a separate thread, and ends with it."""
+    """Node that replays a recording in a separate thread, and ends with it."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
@@ -109,7 +109,7 @@ class ReplayerNode(Node):
 
     def _publish(self, topic: str, data: bytes) -> None:
         if topic == STATE and (state := STATES.unpack(data)) is not None and state.flags & Flag.PACED:
-            data = STATES.pack(*state[:-1], state.flags & ~Flag.PACED)  # it waits for nobody here
+            data = STATES.pack(*state[:-1], state.flags & ~Flag.PACED)  # a recording waits for no answers
         self._publishers_by_topic[topic].publish(data)
         self._published += 1
 

@@ -15,7 +15,7 @@ from hydro_core.cli.console import shown
 
 
 def environment(package: str, folder: str = "templates") -> Environment:
-    """Return the environment with the templates in `folder` of a package and the shared ones.
+    """Return the template environment of a package: the templates in its `folder`, and the shared ones.
 
     Text is escaped unless it is marked safe; an undefined name is an error, not empty text.
 
@@ -43,7 +43,7 @@ class Section:
 
 
 def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Section]) -> str:
-    """Return the page, self-contained.
+    """Return a results page as self-contained HTML.
 
     `title`: heading of the page. `about`: facts about the run by name: plant, seed, filter, version of the code.
     `sections`: sections in order. Raises OSError: a picture cannot be read.

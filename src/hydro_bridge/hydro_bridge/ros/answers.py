@@ -10,12 +10,12 @@ from rclpy.subscription import Subscription
 from hydro_bridge.ros.topics import ANSWERED, create_publisher
 from hydro_msgs.msg import Answered
 
-_LOOK = 0.05  # s between two looks for a plant
-_ALIVE = 20  # looks after which a peer says again what it said last: it works, it is not dead
+_LOOK = 0.05  # s between two polls for a plant
+_ALIVE = 20  # polls after which a peer repeats its last answer, as a sign of life
 
 
 class PaceResponder:
-    """Tells a plant that runs by its own clock which samples this node has answered, on /hydro/answered.
+    """Acknowledges samples to a plant that runs by its own clock, on /hydro/answered.
 
     `node`: the node. `window`: number of samples that the plant may be ahead of this node. `states`: its subscription
     to the states.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command of a plant: a node asks for the lease, renews it, and publishes gains, law and references under it.
+"""Command of a plant: a node requests the lease, renews it, and publishes gains, law and references under it.
 
 Without the lease nothing is published, and not even a publisher exists.
 """
@@ -31,11 +31,11 @@ from hydro_msgs.srv import Claim
 _RENEWAL_PERIOD = 0.5  # s between two requests; a lease lapses after 3 s of silence
 _ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
 _DISARMED_WITHIN = 2.0  # s, for the last request to the plant
-_HEARD_WITHIN = Duration(seconds=0.1)  # for the last reference: what is on its way goes with its publisher
+_HEARD_WITHIN = Duration(seconds=0.1)  # for the last reference: undelivered messages are lost with their publisher
 LEASE_WAIT_MAX = 600.0
-"""s that a node waits for the present holder of the plant."""
+"""Longest wait [s] for the lease while another node holds it."""
 LEASE_ANSWER_MAX = 30.0
-"""s that it waits for a plant that says nothing about its lease."""
+"""Longest wait [s] for a plant that does not report on its lease."""
 NO_LEASE_ANSWER = "the plant does not say who may command it (/hydro/claim)"
 UNCONFIRMED = (
     "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms after 10 s; to "
@@ -46,8 +46,8 @@ UNCONFIRMED = (
 class Commander:
     """A node's lease on the running plant. Use it only in the thread that spins the node.
 
-    Under the plant's clock (`collects`) what it publishes waits for `flush`, by which a node ends its answer to a
-    sample: the last gains, law and reference go out together, and how many there were is part of the answer.
+    Under the plant's clock (`collects`) commands are published by `flush`, at the end of the node's answer to a sample:
+    the last gains, law and reference go out together, and the number of commands is part of the answer.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ class Commander:
     changed
         Called when the lease has been granted (with an empty sentence) or lost (with the reason).
     end
-        Ends the run, as Ctrl-C does; anybody may call it by /hydro/end while this node commands. None: nobody may.
+        Ends the run, as Ctrl-C does; open to all callers of /hydro/end while this node commands. None: no such service.
     warn
-        Takes a sentence about why the node has to wait for the lease.
+        Logs the reason why the node waits for the lease.
     within
-        s after which another holder ends the wait.
+        Longest wait [s] while another node holds the lease.
     """
 
     def __init__(
@@ -79,23 +79,23 @@ class Commander:
         self._claim = self._known = 0  # the second: the epoch at the last request
         self.epoch = 0
         """Epoch of the session if this node commands the plant, else 0."""
-        self._refusal, self._told = "", ""  # of the plant's last answer, empty: granted or none; warned of
+        self._refusal, self._told = "", ""  # in the plant's last answer, empty: granted or none; last warning
         self._waits_since = inf
         self._answer: Future | None = None
         self._asked = -inf
         self.collects = False
         """Whether commands wait for `flush`."""
         self.requests = 0
-        """Requests to the plant that are not answered yet."""
+        """Number of requests that the plant has not answered yet."""
         self.settled: Callable[[], None] = lambda: None
-        """Called once an answer of the plant has been dealt with."""
+        """Called once an answer of the plant has been processed."""
         self.stamp: Callable[[], Time] = lambda: node.get_clock().now().to_msg()
         """Returns the stamp of the next message."""
         self._collected: dict[str, Any] = {}  # messages by topic
         self._sent = 0  # commands under the present claim
         self._reference: ReferenceSignal | None = None
         self.last_gains = msg.Gains()
-        """As last published, with their stamp."""
+        """Last published gains, with their stamp."""
         self._law = msg.LawCommand()
         self._publishers: dict[str, Publisher] = {}  # that of a law from its first command on
         self._words = create_subscription(node, topics.AUTHORITY, self._on_authority)
@@ -114,7 +114,7 @@ class Commander:
         self._answer = self._ask(Claim.Request.TAKE, then=self._on_taken)
 
     def check_wait(self, now: float) -> None:
-        """Warn once of each reason for which this node does not command a plant that is there; call as `renew_lease`.
+        """Warn once of each reason why this node lacks the lease on a present plant; call as often as `renew_lease`.
 
         Raises NotReadyError: the plant is silent for `LEASE_ANSWER_MAX`, or another node holds it for `within`.
         """
@@ -130,13 +130,13 @@ class Commander:
             raise NotReadyError(f"{self._refusal or NO_LEASE_ANSWER}, still after {within:g} s")
 
     def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> None:
-        """Publish gains [1/s], [1/s^2] if this node may."""
+        """Publish gain changes [1/s], [1/s^2] if this node holds the lease."""
         message = self.last_gains
         message.delta_kp, message.delta_ki = delta_kp, delta_ki
         self._send(topics.GAINS, message, step)
 
     def law(self, command: LawCommand, step: int = 0) -> None:
-        """Publish the force law to run if this node may; without this, it is the paper's."""
+        """Publish the command of a force law if this node holds the lease; without one, the paper's law runs."""
         if self.held and topics.LAW not in self._publishers:
             self._publishers[topics.LAW] = create_publisher(self._node, topics.LAW)
         message = self._law
@@ -147,7 +147,7 @@ class Commander:
         self._send(topics.LAW, message, step)
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """Publish the force to track; without the lease, as soon as it is granted."""
+        """Publish the reference; without the lease, as soon as it is granted."""
         self._reference = signal
         self._send(topics.REFERENCE, reference_to_message(signal, self.epoch))
 
@@ -172,18 +172,18 @@ class Commander:
         return self._sent
 
     def arm(self, arm: bool, then: Callable[[Future], None] = lambda answer: None) -> Future | None:
-        """Ask to arm or disarm if this node may and the plant is present; returns the plant's answer.
+        """Request arming or disarming if this node holds the lease and the plant is present; return the plant's answer.
 
-        `then`: called with the answer once it is there.
+        `then`: called with the answer on its arrival.
         """
         if not (self.held and self._claims.service_is_ready()):
             return None
         return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM, then=then)
 
     def release(self, heir: str = "") -> Future | None:
-        """Release the lease, which disarms; returns the plant's answer, or None without the lease.
+        """Release the lease, which disarms; return the plant's answer, or None without the lease.
 
-        `heir`: name of the only node that may take it next, for 10 s; empty: the first to ask.
+        `heir`: name of the only node that may take it next, for 10 s; empty: any node.
         """
         if not (self.held and self._claims.service_is_ready()):
             return None
@@ -202,7 +202,7 @@ class Commander:
         return "" if answer is not None and answer.done() and answer.result().success else UNCONFIRMED
 
     def _ask(self, act: int, *, whom: str = "", then: Callable[[Future], None] = lambda answer: None) -> Future:
-        self.flush()  # what was decided before comes first
+        self.flush()  # commands decided earlier go out first
 
         def answered(answer: Future) -> None:
             self.requests -= 1
@@ -245,7 +245,7 @@ class Commander:
         self._answer = self._reference = None
         for topic, publisher in self._publishers.items():
             if topic == topics.REFERENCE:
-                with suppress(RuntimeError):  # a middleware that cannot tell
+                with suppress(RuntimeError):  # not every middleware supports it
                     publisher.wait_for_all_acked(_HEARD_WITHIN)
             self._node.destroy_publisher(publisher)
         self._publishers = {}

@@ -2,7 +2,8 @@
 """Companion processes: executables of our packages that start and end with the program that needs them.
 
 Each runs in a process group of its own. None outlives its parent: not on a clean exit, not on an error, and not on
-`kill -9`, for the kernel then sends it SIGTERM (PR_SET_PDEATHSIG). A recorder is waited for, and a live page offered.
+`kill -9`, for the kernel then sends it SIGTERM (PR_SET_PDEATHSIG). A recorder is required for arming, a live page is
+optional.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class CompanionError(Exception):
 
 
 def executable_path(package: str, executable: str) -> Path:
-    """Path of a package's executable by the ament index; raises CompanionError."""
+    """Return the path of a package's executable from the ament index; raises CompanionError."""
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         path = Path(prefix, "lib", package, executable)
         if prefix and os.access(path, os.X_OK):
@@ -55,9 +56,9 @@ class Companion(AbstractContextManager["Companion"]):
     Parameters
     ----------
     package, executable
-        As for `ros2 run`.
+        Names of package and executable, as for `ros2 run`.
     arguments
-        The rest of its command line.
+        Its command-line arguments.
     name
         Prefix of each line of its output; the executable's name by default.
     output
@@ -144,11 +145,11 @@ def _die_with(parent: int) -> None:
 
 
 RECORDER_TIMEOUT = 60.0
-"""s, wait for a recorder once samples arrive: on a busy machine discovery takes some time."""
+"""Time limit [s] for a recorder to have samples once they arrive: on a busy machine discovery takes some time."""
 
 
 class RecorderWatch:
-    """Watches one recorder.
+    """Monitor of one recorder by its diagnostics: whether it has received samples.
 
     `node`: node that subscribes to /diagnostics. `folder`: folder of the recording, as passed to the recorder.
     `recorder`: its process.
@@ -212,7 +213,7 @@ def start_dashboard(
 
     A failure of the dashboard does not affect the run.
 
-    `node`: node of the caller. `wanted`: False: no page. `keep`: takes each line of its output except its address,
+    `node`: node of the caller. `wanted`: False: no page. `keep`: receives each line of its output except its address,
     which contains the token and goes to the terminal only.
     """
     if not wanted or DASHBOARD_NODE in node.get_node_names():

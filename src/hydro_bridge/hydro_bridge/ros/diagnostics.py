@@ -16,7 +16,7 @@ from hydro_bridge.ros.topics import DIAGNOSTICS, LOG, create_publisher
 
 
 class Level(IntEnum):
-    """As in diagnostic_msgs/DiagnosticStatus."""
+    """Levels of a status, as in diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -43,7 +43,7 @@ class DiagnosticsPublisher:
         self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
-        """Publish now."""
+        """Publish the status now."""
         status = self._collect()
         shown = {
             key: f"{value:.6g}" if isinstance(value, float) else str(value) for key, value in status.values.items()
@@ -73,7 +73,7 @@ def publisher_conflicts(node: Node, *topics: str) -> str:
 
 
 def with_publisher_conflicts(status: Status, trouble: str) -> Status:
-    """Return the status, turned into an ERROR that reports `trouble` if there is any."""
+    """Return the status, as an ERROR that reports `trouble` if there is any."""
     if not trouble:
         return status
     return Status(level=Level.ERROR, message=f"{trouble}; {status.message}", values=status.values)

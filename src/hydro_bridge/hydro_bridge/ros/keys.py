@@ -25,7 +25,7 @@ def enclave_name(executable: str) -> str:
 
 
 def security_enabled() -> bool:
-    """Whether security is enabled; if so, enforce it for this process and its children unless the user has chosen.
+    """Return whether security is enabled; if so, enforce it for this process and its children, unless the user chose.
 
     Raises SettingsError: a variable has a value that ROS would read as off.
     """

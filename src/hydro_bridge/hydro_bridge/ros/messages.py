@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between messages and plain types.
+"""Conversion between ROS messages and plain types.
 
-What comes and goes a thousand times a second is packed and unpacked as bytes by `Codec`; no message object is made.
+Messages at the sample rate are packed and unpacked as bytes by `Codec`, without message objects.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _CODES = {"boolean": "?", "uint8": "B", "uint32": "I", "uint64": "Q", "double": 
 
 
 class Codec:
-    """Packs and unpacks serialized messages (CDR) of numbers behind a header, in a tenth of rosidl's time.
+    """Codec of serialized messages (CDR) with a header and numbers only, in a tenth of rosidl's time.
 
     `kind`: message class. A record has the message's fields, and `stamp` [ns] in place of its header. Messages of
     another byte order or `frame_id` are unpacked by rosidl.
@@ -47,7 +47,7 @@ class Codec:
         self._struct = Struct(f"<4siII{form}")
 
     def pack(self, stamp: int, *numbers: float) -> bytes:
-        """Return the serialized message; `numbers` in the message's order."""
+        """Return the serialized message; `stamp` in ns, `numbers` in the message's order."""
         head, size, frame = self._head
         return self._struct.pack(head, *divmod(stamp, 1_000_000_000), size, frame, *numbers)
 
@@ -59,7 +59,7 @@ class Codec:
                 return self.record(1_000_000_000 * sec + nanosec, *numbers)
         try:
             message = deserialize_message(data, self.kind)
-        except RuntimeError:  # of which all of rclpy's are
+        except RuntimeError:  # base class of all errors of rclpy
             return None
         stamp = message.header.stamp
         numbers = [getattr(message, name) for name in self._names]
@@ -88,14 +88,14 @@ _SHAPE = ("amplitude", "offset", "frequency", "phase")
 
 
 def reference_from_message(message: msg.ReferenceSignal) -> ReferenceSignal | None:
-    """Return the plain reference; None for an unknown waveform."""
+    """Return a message's `ReferenceSignal`; None for an unknown waveform."""
     if message.waveform not in tuple(Waveform):
         return None
     return ReferenceSignal(waveform=Waveform(message.waveform), **{name: getattr(message, name) for name in _SHAPE})
 
 
 def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> msg.ReferenceSignal:
-    """Return the message of a plain reference; `epoch` is that of the session."""
+    """Return the message of a reference; `epoch` is that of the session."""
     numbers = {name: float(getattr(signal, name)) for name in _SHAPE}
     return msg.ReferenceSignal(waveform=int(signal.waveform), epoch=epoch, **numbers)
 
@@ -120,7 +120,7 @@ def law_to_message(law: BoxLaw | None, stamp: Any) -> msg.BoxLaw:
 
 
 def law_command_from_message(message: msg.LawCommand) -> LawCommand | None:
-    """Return the plain command of a force law; None for an unknown law."""
+    """Return a message's `LawCommand`; None for an unknown law."""
     if message.law not in tuple(Law):
         return None
     return LawCommand(
@@ -139,7 +139,7 @@ def pack_law_state(stamp: int, sequence: int, state: LawState) -> bytes:
 
 
 def law_state_from_message(message: Any) -> LawState:
-    """Return the force law of a sample from a LawState or its record (raises ValueError for an unknown law)."""
+    """Return the law state of a sample from a LawState message or its record; raises ValueError for an unknown law."""
     followed = message.compensated_reference, message.compensated_reference_rate
     coefficients = message.a_0, message.a_1, message.a_2, message.a_3
     return LawState(Law(message.law), *followed, coefficients, message.velocity_compensation, message.valve_gain_scale)

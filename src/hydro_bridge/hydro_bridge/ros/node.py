@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node's life: discovery range, parameters, scheduling, spinning until a signal or shutdown.
+"""Life cycle of a node: discovery range, parameters, scheduling, spinning until a signal or shutdown.
 
 Discovery (network.md) stays on this machine, unless the user chooses otherwise by ROS's own variable,
 `DISCOVERY_RANGE`. LOCALHOST stops Fast DDS from multicasting, but not from listening on all addresses, and adds shared
@@ -47,7 +47,7 @@ DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 FASTDDS_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 LOCALHOST = "LOCALHOST"
 SYSTEM_DEFAULT = "SYSTEM_DEFAULT"
-"""Range in which a middleware adds nothing to its configuration."""
+"""Discovery range with which a middleware leaves its configuration as it is."""
 DOMAIN_MAX = 232
 """Largest ROS_DOMAIN_ID: beyond, DDS has no ports."""
 _OLD_RANGE = "ROS_LOCALHOST_ONLY"  # takes precedence over `DISCOVERY_RANGE` if set; deprecated
@@ -142,7 +142,7 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
 
 
 def _sections(content: Any, above: str = "") -> Iterator[str]:
-    """Yield the names below which a parameter file has parameters."""
+    """Yield the node names for which a parameter file has parameters."""
     if isinstance(content, dict):
         for key, value in content.items():
             if key == "ros__parameters":
@@ -162,9 +162,9 @@ def request_realtime(*, realtime: bool, nice: int | None = None) -> str:
     (CAP_SYS_NICE, or rtprio in limits.conf) the process keeps ordinary scheduling. A process that never blocks under it
     is ended (`hydro_core.process.realtime`).
 
-    What need not answer within a sample takes a `nice` in its place, which processes that it starts do not inherit: on
-    two cores it would fill the 95 % of time that the kernel leaves to SCHED_FIFO, which then stops the whole loop for
-    50 ms in every second (sched(7), sched_rt_runtime_us).
+    A process without a deadline at the sample rate takes a `nice` instead, which its child processes do not inherit: on
+    two cores it would exhaust the 95 % of time that the kernel leaves to SCHED_FIFO, which then stops the whole loop
+    for 50 ms in every second (sched(7), sched_rt_runtime_us).
     """
     gc.collect()
     gc.freeze()
@@ -200,7 +200,7 @@ def ros_arguments() -> tuple[list[str], list[str]]:
 
 @contextmanager
 def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
-    """Context in which ROS runs, without its signal handlers: ours leave time to disarm.
+    """Context in which ROS runs, without its own signal handlers: those of `endings` leave time to disarm.
 
     See `restrict_to_localhost` for the discovery range. Unless the user gives another, the enclave is this executable's
     (`keys`), with and without keys, so that both use the same start-up path.
@@ -218,7 +218,7 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
             rclpy.init(args=["hydro", *enclave, *ros], signal_handler_options=SignalHandlerOptions.NO)
             if keys:  # a node with this enclave fails where keys are missing or rejected
                 hidden_node("_hydro_keys").destroy_node()
-        except RuntimeError as error:  # of which all of rclpy's are
+        except RuntimeError as error:  # base class of all errors of rclpy
             sentence = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
             if not keys:
                 raise SettingsError(f"ROS refuses its arguments: {sentence}") from None
@@ -291,8 +291,8 @@ def call_service(
 ) -> str:  # fmt: skip
     """Call a service once as the node `name`; return the message of its answer. `ros`: arguments from `--ros-args` on.
 
-    Raises UserError: with `absent` if it is not there within `found_within` [s], with `unanswered` if no answer comes
-    `within` [s]; with its own message behind `refused` if it refuses.
+    Raises UserError: with `absent` if the service does not appear within `found_within` [s], with `unanswered` if no
+    answer comes `within` [s], with `refused` and the service's message if it refuses.
     """
     with running_ros(ros):
         node = Node(name)

@@ -15,7 +15,7 @@ from hydro_core.cli.console import command, make_parser, writable_file
 from hydro_core.files.atomic import write_whole
 
 VERSION = "0.2.0"
-"""Of the policy, by policy.xsd of package sros2."""
+"""Version of the policy's format, by policy.xsd of package sros2."""
 
 
 def policy_xml() -> bytes:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names, types and quality of service of the graph's topics, shared by publishers and subscribers; who may use them.
+"""Names, types and quality of service of the graph's topics, shared by publishers and subscribers; access rights.
 
-`RIGHTS` is the one table behind policies and keys. A graph test compares the running nodes with it, endpoint by
+`RIGHTS` is the source of security policies and keys. A graph test compares the running nodes with it, endpoint by
 endpoint (tests/test_graph_rights.py): a topic added to a node is added here as well.
 """
 
@@ -38,9 +38,9 @@ DIAGNOSTICS = "/diagnostics"
 LOG = "/rosout"
 """ROS's own topic: log messages of every node, and its service calls (`hydro_bridge.ros.diagnostics`)."""
 CLOCK = "/clock"
-"""ROS's own topic, from a plant off real time; not in GRAPH, since it is not recorded."""
+"""ROS's own topic, published by a plant that runs by its own clock; not in GRAPH, since it is not recorded."""
 ANSWERED = "/hydro/answered"
-"""Which samples a node has answered (`hydro_bridge.plant_clock`); not in GRAPH, since it is not recorded."""
+"""Acknowledgement of samples by a node (`hydro_bridge.plant_clock`); not in GRAPH, since it is not recorded."""
 ARM_SERVICE = "/hydro/arm"
 CLAIM_SERVICE = "/hydro/claim"
 OVERRIDE_SERVICE = "/hydro/override"
@@ -81,7 +81,7 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
 
 _ALL = {
     **GRAPH,
-    # Of several nodes: none's message takes another's place.
+    # Published by several nodes, none of which may displace another's message.
     ANSWERED: (msg.Answered, qos_profile(10, reliable=True, latched=True)),
     CLOCK: (Clock, _EVENTS),
 }
@@ -93,19 +93,19 @@ def type_name(kind: type[Any]) -> str:
 
 
 def create_publisher(node: Node, topic: str) -> Publisher:
-    """Publish a topic of the graph."""
+    """Create a publisher of a topic of the graph."""
     kind, qos = _ALL[topic]
     return node.create_publisher(kind, topic, qos)
 
 
 def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
-    """Subscribe to a topic of the graph."""
+    """Create a subscription to a topic of the graph."""
     kind, qos = _ALL[topic]
     return node.create_subscription(kind, topic, callback, qos)
 
 
 def hidden_node(name: str) -> Node:
-    """Return a node without any services, parameters and log of its own."""
+    """Return a node without parameter services, type description service and log publisher."""
     return Node(
         name,
         use_global_arguments=False,
@@ -123,7 +123,7 @@ def mailbox_name(name: str) -> str:
 class Mailbox:
     """Subscriptions that are polled: messages queue until `fetch`, on a hidden node that is never spun.
 
-    An executor wakes for each message, which costs several times what fetching does.
+    An executor wakes for each message, which costs several times as much as fetching.
 
     `name`: of the node that fetches.
     """
@@ -145,7 +145,7 @@ class Mailbox:
         return fetched
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the hidden node."""
         self._node.destroy_node()
 
 
@@ -167,7 +167,7 @@ PARAMETER_SERVICES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Rights:
-    """Topics and services of a node; each name begins with a slash."""
+    """Access rights of a node: its topics and services, each by its absolute name."""
 
     publishes: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
@@ -229,7 +229,7 @@ _TOGETHER = {
     "sim": _FILTERED,
     "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(BOX,)),
 }
-"""Nodes of `filtered_plant`, one of the plants and the filter: what the two say to each other stays in the process."""
+"""Nodes of `filtered_plant`, one of the plants and the filter: messages between the two stay in the process."""
 
 RIGHTS: Mapping[str, dict[str, Rights]] = {
     **{

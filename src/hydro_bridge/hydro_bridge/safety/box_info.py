@@ -26,24 +26,24 @@ _FLOAT32 = 1e-6  # relative: HELLO carries float32
 
 @dataclass(frozen=True, kw_only=True)
 class KnownBox:
-    """Description of one box."""
+    """Description of a box: its HELLO, its plant node, and the bench of its force law."""
 
     info: BoxInfo
     plant: str = ""
-    """Node that describes it: bridge or sim."""
+    """Node that published the description: bridge or sim."""
     bench_digest: str = ""
-    """Digest of the numbers assumed by its force law; empty: unknown."""
+    """Digest of the bench parameters assumed by its force law; empty: unknown."""
     bench: str = ""
-    """These numbers as bench.yaml; empty: unknown."""
+    """Bench parameters assumed by its force law, as bench.yaml; empty: unknown."""
 
     @property
     def base_gains(self) -> tuple[float, float]:
-        """Base gains K_p [1/s] and K_i [1/s^2], to which commands add."""
+        """Base gains K_p [1/s] and K_i [1/s^2], to which the gain changes of commands are added."""
         return self.info.base_kp, self.info.base_ki
 
 
 def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
-    """Requirement for arming that the plant's node has published the box's description."""
+    """Return the requirement for arming that the plant's node has published the box's description."""
     hint = "its node publishes it on /hydro/box"
     return Requirement(name="the box's description", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
@@ -51,10 +51,10 @@ def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
 def known_box(
     info: BoxInfo, bench: Mapping[str, Any] | None, plant: str, details: BoxDetails | None = None
 ) -> KnownBox:
-    """Describe a box by its own reports and its bench file; where they differ, the box's values are used.
+    """Return the description of a box from its reports and its bench file; where they differ, the box's values apply.
 
-    The digest is therefore that of the file only if the box does not contradict it. A box reports its own
-    digest; if the file has another, its numbers are unknown.
+    The bench's digest is that of the file unless the box contradicts it. If the box reports another digest, its bench
+    parameters are unknown.
     """
     believed = details.bench_digest if details else ""
     if bench is None or (believed and believed != bench_digest.digest(bench)):
@@ -68,7 +68,7 @@ def known_box(
 
 
 def bench_mismatches(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
-    """Return where box and bench file differ, in one sentence with both values; empty if nowhere."""
+    """Return the differences of box and bench file, with both values, as one sentence; empty without any."""
     found, bench = [], bench or {}
     believed, told = details.bench_digest if details else "", bench.get("valve_current_max")
     if believed and bench and believed != (digest := bench_digest.digest(bench)):

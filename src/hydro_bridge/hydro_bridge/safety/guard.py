@@ -4,11 +4,11 @@
 The guard trusts no sender. A non-finite value is dropped, one out of range is clamped, a stale one is replaced by the
 safe value (base gains, no correction); each case is counted, and each change is reported once in a sentence
 (`take_events`). If the filter reports that its model is not this bench's (MISMATCH), no correction passes, and only
-gains within the narrow range. If no gains arrive any more it gives the plant up: reference 0 N, disarmed. Source:
+gains within `PAPER_RANGES`. If gains cease to arrive the plant is given up: reference 0 N, disarmed. Source:
 failure table of failures.md.
 
 The compensated law has limits and a safe record of its own (`BoxLaw`): its gains pass without a filter, and the
-corrections of one that is made for it pass, too. It is taken up and left only while the plant is disarmed.
+corrections of a filter for this law pass as well. The law is changed only while the plant is disarmed.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "intersect
 DECIDED = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
 )
-"""Statuses of a decision by the filter. NAN and STALE mean that it could not decide, BYPASSED that it was told not to,
-MISMATCH that nothing may rely on it."""
+"""Statuses with a decision of the filter. NAN and STALE: it could not decide; BYPASSED: it is switched off or not made
+for the running law; MISMATCH: its model or metric is not this bench's."""
 
 _KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
@@ -50,7 +50,7 @@ MISMATCHED = "the filter says that its model is not this bench's: no correction,
 
 
 def safe_command(law: BoxLaw) -> LawCommand:
-    """Return the safe record of a compensated law."""
+    """Return the safe command of a compensated law: neutral coefficients, and the law's safe C_1 and C_2."""
     c_1, c_2 = law.velocity_compensation, law.valve_gain_scale
     return LawCommand(law=Law.COMPENSATED, velocity_compensation=c_1, valve_gain_scale=c_2)
 
@@ -71,7 +71,7 @@ class GuardCounts:
     mismatched: int = 0
     """Corrections with status MISMATCH: the filter's model is not this bench's."""
     narrowed: int = 0
-    """Commands whose gains were narrowed for this reason."""
+    """Commands whose gains were narrowed because of a MISMATCH."""
     references_refused: int = 0
     stale_correction: int = 0
     """Commands for which the correction was stale."""
@@ -87,7 +87,7 @@ class GuardCounts:
 
 @dataclass(kw_only=True)
 class CommandGuard:
-    """Collects gains, correction, reference and arming; `command` returns the command that may be sent now.
+    """Combines gains, correction, reference and arming into the command that may be sent now (`command`).
 
     Times are seconds of any one monotonic clock. Not thread-safe: use it from one thread or under one lock.
     """
@@ -95,11 +95,11 @@ class CommandGuard:
     settings: GuardSettings = field(default_factory=GuardSettings)
     counts: GuardCounts = field(default_factory=GuardCounts)
     valve_current_max: float = inf
-    """A, valve limit of the box: no correction demands more, since no certificate does."""
+    """Valve current limit of the box [A]: no correction takes the nominal current beyond it, as certificates assume."""
     lease: Lease = field(default_factory=Lease)
-    """Whose commands a plant's node passes on to it."""
+    """Lease on the plant, whose node passes on the commands of the holder only."""
     offered: BoxLaw | None = None
-    """The box's compensated law; None: it has the paper's alone."""
+    """Compensated law of the box; None: it offers the paper's law only."""
     armed: bool = field(default=False, init=False)
     """Whether the last `set_arm` requested arming."""
     given_up: str = field(default="", init=False)
@@ -131,14 +131,14 @@ class CommandGuard:
         self.armed = bool(arm)
 
     def give_up(self, reason: str) -> None:
-        """Disarm, with base gains and a reference of 0 N, until armed on purpose; `reason` is reported."""
+        """Disarm, with base gains and a reference of 0 N, until the next arming; `reason` is reported."""
         self.armed, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
         self.given_up = f"{reason}; reference 0 N, disarmed until it is armed again"
         self.counts.given_up += 1
         self._events[self.given_up] = True
 
     def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
-        """Set new gain changes [1/s], [1/s^2]; non-finite ones are dropped, and the last ones keep ageing."""
+        """Set gain changes [1/s], [1/s^2], clamped; non-finite ones are dropped, and the last ones keep ageing."""
         good = isfinite(delta_kp) and isfinite(delta_ki)
         self._tell("gains", not good, "gains are not finite: dropped, the ones before hold", "gains are finite again")
         if not good:
@@ -187,9 +187,9 @@ class CommandGuard:
         self._law_at = now
 
     def set_box_law(self, law: BoxLaw | None) -> None:
-        """Set the box's compensated law, None if it has none; the paper's law is commanded first.
+        """Set the box's compensated law, None if it has none, and return to the paper's law.
 
-        It is used if all numbers are finite, the limits in order, and the safe record is within them.
+        The law is accepted if all its values are finite, its limits ordered, and its safe values within them.
         """
         sound = True
         if law is not None:
@@ -202,12 +202,12 @@ class CommandGuard:
         self.release_law()
 
     def release_law(self) -> None:
-        """Return to the paper's law, with which every holder and every box begins; it acts once disarmed."""
+        """Return to the paper's law, the initial law of every holder and every box; takes effect once disarmed."""
         self._law, self._law_at, self._gains, self._gains_at = LawCommand(), -inf, (0.0, 0.0), -inf
 
     def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
         """Set the filter's correction [A] for sample `sequence`; without a decision, the last one keeps ageing."""
-        if status == CorrectionStatus.MISMATCH:  # rely on it no more; its answers only keep the narrow gains in force
+        if status == CorrectionStatus.MISMATCH:  # no correction; the answers only keep the narrowed gains in force
             self.counts.mismatched += 1
             self._mismatched, self._delta_u = True, 0.0
             if self._fits(sequence):
@@ -220,7 +220,7 @@ class CommandGuard:
             high = self.settings.delta_u_max
             low, valve = -high, self.valve_current_max
             known, nominal = self._nominal.get(sequence % _KEPT, (None, 0.0))
-            if known in (None, sequence) and abs(nominal) <= valve:  # if saturated, much of it returns to the limit
+            if known in (None, sequence) and abs(nominal) <= valve:  # if saturated, part only returns to the limit
                 low, high = max(low, -valve - nominal), min(high, valve - nominal)
             self._delta_u = self._clamp("delta_u", delta_u, low, high)
             self._corrects = sequence & 0xFFFFFFFF
@@ -240,9 +240,9 @@ class CommandGuard:
         return True
 
     def note_sample(self, sequence: int | None, nominal: float = 0.0) -> None:
-        """Announce the newest sample and its nominal current [A]; None for a restart.
+        """Note the newest sample and its nominal current [A]; None: the box was restarted or the line was lost.
 
-        Without it corrections age by their arrival time only.
+        Without these calls corrections age by their arrival time only.
         """
         self._newest = sequence
         if sequence is None:
@@ -258,7 +258,7 @@ class CommandGuard:
             self.counts.references_refused += 1
             self._events[f"reference refused, the last one stays: {reason}"] = True
             return False
-        # Of a HOLD, which has none, a frequency that every box accepts.
+        # A HOLD has no frequency: use one that every box accepts.
         hold = signal.waveform == Waveform.HOLD
         self._reference = replace(signal, frequency=ReferenceSignal().frequency) if hold else signal
         return True
@@ -266,8 +266,8 @@ class CommandGuard:
     def correction_fresh(self, now: float) -> bool:
         """Return whether the filter decided within `correction_age_max`, and its model is this bench's.
 
-        Under the compensated law, which needs none: whether that law was commanded within `gains_age_max`. Otherwise
-        FILTER_STALE is shown.
+        Under the compensated law, which needs no filter: whether that law was commanded within `gains_age_max`. False
+        is shown as FILTER_STALE.
         """
         if self.compensated:
             return now - self._law_at <= self.settings.gains_age_max
@@ -281,7 +281,7 @@ class CommandGuard:
         if self.armed and self._gained and now - self._gains_at > self.settings.gains_timeout:
             self.give_up(f"no gains for {self.settings.gains_timeout:g} s, whoever chose them is gone")
         gained = now - self._gains_at <= self.settings.gains_age_max
-        # Decided for one sample, a correction is an impulse if it is held.
+        # A correction is decided for one sample; held for longer, it would act as an impulse.
         held = min(self.settings.correction_hold, self.settings.correction_age_max)
         behind = 0 if self._newest is None else (self._newest - self._corrects) & 0xFFFFFFFF
         acts = now - self._correction_at <= held and behind < round(held / SAMPLE_PERIOD)
@@ -338,7 +338,7 @@ class CommandGuard:
         return (self._law, gains) if fresh else (safe_command(self.offered or BoxLaw()), (0.0, 0.0))
 
     def take_events(self) -> dict[str, bool]:
-        """Return the log sentences since the last call, in order; True: a warning, False: its end, or a notice."""
+        """Return and clear the pending log messages, in order; True: a warning, False: its end, or a notice."""
         events, self._events = self._events, {}
         return events
 

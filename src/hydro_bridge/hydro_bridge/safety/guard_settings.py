@@ -16,7 +16,7 @@ from hydro_core.size import Size
 
 @dataclass(frozen=True, kw_only=True)
 class GuardSettings:
-    """Limits and ages. Defaults: the paper's Table training_agent and the failure table of failures.md."""
+    """Limits of commands, and ages. Defaults: the paper's Table training_agent and the failure table of failures.md."""
 
     delta_kp_min: Annotated[float, quantity("1/s", -200.0, 0.0)] = 0.0
     """Smallest change of the proportional gain."""
@@ -47,13 +47,13 @@ class GuardSettings:
 
     @classmethod
     def of_size(cls, size: Size) -> GuardSettings:
-        """Return the usual limits for a bench of this size; those above are the nominal bench's."""
+        """Return the usual limits for a bench of this size; the defaults are those of the nominal bench."""
         return cls(delta_u_max=size.current / 2.5, reference_force_max=size.force * 10.0 / 3.0)
 
 
 PAPER_RANGES = GuardSettings()
 """Ranges of delta_kp and delta_ki that every bench of this kind tolerates without a filter: the paper's, K_p 15 to 90
-and K_i 5 to 15 on base gains of 15 and 5. They apply, however wide the guard is set, while the filter says MISMATCH."""
+and K_i 5 to 15 on base gains of 15 and 5. They apply, whatever the guard's limits, while the filter says MISMATCH."""
 
 
 def intersect_limits(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
@@ -69,7 +69,7 @@ def intersect_limits(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
 
 
 def reference_error(signal: ReferenceSignal, limits: GuardSettings) -> str:
-    """Return why a reference is rejected, as given or as the float32 that a box receives; empty if accepted."""
+    """Return the reason to refuse a reference, as given or as the float32 that a box receives; empty if acceptable."""
     if signal.waveform not in tuple(Waveform):
         return f"unknown waveform {signal.waveform}"
     given = (signal.amplitude, signal.offset, signal.frequency, signal.phase)

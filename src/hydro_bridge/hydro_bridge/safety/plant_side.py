@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plant behind a plant node, in a thread of its own: the bridge's `Link` and the simulation. No ROS."""
+"""Base class of the plants behind a plant node: the bridge's `Link` and the simulation, each in a thread. No ROS."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ Say = Callable[[str], None]
 
 
 class PlantSide(ABC):
-    """Arms a plant and stamps its samples.
+    """Plant behind a plant node: arming, commands by the guard, and time stamps of its samples.
 
-    `guard`: asked for every command. `log`, `warn`: take a sentence when something changes, and when something is
-    wrong; `log` by default. `pace`: knows whose answers each sample waits for.
+    `guard`: source of all commands. `log`, `warn`: loggers of changes and of faults; `warn` is `log` by default.
+    `pace`: lock-step of plant and graph.
     """
 
     absence_reason = ""
-    """Why no plant is there; empty: it is."""
+    """Reason why the plant is absent; empty: it is present."""
     no_sample_message = ""
-    """Why no samples come of a plant that is there; empty: they do."""
+    """Reason why a present plant sends no samples; empty: it sends them."""
 
     def __init__(self, guard: CommandGuard, log: Say, warn: Say | None = None, pace: Pace | None = None) -> None:
         self.guard, self.pace = guard, pace or Pace(PaceSettings(), log)
         self.lock = threading.Lock()
-        """Held while the guard is used."""
+        """Lock of the guard."""
         self.flags = self.samples = 0
         """Flags of the last sample; number of samples."""
         self.host_clock = HostClock()
@@ -46,7 +46,7 @@ class PlantSide(ABC):
     @property
     @abstractmethod
     def paced(self) -> bool:
-        """Whether each sample waits for the answers to the last one."""
+        """Whether plant and graph run in lock-step: each sample waits for the answers to the previous one."""
 
     @abstractmethod
     def now(self) -> float:
@@ -57,7 +57,7 @@ class PlantSide(ABC):
         """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
 
     def status(self) -> Any:
-        """Status for /diagnostics, besides flags and guard."""
+        """Return the status for /diagnostics, without flags and guard counts."""
         raise NotImplementedError
 
     @abstractmethod
@@ -69,7 +69,7 @@ class PlantSide(ABC):
         """End `run`."""
 
     def arm(self, arm: bool, timeout: float = 0.5) -> str:
-        """Arm or disarm, await the box's confirmation and return why it failed, or nothing. Not for `run`'s thread."""
+        """Arm or disarm, and await the box's confirmation; return the reason of a failure. Not for `run`'s thread."""
         with self.lock:
             if arm and self.absence_reason:
                 return f"there is no box: {self.absence_reason}"
@@ -85,7 +85,7 @@ class PlantSide(ABC):
             confirmed = self.pace.run_until(done)
         else:
             with self._news:
-                self._asked = True  # each sample is news
+                self._asked = True  # wake up at each sample
                 confirmed = self._news.wait_for(done, timeout)
                 self._asked = False
         if self.absence_reason:
@@ -99,7 +99,7 @@ class PlantSide(ABC):
         return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
 
     def _confirms(self, arm: bool, before: int) -> bool:
-        """Return whether the last sample confirms an arming or disarming that was asked for after `before` samples."""
+        """Return whether the last sample confirms an arming or disarming requested after `before` samples."""
         return bool(self.flags & Flag.ARMED) == arm
 
     def _show(self, flags: int) -> None:
@@ -109,7 +109,7 @@ class PlantSide(ABC):
                 self._news.notify_all()
 
     def _ros_time(self, monotonic_ns: int) -> int:
-        """Return the ROS time [ns] of a monotonic time [ns], after a look whether the host's clock was set."""
+        """Return the ROS time [ns] of a monotonic time [ns], after a check whether the host's clock was set."""
         if step := self.host_clock.detect_step():
             self._warn(f"the host's clock was set by {1e-9 * step:+.3f} s: the samples' stamps follow at once")
         return monotonic_ns + self.host_clock.offset

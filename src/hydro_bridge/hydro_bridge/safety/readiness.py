@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 HINT_DELAY = 8.0
-"""s of waiting after which it is reported."""
+"""Waiting time [s] after which a missing requirement is reported."""
 
 
 class NotReadyError(Exception):
@@ -28,28 +28,28 @@ class NotReadyError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """Requirement for arming."""
+    """Requirement for arming, with its time limit and its messages."""
 
     name: str
-    """As in "waiting for the learner"."""
+    """Name in messages, as in "waiting for the learner"."""
     ready: Callable[[], bool]
-    """Whether it is met; raises `NotReadyError` if it never will be."""
+    """Returns whether the requirement is met; raises `NotReadyError` if it never will be."""
     hint: str
-    """Why it may take long, or what to do about it."""
+    """Reason for a long wait, or its remedy."""
     within: float
-    """s allowed for it."""
+    """Time limit [s]."""
     missing: str
-    """Sentence reported if it is not met within that time."""
+    """Message if the requirement is not met within the time limit."""
     essential: bool = True
     """Whether the run cannot continue without it; otherwise it continues as `missing` describes."""
     by_wall_clock: bool = False
-    """Whether it is met in its own time, for which a plant that goes by its own clock waits."""
+    """Whether it is met in wall-clock time, so that a plant that runs by its own clock waits for it."""
 
 
 class Readiness:
     """Tracks whether all requirements for arming are met.
 
-    `requirements`: requirements in order; names are unique. `report`: takes a sentence.
+    `requirements`: requirements in order; names are unique. `report`: logs a sentence.
     """
 
     def __init__(self, requirements: Sequence[Requirement], report: Callable[[str], None]) -> None:
@@ -61,7 +61,7 @@ class Readiness:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing was missing at the last check."""
+        """Whether each requirement was met or forgone at the last check."""
         return not self._missing
 
     @property

@@ -23,11 +23,11 @@ from cobs import cobs
 from hydro_core.signals import NEUTRAL, STATE_FIELDS, Coefficients, Command, Law, ReferenceSignal, Waveform
 
 VERSION = 3
-"""The protocol version that is spoken; no other is."""
+"""Protocol version of all frames but HELLO; frames of other versions are rejected."""
 
 
 class FrameType(IntEnum):
-    """Second byte of a frame."""
+    """Frame types, the second byte of a frame."""
 
     HELLO = 1
     STATE = 2
@@ -35,7 +35,7 @@ class FrameType(IntEnum):
     DETAILS = 4
     LAW = 5
     CLOCK = 128
-    """Of an emulator alone, before its answer to a HELLO: its time is not the host's."""
+    """From an emulator only, before its answer to a HELLO: its clock is not the host's."""
 
 
 class MalformedError(ValueError):
@@ -43,7 +43,7 @@ class MalformedError(ValueError):
 
 
 class CheckSumError(MalformedError):
-    """The CRC-32 does not match."""
+    """A frame whose CRC-32 does not match."""
 
 
 class UnknownFrameError(MalformedError):
@@ -64,7 +64,7 @@ INTEGRAL_FORMS = ("", "paper", "bumpless")
 
 @dataclass(frozen=True, kw_only=True)
 class BoxInfo:
-    """A box's HELLO: identity and limits; the bridge never exceeds these."""
+    """A box's HELLO: identity, base gains, and limits that the bridge never exceeds."""
 
     name: str = ""
     """Firmware and its version, at most 32 bytes of UTF-8."""
@@ -91,25 +91,25 @@ class BoxInfo:
 
 
 FEEDBACKS = ("", "load", "hydraulic")
-"""Forces that a law can follow, by their number in DETAILS; empty: not reported."""
+"""Feedback forces of a law, by their number in DETAILS; empty: not reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxDetails:
-    """A box's DETAILS; 0 or empty: not reported."""
+    """A box's DETAILS: identity, laws, limits, time-outs and lags; 0 or empty: not reported."""
 
     epoch: int = 0
-    """Number of its power-on, [1, 2^32 - 1]: a change means that the box was restarted."""
+    """Number of the power-on, [1, 2^32 - 1]: a change means that the box was restarted."""
     bench_digest: str = ""
     """Digest of the bench file used by its force law, 12 hexadecimal digits."""
     feedback: str = ""
-    """Force that its law follows, one of `FEEDBACKS`."""
+    """Feedback force of its law, one of `FEEDBACKS`."""
     laws: int = 0
-    """Force laws that it offers, bit n for the `Law` n; 0: the paper's alone."""
+    """Force laws that it offers, bit n for the `Law` n; 0: the paper's only."""
     load_force_limit: float = 0.0
     """N, magnitude of the load force beyond which it trips while armed."""
     force_range: float = 0.0
-    """N, magnitude beyond which a load cell counts as broken, and beyond which no reference may reach."""
+    """N, magnitude beyond which a load cell counts as broken and a reference is refused."""
     pressure_min: float = 0.0
     """Pa, below it a pressure sensor counts as broken."""
     pressure_max: float = 0.0
@@ -130,9 +130,9 @@ class BoxDetails:
 
 @dataclass(frozen=True, kw_only=True)
 class BoxLaw:
-    """A box's compensated law: one record, absolute limits, its own safe state.
+    """Parameters of a box's compensated law: base gains, limits, rate limits and safe state.
 
-    Without commands the law's base gains, base C_1 and C_2, and `NEUTRAL` coefficients hold.
+    The safe state, in force without commands, is base gains, C_1 and C_2 as given here, and `NEUTRAL` coefficients.
     """
 
     base_kp: float = 400.0
@@ -150,25 +150,25 @@ class BoxLaw:
     velocity_compensation: float = 0.0
     """C_1 [-] of the safe state."""
     velocity_compensation_min: float = 0.0
-    """C_1 is never below."""
+    """Lower limit of C_1 [-]."""
     velocity_compensation_max: float = 0.5
-    """C_1 is never above."""
+    """Upper limit of C_1 [-]."""
     valve_gain_scale: float = 1.0
     """C_2 [-] of the safe state."""
     valve_gain_scale_min: float = 0.8
-    """C_2 is never below."""
+    """Lower limit of C_2 [-]."""
     valve_gain_scale_max: float = 3.0
-    """C_2 is never above."""
+    """Upper limit of C_2 [-]."""
     scale_rate: float = 1.0
-    """1/s, fastest change of C_1 and C_2."""
+    """Rate limit of C_1 and C_2 [1/s]."""
     reference_max: float = 700.0
-    """N, magnitude at which f_c is cut off."""
+    """Saturation of the magnitude of f_c [N]."""
     coefficient_min: Coefficients = (0.8, -0.02, -0.001, -60.0)
     """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N]."""
     coefficient_max: Coefficients = (1.25, 0.15, 0.002, 60.0)
-    """Upper limits."""
+    """Upper limits of a_0 to a_3, in the same units."""
     coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 2000.0)
-    """Fastest changes [1/s], [-], [s], [N/s]."""
+    """Rate limits of a_0 to a_3 [1/s], [-], [s], [N/s]."""
 
     @classmethod
     def of_message(cls, message: Any) -> BoxLaw | None:
@@ -209,7 +209,7 @@ PAPER_LAW = BoxLaw(
     velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,
     valve_gain_scale_max=1.0, reference_max=1e30, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
 )  # fmt: skip
-"""What the paper's law makes of the same record: nothing to shape. Its gains are those of `BoxInfo`."""
+"""Record of the paper's law, which has no shaping. The paper's gains are those of `BoxInfo`."""
 
 
 class LawState(NamedTuple):
@@ -222,17 +222,17 @@ class LawState(NamedTuple):
     """f_c' [N/s]."""
     coefficients: Coefficients = NEUTRAL
     velocity_compensation: float = 1.0
-    """C_1."""
+    """C_1 [-]."""
     valve_gain_scale: float = 1.0
-    """C_2."""
+    """C_2 [-]."""
 
 
 DISARMED_LAW = LawState()
-"""The paper's law of a disarmed box that shows no force."""
+"""State of the paper's law in a disarmed box with a measured force of 0 N."""
 
 
 class Hello(NamedTuple):
-    """HELLO: identity and protocol versions; `info` is None from the host."""
+    """The HELLO frame: identity and protocol versions; `info` is None from the host."""
 
     sequence: int
     time_us: int
@@ -242,9 +242,9 @@ class Hello(NamedTuple):
 
 
 class State(NamedTuple):
-    """One sample: `values` in STATE_FIELDS order, flags, and the sequence number of the box's latest command.
+    """The STATE frame, one sample: `values` in STATE_FIELDS order, flags, and the number of the box's latest command.
 
-    Also the numbers of values and of references that the box refused since its power-on, and its force law.
+    Also the counts of values and of references that the box refused since its power-on, and the state of its law.
     """
 
     sequence: int
@@ -266,7 +266,7 @@ class Details(NamedTuple):
 
 
 class LawFrame(NamedTuple):
-    """The LAW frame: a law that the box offers beside the paper's."""
+    """The LAW frame: a law that the box offers in addition to the paper's."""
 
     sequence: int
     time_us: int
@@ -283,7 +283,7 @@ class ClockFrame(NamedTuple):
 
 
 class CommandFrame(NamedTuple):
-    """A command as the box receives it."""
+    """The COMMAND frame: a command as received by the box."""
 
     sequence: int
     time_us: int
@@ -309,7 +309,7 @@ _LAYOUTS = {
 _CRC = Struct("<I")
 _ARM, _FILTER_FRESH = 1, 2
 _FEED_FORWARD = 0.0
-"""Reserved number of a COMMAND."""
+"""Reserved field of a COMMAND."""
 
 
 def encode_state(
@@ -321,10 +321,10 @@ def encode_state(
     refused: tuple[int, int] = (0, 0),
     law_state: LawState = DISARMED_LAW,
 ) -> bytes:
-    """Encode one sample, a `State`; `values` are sent as float32, beyond its range as infinity.
+    """Encode STATE, one sample; `values` are sent as float32, beyond its range as infinity.
 
     `sequence` counts box samples and wraps at 2^32, `time_us` is the box's clock. `last_command` is 0 before the first;
-    the host measures the round trip with it. `refused`: values and references.
+    the host measures the round trip with it. `refused`: counts of refused values and references.
     """
     law, value, rate, coefficients, *scales = law_state
     counts = flags, last_command, *(count & 0xFFFFFFFF for count in refused)
@@ -332,7 +332,7 @@ def encode_state(
 
 
 def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
-    """Encode one command; `time_us` is the host's clock."""
+    """Encode COMMAND; `time_us` is the host's clock."""
     reference = command.reference
     bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
@@ -342,9 +342,9 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
 
 
 def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, follows: bool = False) -> bytes:
-    """Encode the frame that opens a connection; a box gives its `info`, the host none.
+    """Encode HELLO, which opens a connection; `info`: the box's, None from the host.
 
-    `follows`: whether the host answers each STATE of an emulator that waits for it; of no meaning to a box.
+    `follows`: whether the host answers each STATE of an emulator that waits for answers; ignored by a box.
     """
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
     who = (VERSION, VERSION, info is not None, INTEGRAL_FORMS.index(integral) if info else follows)
@@ -352,19 +352,19 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, fo
 
 
 def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
-    """Encode the frame that follows each HELLO of a box."""
+    """Encode DETAILS, which follow each HELLO of a box."""
     epoch, digest, feedback, laws, *numbers = astuple(details)
     who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws)
     return _encode(FrameType.DETAILS, sequence, time_us, *who, *numbers)
 
 
 def encode_clock(time_us: int, *, waits: bool) -> bytes:
-    """Encode an emulator's frame about its clock; `waits`: each sample waits for the COMMAND with its time."""
+    """Encode CLOCK, the time of an emulator; `waits`: each sample waits for the COMMAND with its time."""
     return _encode(FrameType.CLOCK, 0, time_us, waits)
 
 
 def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
-    """Encode the compensated law of a box, which follows its DETAILS if these offer it."""
+    """Encode LAW, the compensated law of a box; it follows DETAILS that offer this law."""
     *numbers, lowest, highest, fastest = astuple(record)
     return _encode(FrameType.LAW, sequence, time_us, Law.COMPENSATED, *numbers, *lowest, *highest, *fastest)
 

@@ -26,7 +26,7 @@ class LinkCounts:
     malformed: int = 0
     """Pieces that are not frames for another reason: broken COBS, overlong, wrong length or content."""
     resyncs: int = 0
-    """Times that a good frame followed bad pieces."""
+    """Number of resynchronisations: valid frames after damaged pieces."""
     unknown: int = 0
     """Valid frames of an unknown type."""
     wrong_version: int = 0
@@ -35,13 +35,13 @@ class LinkCounts:
     """Sequence numbers never delivered, late ones included."""
     duplicates: int = 0
     reordered: int = 0
-    """Frames that came after a later one; not delivered."""
+    """Frames received after a later one; not delivered."""
     restarts: int = 0
-    """Sequence jumped far: the box was restarted."""
+    """Restarts of the box, from large jumps of its sequence number."""
 
 
 def no_frames_message(counts: LinkCounts, before: LinkCounts, seconds: float) -> str:
-    """Return a message on what was received instead of frames in the last `seconds`, from two counts."""
+    """Return an error message on the bytes received in `seconds` without a frame, from two counts."""
     size, crc, malformed, version, unknown = (
         getattr(counts, name) - getattr(before, name)
         for name in ("bytes", "crc_errors", "malformed", "wrong_version", "unknown")
@@ -59,7 +59,7 @@ def no_frames_message(counts: LinkCounts, before: LinkCounts, seconds: float) ->
 class Decoder:
     """Splits bytes into frames, in bounded memory: at most `protocol.MAX_ENCODED` bytes are kept without a delimiter.
 
-    What comes before the first delimiter was cut by the opening of the port: no frame, and no error.
+    Bytes before the first delimiter belong to a frame cut off when the port was opened: discarded without an error.
     """
 
     counts: LinkCounts = field(default_factory=LinkCounts)
@@ -111,7 +111,7 @@ class Decoder:
 
 @dataclass
 class SequenceTracker:
-    """Detects new, repeated and missing sequence numbers.
+    """Detects new, repeated, late and missing sequence numbers, and restarts of the sender.
 
     A number up to `window` behind the newest is a duplicate or late; one further behind, or more than `leap` ahead,
     means that the sender was restarted.

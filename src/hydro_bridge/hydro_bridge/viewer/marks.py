@@ -38,7 +38,7 @@ from hydro_core.cli.console import plural
 from hydro_core.signals import Flag, StateArray
 
 DEBOUNCE_TIME = 1.0
-"""s without a change after which a flag counts as settled and is marked."""
+"""s without a change of weights after which the next change is marked; other changes are only counted."""
 
 
 MARKS_MAX = 20_000
@@ -52,7 +52,7 @@ _WARN = 30
 
 @dataclass(frozen=True)
 class Mark:
-    """One event."""
+    """Mark of one event."""
 
     time: float
     """s, on the clock of the samples."""
@@ -75,7 +75,7 @@ class MarkCollector:
         self._weights_changed, self._weight_changes = 0.0, 0
 
     def crop(self, begin: float, seconds: float) -> list[Mark]:
-        """Return the marks from `begin` [s] for `seconds` by time, relative to `begin`; the lease's holder is first."""
+        """Return the marks from `begin` [s] for `seconds`, in order, relative to `begin`; first the lease's holder."""
         marks = sorted(self._marks, key=lambda mark: mark.time)
         held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
         shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
@@ -145,7 +145,7 @@ class MarkCollector:
         self._weights = int(weights[-1])
 
     def diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
-        """Add a status of the node `name`."""
+        """Add the marks of a diagnostics status of the node `name`."""
         if name not in _TRAINERS:
             return
         for key, (kind, sentence) in _DIAGNOSTICS.items():
@@ -157,7 +157,7 @@ class MarkCollector:
                 self.add(time, kind, sentence(now))
 
     def log(self, time: float, level: int, name: str, sentence: str) -> None:
-        """Add a message of /rosout by its level, as numbered in rcl_interfaces/Log."""
+        """Add the mark of a message of /rosout by its level, as numbered in rcl_interfaces/Log."""
         node, _, last = name.rpartition(".")
         if last == CALL_LOGGER:
             self.add(time, "call", f"{node} was asked: {sentence}")

@@ -36,15 +36,15 @@ class RunEntry:
     """training, evaluation, diagnosis, proof, pretraining, recording, or unfinished: it has recorded, and no more."""
     summary: str
     changed: float
-    """s since 1970."""
+    """Time of the last change, s since 1970."""
     when: str
-    """The same as text."""
+    """Time of the last change, as text in UTC."""
     pages: tuple[str, ...]
     pictures: tuple[str, ...]
     recordings: tuple[str, ...]
     """Recordings without a page."""
     score: float | None = None
-    """Of a training's best policy: mean of its RMSE over that of the fixed gains, by its examinations."""
+    """Of a training's best policy: mean ratio of its RMSE to that of the fixed gains, in its evaluations."""
 
 
 def list_runs(folder: Path) -> list[RunEntry]:

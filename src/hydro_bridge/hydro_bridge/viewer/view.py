@@ -35,11 +35,11 @@ from hydro_core.files.atomic import write_whole
 from hydro_core.signals import FloatArray
 
 CLOCK_OFFSET_MAX = 2.0
-"""s between stamp and log time beyond which they belong to two clocks; a recorder's delay stays below."""
+"""Largest difference [s] of stamp and log time on the same clock; a recorder's delay stays below."""
 
 
 GAP_MAX = 3600.0
-"""s without samples that the page does not show."""
+"""Longest interval without samples [s] that the page shows; longer ones are cut out."""
 
 
 class SampleClock:
@@ -68,7 +68,7 @@ class SampleClock:
 CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro/training", "/hydro/authority"
 POLICY_TOPIC, DIAGNOSTICS_TOPIC, LOG_TOPIC = "/hydro/policy", "/diagnostics", "/rosout"
 LAW_TOPIC = "/hydro/law_state"
-"""Without it the paper's law acted."""
+"""Topic of the state of the force law; without messages the paper's law acted."""
 TOPIC_CONTENTS = {
     CORRECTION_TOPIC: "the filter's correction and certificate",
     TRAINING_TOPIC: "episodes and examinations",
@@ -106,7 +106,7 @@ class RecordingPage:
     """s since 1970 of the first sample; all other times count from it."""
     seconds: float
     slot: float
-    """s."""
+    """Duration of a slot [s]."""
     values: tuple[npt.NDArray[np.float32], ...]
     """States, corrections and laws: minimum and maximum, shape (slots, columns, 2)."""
     marks: list[Mark]

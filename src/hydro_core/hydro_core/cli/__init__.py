@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Utilities of all commands: progress bars, tables, one-sentence errors, the rules of --resume."""
+"""Utilities of all commands: console output, options on --resume, parallel jobs, launch arguments."""

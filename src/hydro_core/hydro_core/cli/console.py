@@ -66,11 +66,11 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
         def wrapped() -> NoReturn:
             for stream in (sys.stdout, sys.stderr):
                 if isinstance(stream, TextIOWrapper):
-                    stream.reconfigure(errors="replace")  # of a terminal that has not every character
+                    stream.reconfigure(errors="replace")  # for a terminal that lacks some characters
             try:
                 with endings.signals_as_exceptions():
                     status = main() or 0
-            except BrokenPipeError:  # `| head` has seen enough; what is buffered goes nowhere
+            except BrokenPipeError:  # `| head` has closed the pipe: discard the buffered output
                 with suppress(OSError):
                     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
                 sys.stderr.close()
@@ -217,12 +217,12 @@ def add_json_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def shown(value: Any) -> str:
-    """Return a cell's text: a float with four digits, None as nothing."""
+    """Return the text of a table cell: a float with four significant digits, None as an empty string."""
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 FIXED_ON_RESUME: Any = object()
-"""Value in `begun` of an option that only a new run accepts: any value on resume is refused."""
+"""Marker in `begun` of an option for new runs only: any value on resume is refused."""
 _UNSAID = object()
 
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parallel jobs on this machine's cores, or on a cluster by its scheduler's address (`many_jobs.md`).
+"""Parallel jobs on this machine's cores, or on the workers of a Dask scheduler (`many_jobs.md`).
 
-for name, result in jobs.run(trial, {"trial 7": (bench, 7), "trial 8": (bench, 8)}):  # as they come
+for name, result in jobs.run(trial, {"trial 7": (bench, 7), "trial 8": (bench, 8)}):  # in order of completion
     ...
 
-A job is a function of plain values with a seed among them: its result does not depend on who computes it. One job, or
-one core, is computed in this process. Otherwise Dask's distributed sends jobs to processes, one a core, and again to
-another one where a process was killed; it is imported only then.
+A job is a function of plain values, its seed among them: the result does not depend on the process that computes it. A
+single job, or all jobs on a single core, run in this process. Otherwise Dask's distributed, imported only then, runs
+one process a core, and repeats a job whose process was killed.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ Arguments = Mapping[str, tuple[Any, ...]]
 """Arguments of each job, by its name."""
 Results = Generator[tuple[str, Any, Exception | None], None, None]
 ANSWERS_WITHIN, WORKER_WITHIN = 10.0, 600.0
-"""Times [s] that a scheduler has to answer, and a first worker to be there: a queue may hold it back."""
+"""Time-outs [s] for a scheduler's answer, and for its first worker, which a cluster's queue may delay."""
 DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1},
 }
-"""Dask's own MALLOC_TRIM_THRESHOLD_ makes each large array again by the kernel: four times the processor time here."""
+"""Dask settings, without its MALLOC_TRIM_THRESHOLD_, by which large arrays cost four times the processor time."""
 MAX_WORKER_DEATHS = 3
 """Worker processes that one job may kill before it counts as failed."""
 
 
 class JobsError(UserError):
-    """Some jobs failed and all others are done; `errors`: exception of each failed job, by its name."""
+    """Error of a run with failed jobs, raised after all others are done; `errors`: their exceptions by job name."""
 
     def __init__(self, errors: Mapping[str, Exception], count: int) -> None:
         named = ", ".join(errors) if len(errors) < 10 else f"{', '.join([*errors][:8])} and {len(errors) - 8} more"
@@ -52,7 +52,7 @@ class JobsError(UserError):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add `--jobs N` and `--scheduler ADDRESS`."""
+    """Add the options `--jobs N` and `--scheduler ADDRESS`."""
     parser.add_argument(
         "--jobs", type=bounded_number(1), default=0, metavar="N", help="jobs at once (default: one a core)"
     )
@@ -73,11 +73,11 @@ def run(
     Parameters
     ----------
     at_once
-        Processes on this machine; 0: one a core.
+        Number of processes on this machine; 0: one a core.
     scheduler
         Address of a Dask scheduler whose workers run the jobs instead.
     kept
-        File of results, a line of JSON for each job: jobs found there are not run again, new results are appended.
+        File of results, a line of JSON for each job: jobs in it are not run again, new results are appended.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments of a launch file: `ros2 launch` ignores those that no file declares, even a misspelt bench."""
+"""Check of launch arguments: `ros2 launch` ignores those that no file declares, even a misspelt bench."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from hydro_core.errors import UserError
 def refuse_unknown_arguments(file: str, known: Sequence[str]) -> None:
     """Raise UserError if this process launches `file` with an argument that is not `known`.
 
-    `file`: `__file__` of the launch file; nothing is checked where another file includes it. `known`: names of all
-    declared arguments, those of included files among them.
+    `file`: `__file__` of the launch file; not checked if another file includes it. `known`: names of all declared
+    arguments, including those of included files.
     """
     words = sys.argv[1:]
     package = Path(file).resolve().parent.parent.name  # of the form PACKAGE FILE

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files with validated input and atomic output: bench.yaml, settings, tensors."""
+"""Files: atomic output, digests of bench files, the files of a site, validation of tensors."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Digest of a bench.yaml, by which box, model, metric and policy are matched, and the reader of its plain numbers.
+"""Digest of a bench.yaml, by which box, model, metric and policy are matched, and a reader of its plain parameters.
 
-It checks no names, units or ranges: `hydro_sim.model.bench.Bench` defines those. A bridge only has to state its box's
-bench.
+Names, units and ranges are not checked: `hydro_sim.model.bench.Bench` defines them. A bridge only has to report its
+box's bench.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _ABOUT = "learned"
 _UNSET: tuple[Any, ...] = (None, [], ())
 
 DIGEST_LENGTH = 12
-"""Length of a digest: it detects mistaken pairings, not attacks."""
+"""Hexadecimal digits of a digest: enough to detect mistaken pairings, not attacks."""
 
 
 def digest(bench: Mapping[str, Any]) -> str:
-    """Return the first 12 digits of the SHA-256 of keys and values; unset values count as absent."""
+    """Return a bench's digest: the first 12 digits of the SHA-256 of its keys and values, unset ones omitted."""
     said = {key: value for key, value in bench.items() if value not in _UNSET and key != _ABOUT}
     numbers = {key: value if key in _LISTS else float(value) for key, value in said.items()}
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGEST_LENGTH]
 
 
 def read_numbers(path: str | Path) -> dict[str, Any]:
-    """Return keys and numbers of a bench.yaml, with its lists `effects` and `closures` unchanged.
+    """Return the parameters of a bench.yaml by key, with its lists `effects` and `closures` unchanged.
 
     Raises UserError: the file cannot be read, or is not a mapping of keys to numbers.
     """
@@ -55,7 +55,7 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
 
 
 def read_box_bench(path: str | Path) -> dict[str, Any]:
-    """Return the numbers of the bench.yaml that a box is configured with.
+    """Return the parameters of the bench.yaml that a box is configured with.
 
     Raises UserError: as `read_numbers`, or the file has effects or closures.
     """
@@ -69,7 +69,7 @@ def read_box_bench(path: str | Path) -> dict[str, Any]:
 
 
 def shipped_bench_file() -> Path | None:
-    """Return the bench.yaml installed by hydro_sim, by the ament index; None if hydro_sim is not installed."""
+    """Return the path of the bench.yaml installed by hydro_sim, from the ament index; None without hydro_sim."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     found = (Path(prefix, "share", "hydro_sim", "config", "bench.yaml") for prefix in prefixes if prefix)
     return next((path for path in found if path.is_file()), None)

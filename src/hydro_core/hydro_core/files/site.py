@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A site: the folder of one bench, written by `commission`. Names of its files.
+"""File names of a site, the folder of one bench that `commission` writes.
 
-bench.yaml              what the box believes
-corrected.yaml          what the bench is, as far as a diagnosis found
-metric.safetensors      the filter's metric of it
-recordings/, reports/   by gate
-commission.json         which gates passed, causes, comparison; report.html beside it
+bench.yaml              bench model in the box's force law
+corrected.yaml          bench model with the causes that a diagnosis identified
+metric.safetensors      the filter's contraction metric for this model
+recordings/, reports/   recordings and reports of each gate
+commission.json         passed gates, causes, comparison; report.html in the same folder
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ RECOMMISSION_HINT = (
     "after a change of spring, supply, oil or valve `ros2 run hydro_policy commission --again --site DIR` makes model "
     "and metric of the bench as it is"
 )
-"""What to do where a filter's model is not this bench's."""
+"""Remedy for a filter whose model is not that of this bench."""
 
 
 def add_site_option(parser: argparse._ActionsContainer, taken: str) -> None:
@@ -42,10 +42,10 @@ def base_gains(folder: Path) -> list[float] | None:
 
 
 def apply_site_option(options: argparse.Namespace, **files: str) -> None:
-    """Fill in options with files of the site's folder, if --site is given.
+    """Fill in options with files in the site's folder, if --site is given.
 
-    `options`: parsed options; `site` may be None. `files`: name of the file by option; or words for a command line, in
-    which such names are replaced. Raises UserError: the folder is no site, or one of the options was given, too.
+    `options`: parsed options; `site` may be None. `files`: file name by option, or words of a command line, in which
+    file names are replaced by paths. Raises UserError: the folder is no site, or one of the options was given, too.
     """
     if options.site is None:
         return

@@ -22,7 +22,7 @@ class InvalidTensorError(ValueError):
 
 
 def check_numbers(tensors: Mapping[str, Any]) -> None:
-    """Raise InvalidTensorError for the first tensor that holds NaN, infinity or an absurdly large number."""
+    """Raise InvalidTensorError for the first float tensor with NaN, infinity or a number above `MAX_MAGNITUDE`."""
     for name, tensor in tensors.items():
         array = np.asarray(tensor)
         if array.dtype.kind != "f":

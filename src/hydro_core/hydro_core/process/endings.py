@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Termination by signals: SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal or ssh session was closed).
 
-All three mean the same: disarm, save, end the companions, exit with status 128 + number. During imports
+All three mean the same: disarm, save, end the companion processes, exit with status 128 + number. During start-up
 `exit_during_startup` applies; after that each signal raises `Terminated`, a KeyboardInterrupt, or is handled by the
-spinning executor. A module that is imported later is imported to its end first. Clean-up runs with `signals_ignored`.
+spinning executor. A signal during a later import takes effect after the import. Clean-up runs with `signals_ignored`.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _INSIST_AFTER = 0.05  # s
 _DROPPED_AFTER = 0.5  # s after which an exception that nobody handles was dropped
 _IMPORT_SYSTEM = "<frozen importlib._bootstrap>"  # file of its code objects
 Handlers = Mapping[int, Any]
-"""Handler of each signal, as returned by `signal.signal`."""
+"""Signal handlers by signal number, as returned by `signal.signal`."""
 
 
 class Terminated(KeyboardInterrupt):
-    """Termination was requested by the signal `number`; `sentence` gives the reason where it is not obvious."""
+    """Request to terminate, by the signal `number`; `sentence` gives the reason where it is not obvious."""
 
     def __init__(self, number: int, sentence: str = "") -> None:
         super().__init__(sentence)
@@ -42,7 +42,7 @@ def exit_status(interruption: KeyboardInterrupt) -> int:
 
 
 def install_handlers(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
-    """Install `handler` for the three signals in the main thread; return the previous ones for `restore_handlers`.
+    """Install `handler` for `SIGNALS` in the main thread; return the previous handlers, for `restore_handlers`.
 
     An ignored SIGHUP stays ignored: a program started with nohup is to outlive the terminal.
     """
@@ -61,9 +61,9 @@ def restore_handlers(before: Handlers) -> None:
 def raise_terminated(number: int, _: FrameType | None = None) -> None:
     """Signal handler of a running program: raise `Terminated`. A forked child dies, as by default.
 
-    During an import the exception is raised after it: compiled modules do not expect one in their initialisation
-    (torch's terminates the process). So it is where signals are ignored meanwhile. Compiled code may also drop it
-    (looking up an attribute, for one): it is raised again unless somebody handles it half a second later.
+    During an import, or while signals are ignored, the exception is raised afterwards: compiled modules do not expect
+    one in their initialisation (torch's terminates the process). Compiled code may also drop the exception (in an
+    attribute look-up, for one): unless it is being handled half a second later, it is raised again.
     """
     if os.getpid() != _program:
         signal.signal(number, signal.SIG_DFL)
@@ -94,10 +94,10 @@ def exit_during_startup(number: int, _: FrameType | None = None) -> None:
 
 @contextmanager
 def signals_as_exceptions() -> Iterator[None]:
-    """Context in which each of the signals raises `Terminated`.
+    """Context in which each signal of `SIGNALS` raises `Terminated`.
 
-    Where Python cannot raise (finalizers, the compiler's callbacks into Python) it drops the exception, which is
-    then raised again. The finalizer of a half-constructed object raises AttributeError, which is not reported.
+    Where Python cannot raise an exception (finalizers, the compiler's callbacks into Python) it drops it: `Terminated`
+    is then raised again. The AttributeError of a half-constructed object's finalizer is not reported.
     """
     global _program, _ended
     _program, _ended = os.getpid(), False
@@ -145,7 +145,7 @@ def detach_closed_terminal() -> None:
 
 
 def print_error(sentence: str) -> None:
-    """Print the reason why the program ends to standard error, if that is still writable."""
+    """Print an error message to standard error, if that is still writable."""
     with suppress(OSError, ValueError):
         print(f"error: {sentence}", file=sys.stderr, flush=True)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Durations, deadlines, exact timers, and a limit by which a SCHED_FIFO process cannot hang the machine.
+"""Latencies, periodic deadlines, exact timers, and a run-time limit that keeps SCHED_FIFO from hanging the machine.
 
 A busy-looping real-time thread blocks its core for all others, including the shell that would end it. RLIMIT_RTTIME
 counts the CPU time of a real-time thread since it last slept. At `RUN_TIME_MAX` the kernel sends SIGXCPU: the process
@@ -33,7 +33,7 @@ class Latency:
 
     count: int = 0
     longest: float = 0.0
-    """s."""
+    """Longest duration [s]."""
     _bins: array[int] = field(default_factory=lambda: array("q", bytes(8 * _BINS)))  # numpy reads it in place
 
     def add(self, seconds: float) -> None:
@@ -43,7 +43,7 @@ class Latency:
         self._bins[min(_BINS - 1, max(0, int(seconds * 1e6)))] += 1
 
     def percentile(self, percent: float) -> float:
-        """Return the duration [s] that `percent` of all do not exceed, to 1 us; NaN without data."""
+        """Return the `percent`-th percentile of the durations [s], to 1 us; NaN without data."""
         if not self.count:
             return float("nan")
         below = np.cumsum(np.frombuffer(self._bins, np.int64))
@@ -51,7 +51,7 @@ class Latency:
         return self.longest if place >= _BINS - 1 else (place + 1) * 1e-6
 
     def sentence(self) -> str:
-        """Return the percentiles in ms as text."""
+        """Return the 50th, 99th and 99.9th percentiles and the maximum [ms] as text; `none` without data."""
         if not self.count:
             return "none"
         shown = "  ".join(f"p{percent:g} {1e3 * self.percentile(percent):.3f}" for percent in (50.0, 99.0, 99.9))
@@ -59,9 +59,9 @@ class Latency:
 
 
 RUN_TIME_MAX = 1.0
-"""s of uninterrupted CPU time, a hundred times what any of our processes needs."""
+"""Uninterrupted CPU time [s] at which SIGXCPU is sent: a hundred times the need of any of our processes."""
 KILL_TIME = 3.0
-"""s."""
+"""Uninterrupted CPU time [s] at which the kernel kills the process."""
 _PR_SET_TIMERSLACK = 29
 
 
@@ -84,7 +84,7 @@ def disable_timer_slack() -> None:
 
 
 def drop_realtime() -> None:
-    """Return this process to SCHED_OTHER at nice 0 or more, before work that must not delay others."""
+    """Set this process to SCHED_OTHER at nice 0 or more, before work that must not delay others."""
     with suppress(OSError):
         for thread in map(int, os.listdir("/proc/self/task")):
             os.sched_setscheduler(thread, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
@@ -99,23 +99,23 @@ def _end(number: int, _: FrameType | None) -> None:
 
 
 class Pacer:
-    """Deadlines at start + n period; delays are caught up, unless they are long.
+    """Periodic deadlines at start + n `period`: delays up to `give_up` are caught up, longer ones are skipped.
 
-    `period`: s between deadlines. `give_up`: delay [s] (the machine slept) from which on the lost time is not caught
-    up, but skipped.
+    `period`: s between deadlines. `give_up`: delay [s], as after a suspend of the machine, beyond which the lost time
+    is skipped.
     """
 
     def __init__(self, period: float, *, give_up: float = 0.1) -> None:
         self.period_ns, self._give_up_ns = round(1e9 * period), round(1e9 * give_up)
         self.lateness = Latency()
         self.late = 0
-        """Periods that began more than a period late."""
+        """Number of periods that began more than one period late."""
         self.skipped = 0.0
         """Time [s] skipped."""
         self.restart()
 
     def restart(self) -> None:
-        """Let the first deadline be now."""
+        """Restart the deadlines at the present time."""
         self.deadline_ns = time.monotonic_ns()
         """ns, monotonic time at which the present period was due."""
 

@@ -55,13 +55,13 @@ def copied_workspace() -> str:
 
 
 class LazyMain:
-    """An entry point that imports its module late: `main_of.package.module()` runs `main` of package.module."""
+    """Entry point with a deferred import: `main_of.package.module()` imports package.module and runs its `main`."""
 
     def __init__(self, module: str = "") -> None:
         self._module = module
 
     def __getattr__(self, name: str) -> LazyMain:
-        if name.startswith("__"):  # Python itself asks for these
+        if name.startswith("__"):  # looked up by Python itself
             raise AttributeError(name)
         return LazyMain(f"{self._module}.{name}".lstrip("."))
 
@@ -69,7 +69,7 @@ class LazyMain:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         # Importing takes seconds, and a traceback would not help the user.
         endings.install_handlers(endings.exit_during_startup)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, endings.SIGNALS)  # a companion's are held back until here
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, endings.SIGNALS)  # blocked in a companion process until here
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
         if trouble := missing_working_directory() or copied_workspace() or missing_middleware():
@@ -78,7 +78,7 @@ class LazyMain:
         try:
             status: int | None = import_module(self._module).main()
             return status
-        except UserError as error:  # a file of the user's that is read with the module, such as a grown effect
+        except UserError as error:  # in a user's file read during the import, such as an effect
             endings.print_error(str(error))
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] not in _ROS:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closures model what no named cause explains: held-out evidence selects terms, a forward simulation admits them."""
+"""Closures: unnamed terms for the unexplained residual, selected by held-out evidence and admitted by simulation."""

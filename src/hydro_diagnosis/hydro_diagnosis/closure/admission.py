@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Admission of a closure: simulated forward on held-out recordings, it must make no channel worse."""
+"""Admission of a closure: simulated forward on held-out recordings, it must increase the error of no channel."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AdmittedClosure:
-    """An admitted closure."""
+    """Closure admitted by forward simulation, with its errors on held-out recordings."""
 
     closure_fit: ClosureFit
     holdout_report: dict[str, Any]
     """`fit` of report.json, with the closure."""
     share: float
-    """Share of the held-out gap that it closes."""
+    """Share of the held-out squared error above the noise that the closure removes (`share_closed`)."""
     error_by_form: dict[str, float | None]
-    """By form that was tried: the share of the held-out gap that it closes; None: it made an error worse."""
+    """That share by form that was tried (law, smooth); None: it increased an error."""
 
 
 def admit(
@@ -40,9 +40,10 @@ def admit(
     named: Mapping[str, Any],
     known: Known | None = None,
 ) -> AdmittedClosure | None:
-    """Return the first candidate that makes no held-out channel worse than the names alone do, or None.
+    """Return the first candidate that increases no held-out error, and closes over `PRACTICAL_SHARE`; else None.
 
-    `holdout`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`: simulations so far.
+    `holdout`: held-out recordings; `named`: `fit` of report.json with the named causes alone; `known`: simulations so
+    far.
     """
     errors: dict[str, float | None] = {}
     for closed in candidates:
@@ -59,7 +60,7 @@ def admit(
 
 
 def share_closed(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
-    """Share closed of the held-out squared errors above the noise, over all channels."""
+    """Return the share of the held-out squared error above the noise, over all channels, removed since `before`."""
     gaps = []
     for held in (before, after):
         errors = held["holdout"] or held.get("equations", {})
@@ -69,7 +70,7 @@ def share_closed(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
 
 
 def harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
-    """Return whether each held-out error is finite and at most 2 % above that of the names alone: windows are few."""
+    """Return whether each held-out error is finite and at most 2 % above that of the named causes: windows are few."""
     for part in ("holdout", "equations"):
         for name, one in after.get(part, {}).items():
             for key in ("rmse_after", "rmse_after_all"):
@@ -79,7 +80,7 @@ def harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
 
 
 def closure_reports(found: AdmittedClosure, bounds: Sequence[Interval]) -> list[ClosureReport]:
-    """Return one report per term; `bounds`: of the parameters of all claims, in their order."""
+    """Return the report of each unnamed term; `bounds`: intervals of the parameters of all claims, in their order."""
     entries = []
     for claim, own in by_claim(found.closure_fit.fit.claims, bounds):
         effect = claim.effect

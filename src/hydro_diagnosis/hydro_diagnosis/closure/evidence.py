@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence that a term without a name must show: on held-out blocks, beside the names, against ruled-out causes.
+"""Evidence that an unnamed term needs: held-out gain, identified parameters, no ruled-out cause, no form error.
 
-A term that does to the residual what a cause ruled out by `--without` would do is that cause under another form: it is
-refused. Where such a cause would take a good part of what remains, no law is looked for in its equations.
+A term with the signature of a cause ruled out by `--without` is that cause in another form: it is rejected. Where such
+a cause would explain a good part of the remainder, its equations are not searched for laws.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hydro_diagnosis.significance import DECISIVE, QUANTILE, TIE_RATIO, UNIDENTI
 def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
     """Return whether each shape parameter of a law is identified, and off its bounds.
 
-    Where one is not, the law is another in disguise: friction that warms over an endless path is dry friction.
+    Where one is not, the law degenerates to another: friction that warms up over an endless path is dry friction.
     """
     weight = 1.0 / problem.variances(found.residual)[problem.layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
@@ -114,14 +114,14 @@ def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
 
 
 def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
-    """Return by how much the held-out deviance falls from one fit to another."""
+    """Return the reduction of the cross-validated deviance from one fit to another."""
     return held_out_deviance(problem, before) - held_out_deviance(problem, after)
 
 
 def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
     """Return whether a form error of the earlier terms may explain the gain of the later fit, in every channel.
 
-    Never so where something remains before and nothing after: a wrong form leaves a remainder under any name.
+    False where something remains before and nothing after: a wrong form leaves a remainder under any name.
     """
     if problem.noticeable(before.residual) and not problem.noticeable(after.residual):
         return False

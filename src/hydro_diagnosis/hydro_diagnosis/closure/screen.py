@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is missing as smooth functions, the formulas that are read off them, and what each gains on held-out blocks.
+"""Screening of unnamed terms: the first-order, held-out gain of each smooth function and law if added to a fit.
 
-The residuals' responses to a smooth function (`grammar.CURVES`) are computed once, one for each of its splines. A
-textbook shape is a sum of these splines, wherever its threshold or level lies: so what a formula gains beside a fit, to
-first order, follows from products of the same responses. Laws that are no function of one signal at an instant
-(`grammar.MEMORY_LAWS`), or are too steep for splines, have responses of their own. Gains are those of four-fold
+The residuals' responses to a smooth function (`grammar.CURVES`) are computed once, one for each of its splines. A law
+of the same signal is a sum of these splines, wherever its threshold or level lies: so its gain if added to a fit, to
+first order, follows from products of the same responses. Laws with memory or of several signals
+(`grammar.MEMORY_LAWS`), or too steep for splines, have responses of their own. Gains are those of four-fold
 cross-validation (`fit.cross_validated_deviance`), of each term alone. Only the best few are fitted.
 """
 
@@ -31,16 +31,16 @@ from hydro_sim.model.tables import Table
 
 @dataclass(frozen=True)
 class Prospect:
-    """A law that may join a fit."""
+    """Candidate law to be added to a fit, with its gain and start values."""
 
     gain: float
-    """Held-out deviance that it gains, to first order."""
+    """Reduction of the held-out deviance, to first order."""
     starts: tuple[Claim, ...]
-    """Values to fit it from, the best first."""
+    """The law at start values of its parameters, the best first."""
 
     @property
     def effect(self) -> Effect:
-        """The law."""
+        """The law as an effect."""
         return self.starts[0].effect
 
 
@@ -53,7 +53,7 @@ class _Term:
     starts: list[Claim]
     """Laws at their start values."""
     sums: FloatArray
-    """What of the columns makes each of the starts, shape (columns, starts)."""
+    """Weights of the columns in the sum that is each law at its start values, shape (columns, starts)."""
     responses: dict[int, npt.NDArray[np.float32]] = field(default_factory=dict)
     """By channel, shape (columns, rows)."""
     square: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -61,15 +61,15 @@ class _Term:
 
 
 class Screen:
-    """All terms without a name over the recordings of a problem.
+    """Screening of all unnamed terms against the residuals of a problem.
 
-    `problem`: the least-squares problem. `base`: names that stand. `closed`: blocks in which no term is looked for.
+    `problem`: the least-squares problem. `base`: fit of the named causes. `closed`: blocks that no term may act in.
     """
 
     def __init__(self, problem: Problem, base: Fit, closed: Collection[str] = ()) -> None:
         self.problem = problem
         layout, fold = problem.layout, problem.layout.folds()
-        self._every = max(int(layout.count.max()) // 20_000, 1)  # of more in a channel every second, third ... is taken
+        self._every = max(int(layout.count.max()) // 20_000, 1)  # thinning: every second, third ... residual
         kept = [np.flatnonzero(layout.channel == k)[:: self._every] for k in range(len(CHANNELS))]
         self._order = [np.argsort(fold[rows], kind="stable") for rows in kept]
         self._rows = [rows[order] for rows, order in zip(kept, self._order, strict=True)]
@@ -97,7 +97,7 @@ class Screen:
             if not _visible(closure(table, problem.bench), problem):
                 continue
             argument = _recorded(problem, table.where if table.variable == "force" else table.variable)
-            low, high = np.percentile(argument, [0.1, 99.9]).tolist()  # but for what is rare at either end
+            low, high = np.percentile(argument, [0.1, 99.9]).tolist()  # without the rare values at either end
             if high > low:
                 smooth = closure(table, problem.bench, (low, high))
                 nothing = smooth.start_values()[0]
@@ -112,7 +112,7 @@ class Screen:
         return found
 
     def _starts(self, law: Law) -> list[Claim]:
-        """A law at each choice of start values of its further numbers; thresholds within what was recorded."""
+        """A law at each combination of start values of its shape parameters; thresholds within the recorded range."""
         problem, effect = self.problem, closure(law, self.problem.bench)
         if not _visible(effect, problem):
             return []
@@ -150,7 +150,7 @@ class Screen:
         return own, float(lengths[0]) ** 2, 1.0 / self.problem.variances(found.residual), cross
 
     def prospects(self, found: Fit, count: int, without: Collection[str] = ()) -> tuple[list[Prospect], float]:
-        """The laws that gain most beside a fit, their further numbers paid, and what there is to gain at all."""
+        """Return the `count` laws of largest gain, after ln(n) per shape parameter, and the largest possible gain."""
         own, size, weight, cross = self._products(found)
         before = cross_validated_deviance(own[..., None], weight, self._count, size)[0]
         price, by_law = float(np.log(len(found.residual))), list[tuple[float, float, list[Claim]]]()
@@ -174,7 +174,7 @@ class Screen:
         return [Prospect(gain, _distinct_starts(starts)) for _, gain, starts in by_law[:count]], there_is
 
     def smooth(self, found: Fit, without: Collection[str] = ()) -> tuple[Claim | None, float, float]:
-        """The smooth function that gains most beside a fit, its gain, and what there is to gain at all."""
+        """Return the smooth function of largest gain if added to a fit, its gain, and the largest possible gain."""
         own, size, weight, cross = self._products(found)
         before = cross_validated_deviance(own[..., None], weight, self._count, size)[0]
         best, gain = None, 0.0
@@ -189,8 +189,8 @@ class Screen:
 
 
 def _as_splines(table: Table, limits: tuple[float, float], law: Law, start: Claim, bench: Bench) -> FloatArray:
-    """What of a smooth function's columns makes a law at its start values, shape (columns,)."""
-    share = np.asarray(np.linspace(0.0, 1.0, 100), dtype=np.float64)  # several between any two splines
+    """Weights of a smooth function's columns in the sum that is a law at its start values, shape (columns,)."""
+    share = np.asarray(np.linspace(0.0, 1.0, 100), dtype=np.float64)  # several between any two knots
     grid = limits[0] + (limits[1] - limits[0]) * share
     ones = {"velocity": 1.0, "pressure_b" if table.factor and table.factor.text == "p_b" else "pressure_a": 1.0}
     argument = {"speed": "velocity", "pressure_difference": "pressure_a"}.get(table.variable, table.variable)
@@ -201,7 +201,7 @@ def _as_splines(table: Table, limits: tuple[float, float], law: Law, start: Clai
 
 
 def _distinct_starts(starts: Sequence[Claim]) -> tuple[Claim, ...]:
-    """The best start, and of a law with several further numbers the best with each other value of the first."""
+    """The best start; of a law with several shape parameters, the best at each of up to three values of the first."""
     names = [one.name for one in starts[0].effect.shapes]
     if len(names) < 2:
         return tuple(starts[:1])
@@ -215,7 +215,7 @@ _SIZES = {"speed": "velocity", "opening": "current"}
 
 
 def _recorded(problem: Problem, name: str) -> FloatArray:
-    """Recorded values of a signal that laws and smooth functions run over."""
+    """Recorded values of a signal that is an argument of laws and smooth functions."""
     values = np.concatenate([model.variable(_SIZES.get(name, name))[model.settle :] for model in problem.models])
     return np.abs(values) if name in _SIZES else values
 
@@ -226,11 +226,11 @@ _CHANNELS = {
     "velocity": "piston_position",
     "acceleration": "piston_position",
 }
-"""Channels that signals are recorded in, if they are none themselves."""
+"""Recorded channels of the signals that are no channels themselves."""
 
 
 def _visible(effect: Closure, problem: Problem) -> bool:
-    """Whether its equation is judged, and all that it is made of was recorded."""
+    """Whether the term's equation has residuals, and all of its signals were recorded."""
     have = set.intersection(*(set(model.channels) for model in problem.models))
     if (effect.is_position_error or effect.depends_on_acceleration) and len(effect.blocks & set(problem.blocks)) < 2:
         return False  # in one equation alone it cannot be told from a force

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of terms without a name: laws that leave nothing, with names that do as well; else a smooth function.
+"""Stepwise selection of unnamed terms: laws, jointly with named causes; smooth functions where laws leave a remainder.
 
-Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
-each, all numbers, those of the names too, are estimated again. Of laws that gain nearly as much as the best, one of few
-parameters and signals is taken; the velocity over which a law reverses becomes a parameter where that pays.
+Terms are added one after the other by their gain on held-out blocks of time (`evidence`); after each, all parameters,
+those of the named causes too, are estimated again. Of laws with nearly the largest gain, one of few parameters and
+signals is taken; the velocity over which a law reverses becomes a parameter where that gains enough.
 """
 
 from __future__ import annotations
@@ -36,28 +36,28 @@ from hydro_sim.model.laws import REVERSAL_VELOCITY, REVERSING, SIGN_VELOCITY, La
 MIN_GAIN_SHARE = 0.02
 """Least share of the possible gain that a term must bring: less may be a form error of another."""
 MAX_TERMS = 3
-"""Largest number of terms."""
+"""Largest number of unnamed terms."""
 
 
 @dataclass(frozen=True)
 class ClosureFit:
-    """Names and terms without a name, estimated jointly."""
+    """Fit of named causes and unnamed terms, estimated jointly."""
 
     fit: Fit
     form: str
-    """law or smooth."""
+    """Form of the terms: law or smooth."""
     gain: float
-    """Gain in held-out deviance over the names alone."""
+    """Gain in held-out deviance over the named causes alone."""
     problem: Problem
     """The problem with the weights of the fit."""
     screen: Screen | None = None
-    """Screen of the terms that were tried."""
+    """Screening from which the terms were selected."""
 
 
 def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
-    """Yield models of what a fit leaves, the preferred first; none where no term holds on held-out blocks.
+    """Yield fits with closures of a fit's residual, the preferred first; none if no term gains on held-out blocks.
 
-    `names`: causes that may stand beside a law though the judgement does not claim them.
+    `names`: causes that may be fitted jointly with a law though the judgement does not retain them.
     """
     screen = Screen(problem, base, barred_equations(problem, base))
     by_law = _by_law(problem, base, screen, names)
@@ -65,7 +65,7 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
         one.effect.label for one in base.claims
     }
     if more and by_law.problem.noticeable(by_law.fit.residual) and not problem.budget.exhausted:
-        by_law = _by_law(problem, base, screen, ())  # where something remains, no further name is sure
+        by_law = _by_law(problem, base, screen, ())  # where something remains, no further named cause is certain
     if by_law.gain > 0.0 and (problem.budget.exhausted or not by_law.problem.noticeable(by_law.fit.residual)):
         yield by_law
     if problem.budget.exhausted:
@@ -81,7 +81,7 @@ def _terms(found: Fit) -> int:
 
 
 def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]) -> ClosureFit:
-    """Names that stand, laws, and names that pay beside these; what no longer pays is dropped."""
+    """Fit of the retained named causes, laws, and further causes that gain enough; idle ones are dropped."""
     weighed, current, tried = problem, base, set[str]()
     room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(base))
     for _ in range(room + (MAX_TERMS if names else 0)):
@@ -105,11 +105,11 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
 
 
 def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
-    """Fits with one more law that pays, of the best that are not `tried`, to which they are added."""
+    """Fits with one more law that gains enough, of the best that are not `tried`; extends `tried`."""
     prospects, there_is = screen.prospects(current, 5, tried)
     toll = CLAIM_THRESHOLD + 2.0 * float(
         np.log(max(len(screen), 1))
-    )  # of so many columns chance reaches that much more
+    )  # the most that chance gains grows with the number of columns
     fits: list[Fit] = []
     disguised, clean = 0.0, False
     for one in prospects:
@@ -123,7 +123,7 @@ def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -
         if current.score - better.score < toll or within_form_error(problem, current, better):
             continue
         if not has_identified_shapes(problem, better, better.claims[-1]):
-            disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
+            disguised = max(disguised, one.gain)  # a law of less gain would replace the true one
         elif equals_ruled_out(problem, better, better.claims[-1]):
             continue
         elif held_out_gain(problem, current, better) >= toll:
@@ -133,7 +133,7 @@ def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -
 
 
 def _from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
-    """The fit from the first start at which the law's further numbers are identified, else from the best."""
+    """The fit from the first start from which the law's shape parameters are identified, else from the best."""
     fits = []
     for start in starts:
         fits.append(fit(problem, (*current.claims, start), iterations=3 * ITERATIONS))
@@ -143,7 +143,7 @@ def _from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit
 
 
 def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fit:
-    """The fit with a reversal velocity as a parameter of one law, the newest by default, where that pays."""
+    """The fit with a reversal velocity as a parameter of one law, the newest by default, where that gains enough."""
     claim = found.claims[place]
     effect = claim.effect
     if not (is_closure(effect) and isinstance(effect.law, Law) and effect.law.depends_on_direction):
@@ -159,14 +159,14 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
 
 
 def _with_name(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
-    """Fits with one more name that pays."""
+    """Fits with one more named cause that gains enough."""
     fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:MAX_TERMS]]
     enough = current.score - CLAIM_THRESHOLD
     return [one for one in fits if one.score < enough and not within_form_error(problem, current, one)]
 
 
 def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
-    """Of the fits with nearly the best evidence: a name, else the law of fewest parameters and signals.
+    """Of the fits with nearly the best evidence, that with a named cause, else with the simplest law.
 
     The claim in question is the newest, of the first fit `last`, if that is given.
     """
@@ -182,7 +182,7 @@ def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
 
 
 def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Effect]) -> Fit:
-    """The fit with claims exchanged for others that do better beside the later terms, or as well and are simpler."""
+    """The fit with claims swapped for better ones, given the terms added later, or for simpler ones as good."""
     for claim in found.removable if len(found.claims) > 1 else ():
         if problem.budget.exhausted:
             break
@@ -190,7 +190,7 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
         if not law and not names:
             continue
         rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)
-        others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their numbers
+        others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their values
         tried = {one.effect.label.replace(f", {REVERSING}", "") for one in found.claims}  # however they reverse
         if law:
             found = _simplest([found, *_with_law(problem, others, screen, tried)], claim)
@@ -206,7 +206,7 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
 
 
 def _merged(problem: Problem, found: Fit, screen: Screen) -> Fit:
-    """The fit with a law and another claim replaced by one law that does as well, if nothing remains."""
+    """The fit with a law and another claim replaced by one law of no worse evidence, if nothing remains."""
     for first, second in combinations(found.cause_claims if not problem.noticeable(found.residual) else (), 2):
         if (first.effect.named and second.effect.named) or problem.budget.exhausted:
             continue
@@ -220,9 +220,9 @@ def _merged(problem: Problem, found: Fit, screen: Screen) -> Fit:
 
 
 def _by_curve(below: ClosureFit) -> ClosureFit:
-    """Smooth functions beside names, and beside laws that leave a remainder; laws that no longer pay are dropped.
+    """Fit of smooth functions, jointly with named causes and with laws that leave a remainder; drops idle laws.
 
-    Names stay: a smooth function takes the form of any of them.
+    Named causes stay: a smooth function can take the form of any of them.
     """
     problem, current, screen, tried = below.problem, below.fit, below.screen, set[str]()
     assert screen is not None
@@ -238,6 +238,6 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
             current, room = better, room - 1
     current = without_idle_terms(problem, current, names_stay=True)
     if {one.effect.label for one in current.claims} <= {one.effect.label for one in below.fit.claims}:
-        return ClosureFit(below.fit, "smooth", 0.0, problem, screen)  # none, or none that pays
+        return ClosureFit(below.fit, "smooth", 0.0, problem, screen)  # none that gains enough
     gain = below.gain + held_out_gain(problem, below.fit, current)
     return ClosureFit(current, "smooth", gain, problem, screen)

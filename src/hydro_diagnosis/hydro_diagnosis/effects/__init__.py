@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Causes of the diagnosis: every effect of the bench model that says how it is fitted; `LIBRARY` holds them.
+"""Library of the diagnosis's causes: every effect of the bench model whose parameters have fit settings.
 
-To add an effect, write its class in `hydro_sim.model.effects`; one with memory also says here how a whole record passes
-it (`dynamics`). Laws that were found on several benches are added by `diagnose --grow`.
+To add an effect, write its class in `hydro_sim.model.effects`; one with memory also needs its response to a whole
+record (`dynamics`). Laws that were found on several benches are added by `diagnose --grow`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Stribeck.other_forms = (StribeckExponential(_EXPONENTIAL).adapted(NOMINAL),)
 
 
 class _WideningHoses(Correction):
-    """Both chambers grow by the same volume per pressure: V_dead plus compliance (beta + p).
+    """Compliance of the hoses, the same in both chambers: V_dead plus compliance (beta + p).
 
     A wrong bulk modulus softens a chamber by a share of its volume, which the piston changes and which differs between
     the chambers; hoses soften both by the same amount. Merritt 1967, section 2-6.
@@ -51,13 +51,13 @@ class _WideningHoses(Correction):
 
 
 class Unnamed(Effect):
-    """A cause that is tried like all others, but never claimed."""
+    """Candidate cause of the search without a name in the table: never claimed."""
 
     named = False
 
 
 CANDIDATES = (*LIBRARY, Unnamed(Kind(_WideningHoses, ())).adapted(NOMINAL))
-"""Effects that a search tries. Where one without a name explains the recordings best, the verdict is an unnamed cause,
-with what it resembles."""
+"""Candidate effects of a search. One without a name that explains the recordings best is reported as a resemblance of
+an unknown cause, not as a claim."""
 
 __all__ = ["CANDIDATES", "LIBRARY", "Claim", "Effect", "FitParameter"]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects as causes: an effect of the bench model (`hydro_sim.model.effects`) with the bounds and starts of its fit.
+"""Candidate causes: effects of the bench model (`hydro_sim.model.effects`) with bounds and start values of their fit.
 
-The equations are the model's own: a hook binds an effect to values and to what was recorded, and calls the term of the
-same name on arrays. Every hook returns what it was given if the effect does not act there. The same hooks serve the
-regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes through
+The equations are the model's own: a hook binds an effect to parameter values and recorded signals, and calls the term
+of the same name on arrays. Where the effect does not act, a hook returns its input unchanged. The same hooks serve the
+regression (arrays run over time) and the forward simulation (arrays run over windows): elements with memory use
 `Memory`, which either filters a whole record or advances one step (`effects.dynamics`).
 """
 
@@ -27,32 +27,32 @@ from hydro_sim.model.effects.sensing import Sensor, SensorLag
 
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
-"""Of chamber A and of chamber B."""
+"""Values of chambers A and B."""
 Values = Mapping[str, float]
 Result = TypeVar("Result")
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
-"""The blocks of residuals that an effect can touch; only those are recomputed when its parameters change."""
+"""Blocks of residuals; a change of an effect's parameters recomputes only the blocks in which it acts."""
 _BLOCKS = {"motion": {MOTION}, "load": {MOTION, LOAD}}
 _SENSED = {
     "hydraulic_force": {MOTION, HYDRAULIC}, "load_force": {LOAD}, "pressure_a": {PRESSURE, HYDRAULIC},
     "pressure_b": {PRESSURE, HYDRAULIC}, "piston_position": {PRESSURE, MOTION, LOAD},
 }  # fmt: skip
-"""Blocks of residuals in which a sensor shows, by its channel."""
+"""Blocks of residuals that depend on a sensor, by its channel."""
 
 
 def substep_mean(signal: FloatArray) -> FloatArray:
-    """Mean over the last axis, which is short: from shape (..., substeps) to (...)."""
+    """Return the mean of a signal over the substeps of each sample: from shape (..., substeps) to (...)."""
     first, *others = np.moveaxis(signal, -1, 0)
     return np.asarray(sum(others, first) / signal.shape[-1])
 
 
 def blocks_of(equation: str, channel: str = "") -> frozenset[str]:
-    """Return the blocks of residuals in which an equation shows, or the error of a channel's sensor."""
+    """Return the blocks of residuals that depend on a term of an equation, or on an error of a channel's sensor."""
     return frozenset(_SENSED[channel] if equation == "sensor" else _BLOCKS.get(equation, {PRESSURE}))
 
 
 def with_values(bench: Bench, **values: float | None) -> Bench:
-    """Return a bench with values replaced, within the ranges of `Bench` and with the tank below the supply."""
+    """Return a bench with values replaced, clipped to the ranges of `Bench`, the tank pressure below the supply's."""
     limits = bench.quantities()
     inside: dict[str, Any] = {
         name: value if value is None else min(max(value, limits[name].low), limits[name].high)
@@ -65,32 +65,32 @@ def with_values(bench: Bench, **values: float | None) -> Bench:
 
 @dataclass(frozen=True)
 class Oil:
-    """Inputs of the chambers' pressures at one instant or over one sample."""
+    """Inputs of the chamber equations at one instant or over one sample."""
 
     time: FloatArray
     position: FloatArray
     pressures: Pair
     spool: FloatArray
-    """A, shape (..., substeps)."""
+    """Spool position as a current [A], shape (..., substeps)."""
     velocity: FloatArray
-    """m/s."""
+    """Piston velocity [m/s]."""
 
 
 @dataclass
 class Kinematics:
-    """Motion and pressures that forces depend on."""
+    """Arguments of the force terms: piston motion and chamber pressures, SI units."""
 
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
     pressures: Pair | None = None
-    """Pa, of chambers A and B; None where they are not known."""
+    """Pressures [Pa] of chambers A and B; None if unknown."""
     acceleration: FloatArray | None = None
-    """m/s2; None where it is not known."""
+    """Piston acceleration [m/s2]; None if unknown."""
 
 
 class _Corrected:
-    """The numbers of a bench, which a correction sets."""
+    """Parameters of a bench, overridden by those that a correction sets."""
 
     def __init__(self, bench: Bench) -> None:
         self.__dict__["bench"] = bench
@@ -101,26 +101,26 @@ class _Corrected:
 
 @dataclass(frozen=True)
 class Effect:
-    """A cause that the baseline leaves out. What has memory overrides the hook in which it acts."""
+    """Candidate cause: an effect that the baseline leaves out. Effects with memory override the hooks they act in."""
 
     kind: Kind
     """Effect of the model, with its options."""
     parameters: tuple[FitParameter, ...] = ()
-    """As they are fitted, relative to the bench to which it is adapted."""
+    """Fitted parameters, relative to the bench to which the effect is adapted."""
     estimated: bool = False
-    """Whether it stands for a number that is estimated (`estimation.unknown_numbers`): in every fit, never a claim."""
+    """Whether it represents a bench parameter to be estimated (`estimation.unknown_numbers`): in every fit, no cause.
+    """
 
     named: ClassVar[bool] = True
-    """Whether it is in the table; other effects are tried, but never claimed."""
+    """Whether the effect is in the table of causes; others are candidates that are never claimed."""
     stage: ClassVar[int] = 1
-    """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
+    """Order in the command path: 0 before the spool, 1 spool dynamics, 2 functions of its position (overlap)."""
     other_forms: ClassVar[tuple[Effect, ...]] = ()
-    """The same cause and parameters in forms that are not claimed: intervals hold for them too where they fit as well.
-    """
+    """Other forms of the same cause and parameters, never claimed; intervals also span those that fit as well."""
     bristles: ClassVar[bool] = False
-    """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
+    """Whether it models dry friction elastically (presliding): the model then adds no dry friction and no stiction."""
     memoryless: ClassVar[bool] = False
-    """Whether a reading depends on the present signal, on a path or on slow states alone."""
+    """Whether its reading depends only on the present signal, a path-driven memory or slow states, not on a filter."""
     depends_on_acceleration: ClassVar[bool] = False
     """Whether its term depends on the piston's acceleration."""
     is_position_error: ClassVar[bool] = False
@@ -130,17 +130,17 @@ class Effect:
 
     @cached_property
     def physics(self) -> physics.Effect:
-        """The effect of the model; its values are bound in each hook."""
+        """Effect of the bench model; parameter values are bound to it in each hook."""
         return self.kind.make()
 
     @property
     def id(self) -> str:
-        """Of the table."""
+        """Identifier of the effect in the table of causes."""
         return self.kind.effect.id
 
     @cached_property
     def options(self) -> dict[str, str]:
-        """Chamber, sensor or form; part of the report, except `form`."""
+        """Options of the effect by key: chamber, sensor or form."""
         return dict(self.kind.chosen)
 
     @property
@@ -150,7 +150,7 @@ class Effect:
 
     @property
     def family(self) -> str:
-        """Effects of one family can mimic errors in each other's form."""
+        """Family of effects that can mimic form errors of one another."""
         return self.physics.family
 
     @property
@@ -160,7 +160,7 @@ class Effect:
 
     @cached_property
     def blocks(self) -> frozenset[str]:
-        """Blocks of residuals in which it shows."""
+        """Blocks of residuals that depend on it."""
         channel = self.physics.channel if isinstance(self.physics, Sensor) else ""
         return self.physics.balances or frozenset().union(*(blocks_of(one, channel) for one in self.equations))
 
@@ -176,20 +176,20 @@ class Effect:
 
     @property
     def amplitudes(self) -> tuple[FitParameter, ...]:
-        """Parameters that have a size worth claiming; the others are `shapes`."""
+        """Amplitude parameters: those with a smallest size worth claiming; the others are `shapes`."""
         return tuple(one for one in self.parameters if one.smallest > 0.0)
 
     @property
     def shapes(self) -> tuple[FitParameter, ...]:
-        """Shape parameters."""
+        """Shape parameters, such as velocities, time constants and thresholds."""
         return tuple(one for one in self.parameters if one.smallest == 0.0)
 
     def sentence(self, values: Values) -> str:
-        """Description of the effect for a person at the bench."""
+        """Return a description of the effect at parameter values, for a person at the bench."""
         return self.physics.sentence(values)
 
     def adapted(self, bench: Bench) -> Effect:
-        """The effect relative to this bench."""
+        """Return the effect with its fitted parameters relative to a bench."""
         return replace(self, parameters=self.physics.fitted_parameters(bench))
 
     def acts_in(self, *hooks: str) -> bool:
@@ -205,24 +205,24 @@ class Effect:
     # -- hooks, in the order in which the model calls them ------------------------------------------------------------
 
     def correct(self, bench: Bench, values: Values) -> Bench:
-        """The bench with a number corrected."""
+        """Return the bench with the parameters that the effect corrects."""
         numbers = _Corrected(bench)
         self._bound(values).correct(numbers)
         return with_values(bench, **{name: one for name, one in vars(numbers).items() if name != "bench"})
 
     def write_into_bench(self, bench: Bench, values: Values) -> Bench:
-        """Return the bench with this effect written into its numbers; exact if no earlier effect has its hooks."""
+        """Return the bench with the effect merged into its parameters; exact if no earlier effect has its hooks."""
         if number := self.physics.scales:
             return with_values(bench, **{number: getattr(bench, number) * values["ratio"]})
         return self.correct(bench, values)
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
-        """Spool position [A] from the command, shape (n, substeps); `substep` in s. The record starts at rest."""
+        """Spool position [A] from the command, shape (n, substeps); `substep` in s; initially in steady state."""
         path = np.ascontiguousarray(spool).ravel()
         return np.asarray(self._bound(values, Memory(substep)).command(path)).reshape(spool.shape)
 
     def openings(self, edges: Pair, spool: FloatArray, time: FloatArray, values: Values) -> Pair:
-        """Conductances [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
+        """Conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
 
         `spool` [A] and conductances have shape (..., substeps); `time` [s], since the recording began, shape (...).
         """
@@ -232,11 +232,11 @@ class Effect:
         return np.asarray(out), np.asarray(back)
 
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        """Supply pressure [Pa] under the `demand` [m3/s]."""
+        """Supply pressure [Pa] at the valve for a flow `demand` [m3/s]."""
         return supply
 
     def leaks(self, flows: Pair, oil: Oil, bench: Bench, memory: Memory, values: Values) -> Pair:
-        """Flow [m3/s] into chamber A and into chamber B."""
+        """Flows [m3/s] into chambers A and B, less the effect's leakage."""
         bound = self._bound(
             values, memory, numbers=bench, position=oil.position, velocity=oil.velocity, pressures=oil.pressures,
             spool=substep_mean(oil.spool),
@@ -249,26 +249,26 @@ class Effect:
         return np.asarray(self._bound(values).modulus(modulus, pressure))
 
     def dry_level(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
-        """Level [N, >= 0] of dry friction while sliding; the model gives it the sign of the velocity."""
+        """Magnitude [N, >= 0] of dry friction while sliding; the model applies the sign of the velocity."""
         return np.asarray(self._bound(values).dry_level(level, motion.velocity))
 
     def opposing_force(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                        values: Values) -> FloatArray:  # fmt: skip
-        """Force [N] against the motion beyond viscous friction; `level` is the dry friction's level while sliding."""
+        """Force [N] against the motion beyond viscous friction; `level`: magnitude of sliding dry friction [N]."""
         bound = self._bound(values, memory, pressures=motion.pressures or (0.0, 0.0))
         return np.asarray(force + bound.opposing_force(motion.position, motion.velocity))
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
-        """Force [N] of the load."""
+        """Force [N] of the load on the piston."""
         return np.asarray(
             self._bound(values, memory, numbers=bench, velocity=motion.velocity).load(force, motion.position)
         )
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
-        """Leave in a record's memory the states in which simulations begin at its samples, where hooks pass others."""
+        """Store the states at the samples in a record's memory, to start simulations, if the hooks store others."""
 
     def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
-        """Return the mass [kg] moved with the load, for an acceleration not known yet; `load` adds its force."""
+        """Return the mass [kg] moved with the load, for an unknown acceleration; else `load` adds its inertia."""
         return np.zeros_like(motion.position)
 
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -294,18 +294,18 @@ def _acts_in(kind: Any, effect: Any, hook: str) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class Machine:
-    """Size of the recorded machine, which bounds the parameters of its claims."""
+    """Scales of the recorded force and motion, from which bounds of the causes' parameters follow."""
 
     force: float
     """Largest recorded force [N]."""
     speed: float
     """Top speed [m/s]."""
     stroke: float
-    """Distance [m]."""
+    """Range [m] of the piston's position."""
 
 
 def scale_bounds(effect: Effect, machine: Machine) -> Effect:
-    """Return the effect with bounds wide enough for the machine, and never narrower than its own."""
+    """Return the effect with its parameters' bounds widened to the machine's scales, never narrowed."""
     slow = 0.02 * machine.speed
     fading = 3.0**-0.5 * machine.speed  # of a rise towards standstill exp(-3), 5 %, are left at the top speed
     largest = {
@@ -314,7 +314,7 @@ def scale_bounds(effect: Effect, machine: Machine) -> Effect:
     }  # fmt: skip
     parameters = []
     for one in effect.parameters:
-        reach, low = largest.get(one.unit, 0.0), one.low  # 0 where the machine does not tell
+        reach, low = largest.get(one.unit, 0.0), one.low  # 0 where there is no scale
         if one.unit in ("m/s", "N/m") and one.smallest == 0.0:
             low = min(low, 1e-3 * reach)
         elif low < 0.0 and one.neutral == 0.0 and low == -one.high:
@@ -325,14 +325,14 @@ def scale_bounds(effect: Effect, machine: Machine) -> Effect:
 
 @dataclass(frozen=True)
 class Claim:
-    """An effect with values."""
+    """An effect with values of its parameters: one part of a hypothesis."""
 
     effect: Effect
     values: Values
 
     @property
     def acts(self) -> bool:
-        """Whether it acts: a term without a name and without amplitude does not."""
+        """Whether it has any influence: an unnamed term with all amplitudes 0 has none."""
         sizes = [self.values[one.name] for one in self.effect.amplitudes]
         return self.effect.named or any(sizes) or not sizes
 
@@ -342,7 +342,7 @@ class Claim:
 
 
 class BoundedCache:
-    """Cache of at most `room` results, each for some claims; the least recently used is dropped."""
+    """Least-recently-used cache of at most `room` results, each of a quantity under some claims."""
 
     def __init__(self, room: int) -> None:
         self._room, self._found = room, dict[tuple[object, ...], Any]()
@@ -350,7 +350,7 @@ class BoundedCache:
     def get_or_compute(
         self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Result]
     ) -> Result:
-        """Return a result for these claims, computed once as long as only others change."""
+        """Return the cached result of quantity `what` under these claims and values, or compute it."""
         key = (what, *claims_key(claims))
         found: Result = self._found.pop(key) if key in self._found else compute(claims)
         self._found[key] = found
@@ -360,10 +360,10 @@ class BoundedCache:
 
 
 def claims_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
-    """Return a key of claims and their values, for caches."""
+    """Return a cache key of claims: labels and parameter values."""
     return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
 def acting(claims: Iterable[Claim], *hooks: str) -> list[Claim]:
-    """The claims whose effects act in any of these hooks of `Effect`, in their order."""
+    """Return the claims whose effects act in any of these hooks of `Effect`, in the given order."""
     return [claim for claim in claims if claim.effect.acts_in(*hooks)]

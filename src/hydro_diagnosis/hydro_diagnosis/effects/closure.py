@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws and tables of `hydro_sim.model.grammar` as effects: terms without a name, and grown effects, laws that have one.
+"""Laws and tables of `hydro_sim.model.grammar` as effects: unnamed terms (closures), and grown effects (named laws).
 
-They are fitted and simulated like named causes. Their terms are the model's; here is what they remember of a record
-that passes at once, and how a sensor's error is undone.
+They are fitted and simulated like named causes. Their terms are the model's; this module adds their memory over a
+whole record and the inversion of sensor errors.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
 """Families of grown effects: those of the effects of the table which act in the same equation."""
 _HOOKS = {"motion": {"opposing_force"}, "load": {"load"}, "sensor": {"read_sensor"}}
-"""Hooks in which terms of an equation act; those of flows, of the valve's too, in `leaks`."""
+"""Hooks in which terms of an equation act; terms of flows, including the valve's, act in `leaks`."""
 
 
 _LAST = KNOTS - 3
-"""Intervals between the peaks of the splines that a table's variable may lie in."""
+"""Number of knot intervals over a table's range."""
 
 
 def evaluate_spline(variable: FloatArray, low: float, high: float, values: FloatArray) -> FloatArray:
-    """Sum of cubic B-splines of these `values` (KNOTS,) over a variable between `low` and `high`, constant beyond."""
+    """Sum of cubic B-splines with coefficients `values` (KNOTS,) over a variable, constant beyond `low` and `high`."""
     found = np.empty(variable.shape)
     _evaluate_spline(found.reshape(-1), np.ascontiguousarray(variable).reshape(-1), low, _LAST / (high - low), values)
     return found
@@ -70,7 +70,7 @@ def _kind(law: Law | Table) -> Kind:
 
 @dataclass(frozen=True)
 class Closure(Effect):
-    """A term of one equation; `options` say which."""
+    """A law or table as an additional term of one equation; `options` are the equation and the form."""
 
     law: Law | Table = grammar.LAWS[0]
     limits: tuple[float, float] = (0.0, 1.0)
@@ -78,9 +78,9 @@ class Closure(Effect):
     probes: tuple[float, ...] = ()
     """Start values of a threshold, within the limits."""
     numbers: Bench | None = None
-    """The bench, once it is adapted."""
+    """Bench to which the term is adapted."""
     name: NamedLaw | None = None
-    """Of a grown effect."""
+    """Named law of a grown effect; None for an unnamed term."""
     stage = 2
 
     @property
@@ -97,7 +97,7 @@ class Closure(Effect):
 
     @property
     def family(self) -> str:
-        """Laws of flows cannot pass for an error in the form of a law of forces."""
+        """Family of the term; flows and forces differ, as a term of one cannot mimic a form error of the other."""
         if self.named:
             return _FAMILIES.get(self.law.equation, "leak")
         flows = self.law.equation in ("actuation", "pressure", "pressure_a", "pressure_b")
@@ -115,7 +115,7 @@ class Closure(Effect):
 
     @property
     def memory_element(self) -> MemoryElement | None:
-        """Memory element of the term."""
+        """Memory element of the term; None if it has none."""
         return self.law.memory_element
 
     def acts_in(self, *hooks: str) -> bool:
@@ -127,7 +127,7 @@ class Closure(Effect):
 
     def adapted(self, bench: Bench) -> Closure:
         parameters = self.physics.fitted_parameters(None)
-        if self.probes and isinstance(self.law, Law):  # thresholds, whose range the recordings say
+        if self.probes and isinstance(self.law, Law):  # thresholds, whose range is that of the recordings
             over = {one.name for one in self.law.numbers if one.over}
             about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "probes": self.probes}
             about["neutral"] = self.probes[len(self.probes) // 2]
@@ -135,7 +135,7 @@ class Closure(Effect):
         return replace(self, numbers=bench, parameters=parameters)
 
     def start_values(self) -> list[dict[str, float]]:
-        """Return values at which the term vanishes: one set for each choice of start values of its further numbers."""
+        """Return values with zero amplitude: one set for each combination of start values of the shape parameters."""
         still = {one.name: 0.0 for one in self.parameters}
         choices = product(*(one.probes for one in self.shapes))
         return [{**still, **dict(zip((one.name for one in self.shapes), chosen, strict=True))} for chosen in choices]
@@ -146,7 +146,7 @@ class Closure(Effect):
         return {"equation": self.law.equation, "form": self.law.form, "parameters": {**bounds, **values}}
 
     def _remembering(self, at: Signals, memory: Memory, values: Values) -> Signals:
-        """The signals with what the law remembers of them."""
+        """The signals with the output of the law's memory element."""
         element = self.memory_element
         if element is None:
             return at
@@ -168,7 +168,7 @@ class Closure(Effect):
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
     def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
-        """The model's term, whose value and memory are those of a record or of windows."""
+        """The model's term, with value and memory evaluated over a record or over windows."""
         bound = super()._bound(values, memory, **context)
         bench = context.get("numbers")
 
@@ -184,13 +184,13 @@ class Closure(Effect):
         return spool + self.term_value(at, values).reshape(spool.shape)
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
-        """Flows are computed in the middle of each sample."""
+        """Store the path memory at the samples: the hooks of flows run between them, at the middles."""
         if self.acts_in("leaks") and self.memory_element is not None and self.memory_element.kind == "path":
             self._remembering(Signals(motion.position, motion.velocity), memory, values)
 
 
 class EdgeClosure(Closure):
-    """A share of the flow through the valve's edges that does not pass; it remembers the spool's mean position."""
+    """Relative loss of the flow through the valve's edges; its memory is driven by the spool's mean position."""
 
     def leaks(self, flows: Pair, oil: Oil, bench: Bench, memory: Memory, values: Values) -> Pair:
         opened, closed = (substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
@@ -200,11 +200,11 @@ class EdgeClosure(Closure):
         return flows[0] - lost[0], flows[1] - lost[1]
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
-        """What it remembers is the current's."""
+        """Store nothing: the memory is driven by the spool, not by the motion."""
 
 
 class LoadMassClosure(Closure):
-    """A mass that the load drags along."""
+    """Additional mass that moves with the load."""
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         if motion.acceleration is None:  # it is being computed: see `inertia`
@@ -216,7 +216,7 @@ class LoadMassClosure(Closure):
 
 
 class PressureSensorClosure(Closure):
-    """Error of a pressure sensor, whose pressure the flows follow."""
+    """Error of a pressure sensor, inverted because the flows depend on the true pressure."""
 
     @property
     def nonlinear_channel(self) -> str:  # type: ignore[override]
@@ -226,17 +226,17 @@ class PressureSensorClosure(Closure):
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:
             return reading
-        if self.memory_element is None and self.nonlinear_channel and self.law.uses <= {channel}:  # a curve of it alone
+        if self.memory_element is None and self.nonlinear_channel and self.law.uses <= {channel}:  # a static curve
             low, high = float(np.min(reading)), float(np.max(reading))
             beyond = 0.5 * max(high - low, 1.0)  # the signal may lie outside of what its reading spans
             curve = np.linspace(low - beyond, high + beyond, 2000)
             rising = np.maximum.accumulate(curve + self.term_value(sensor_signals(channel, curve), values))
-            risen = np.concatenate([[True], np.diff(rising) > 0.0])  # where a reading stays: the least that shows it
+            risen = np.concatenate([[True], np.diff(rising) > 0.0])  # where the curve is flat: its smallest signal
             return np.asarray(np.interp(reading, rising[risen], curve[risen]))
         signal = reading
         recalls = (
             self.memory_element is not None and self.memory_element.signal == channel
-        )  # its own signal's past counts
+        )  # memory of the signal itself
         for _ in range(ITERATIONS):
             at, before = sensor_signals(channel, signal, memory.other_signals), signal
             signal = reading - self.term_value(self._remembering(at, memory, values), values)
@@ -246,7 +246,7 @@ class PressureSensorClosure(Closure):
 
 
 class PositionSensorClosure(Closure):
-    """Error of the position sensor, on whose position all equations depend."""
+    """Error of the position sensor, inverted because all equations depend on the true position."""
 
     is_position_error = True
 
@@ -261,14 +261,14 @@ class PositionSensorClosure(Closure):
 
 
 def is_closure(effect: Effect) -> TypeGuard[Closure]:
-    """Return whether an effect is a term without a name: no grown effect."""
+    """Return whether an effect is an unnamed term, not a grown effect."""
     return isinstance(effect, Closure) and effect.name is None
 
 
 def closure(
     law: Law | Table, bench: Bench, limits: tuple[float, float] = (0.0, 1.0), probes: tuple[float, ...] = ()
 ) -> Closure:
-    """A law or table as an effect on a bench.
+    """Return a law or table as an effect adapted to a bench.
 
     `limits`: of a table's variable or of a law's threshold, SI unit; `probes`: start values of that threshold.
     """
@@ -276,7 +276,7 @@ def closure(
 
 
 def grown_cause(named: NamedLaw) -> Closure:
-    """A grown effect as a cause; what it remembers is kept under its own name."""
+    """Return a grown effect (a named law) as a candidate cause, adapted to the nominal bench."""
     return _class(named.law)(CATALOGUE[named.id], law=named.law, name=named).adapted(Bench.nominal())
 
 
@@ -288,7 +288,7 @@ def _class(law: Law | Table) -> type[Closure]:
 
 
 def from_mapping(entry: Mapping[str, Any], bench: Bench) -> tuple[Closure, dict[str, float]]:
-    """An entry of `closures` in corrected.yaml, checked by `Bench`, as an effect with values."""
+    """Return effect and parameter values of an entry of `closures` in corrected.yaml, already checked by `Bench`."""
     law = grammar.FORMS[entry["equation"], entry["form"]]
     numbers = {name: float(entry["parameters"][name]) for name in law.names}
     limits = (numbers.pop("low"), numbers.pop("high")) if isinstance(law, Table) else (0.0, 1.0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects with memory, over records and windows: dead time, lags, droop, bristles, play; and how a gain is undone.
+"""Effects with memory, over records and windows: dead time, lags, droop, bristles, play; inversion of sensor errors.
 
-The model advances their hidden states step by step; here a whole record passes at once (`effects.memory`). A soft
-overlap has no memory, but is computed once for a current that is held.
+The model advances their hidden states step by step; here a whole record is filtered at once (`effects.memory`). A soft
+overlap has no memory, but is computed only once for each value of a held current.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hydro_sim.model.effects import friction, motion, oil, sensing, valve
 
 
 class DeadTime(Effect):
-    """u(t - T), exact for a current that is held between samples."""
+    """Dead time u(t - T) of the command, exact for a current that is held between samples."""
 
     stage = 0
 
@@ -41,7 +41,7 @@ class DeadTime(Effect):
 
 
 class SpoolLag(Effect):
-    """Spool of second order, sampled exactly for a held current."""
+    """Second-order spool dynamics, discretised exactly for a held current."""
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
         numerator, denominator = _spool(round(values["bandwidth"], 9), round(values["damping"], 9), substep)
@@ -53,7 +53,7 @@ class SpoolLag(Effect):
 
 @lru_cache(maxsize=256)
 def _spool(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, FloatArray]:
-    """Transfer function from the held current to its response averaged over the step."""
+    """Discrete transfer function from the held current to the spool position averaged over the step."""
     omega = 2.0 * np.pi * bandwidth
     system = np.array([[0.0, 1.0], [-omega * omega, -2.0 * damping * omega]])
     # states: position, velocity, integral of position, input
@@ -71,7 +71,7 @@ def _spool(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, F
 
 
 class SpoolLagFirstOrder(Effect):
-    """Spool of first order, sampled exactly for a held current."""
+    """First-order spool dynamics, discretised exactly for a held current."""
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
         decay = np.exp(-2.0 * np.pi * values["bandwidth"] * substep)
@@ -83,20 +83,20 @@ class SpoolLagFirstOrder(Effect):
 
 
 class Overlap(Effect):
-    """What the edges make of the spool's position."""
+    """Overlap (dead band) of the valve's edges, which follows the spool dynamics in the command path."""
 
     stage = 2
 
 
 class SoftOverlap(Overlap):
-    """Edges that open gradually."""
+    """Overlap with edges that open gradually."""
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
         return opened(spool, values["half_width"], values["softness"])
 
 
 def opened(current: FloatArray, width: float, soft: float) -> FloatArray:
-    """Current [A] that acts, of the same shape, behind an overlap of half `width` that opens over `soft` [A]."""
+    """Effective current [A], of the same shape, behind an overlap of half-width `width` that opens over `soft` [A]."""
     found = np.empty(current.shape)
     _opened(found.reshape(-1), np.ascontiguousarray(current).reshape(-1), width / soft, soft)
     return found
@@ -120,25 +120,25 @@ def _softplus(over):
 
 
 class Droop(Effect):
-    """The supply falls with the demand, after a lag."""
+    """Droop of the supply pressure with the flow demand, after a first-order lag."""
 
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return supply - values["resistance"] * memory.lag("supply", demand, values["time_constant"])
 
 
 class Stribeck(Effect):
-    """A rise of friction near standstill, of which another form may fit as well."""
+    """Stribeck friction: a rise near standstill, of which another form may fit as well."""
 
 
 class StribeckExponential(Stribeck):
-    """Level F_s exp(-|v|/v_s) (Tustin 1947), which is not claimed."""
+    """Stribeck friction of exponential form, F_s exp(-|v|/v_s) (Tustin 1947), which is never claimed."""
 
     def dry_level(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
         return level + values["breakaway_force"] * np.exp(-np.abs(motion.velocity) / values["velocity"])
 
 
 class Bristles(Effect):
-    """Friction that bends before it slides."""
+    """Presliding friction: a bristle that deflects elastically before it slides (Dahl 1968)."""
 
     bristles = True
 
@@ -148,7 +148,7 @@ class Bristles(Effect):
 
 
 class Play(Effect):
-    """A spring that is dragged through a gap."""
+    """Backlash (play operator) between the piston and the load's spring."""
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         dragged = memory.play("backlash", motion.position, values["width"])
@@ -156,7 +156,7 @@ class Play(Effect):
 
 
 class Calibration(Effect):
-    """A sensor's gain or bias, which is undone exactly."""
+    """Gain or bias error of a sensor, inverted exactly."""
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         zero, one = (float(self.read_sensor(channel, np.asarray(x), memory, values)) for x in (0.0, 1.0))
@@ -164,7 +164,7 @@ class Calibration(Effect):
 
 
 class Amplifier(Effect):
-    """A sensor's low-pass."""
+    """Second-order low-pass of a sensor's amplifier, inverted by derivatives of the smoothed reading."""
 
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.lagged_channel:
@@ -175,7 +175,7 @@ class Amplifier(Effect):
         if channel != self.lagged_channel:
             return reading
         omega = 2.0 * np.pi * values["bandwidth"]
-        smoothed = gaussian_filter1d(reading, 4.0, mode="nearest")  # over some 10 samples: noise stays below its own
+        smoothed = gaussian_filter1d(reading, 4.0, mode="nearest")  # over some 10 samples: adds less noise than it has
         slope = np.gradient(smoothed, memory.step)
         bend = np.gradient(slope, memory.step)
         return np.asarray(reading + 2.0 * values["damping"] / omega * slope + 1.0 / omega**2 * bend)
@@ -197,4 +197,4 @@ CLASSES: dict[type[physics.Effect], type[Effect]] = {
     sensing.PressureSensorBias: Calibration,
     sensing.SensorLag: Amplifier,
 }
-"""By the effect of the model; all others are plain."""
+"""Subclasses of `Effect`, by the effect of the model; all other effects are plain `Effect`s."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Elements with memory: filtered over a whole record, or advanced step by step.
 
-`ColumnMemory` and `WindowMemory` run over many windows side by side: one column each, time down the first axis.
+`ColumnMemory` and `WindowMemory` process many windows in parallel: one per column, time along the first axis.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hydro_sim.jit import njit
 
 @njit
 def bristle_force(position, stiffness, limit):
-    """Return the force of a bristle at each position, shape (n,), unloaded at the first; `limit`: yield force, (n,).
+    """Return a bristle's force at each position, shape (n,), 0 at the first; `limit`: yield force, shape (n,).
 
     Within a sample the solution of dF/dx = stiffness (1 - F sign(dx)/limit) is exact. Source: Dahl 1968.
     """
@@ -34,14 +34,14 @@ def bristle_force(position, stiffness, limit):
 
 
 def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
-    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there."""
+    """First-order lag of a held signal, from `start`: values at the begin of each step [s] and means over it, (n,)."""
     decay = float(np.exp(-step / time))
     begins, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[start])
     return begins, begins + (1.0 - (1.0 - decay) * time / step) * (signal - begins)
 
 
 class Memory:
-    """Memory over a record that is sampled every `step` seconds; it starts in equilibrium with the first sample.
+    """Elements with memory over a record sampled every `step` [s], initially in equilibrium with the first sample.
 
     `other_signals`: signals on which a reading may depend besides its own, by the names of
     `hydro_sim.model.laws.Signals`.
@@ -51,50 +51,50 @@ class Memory:
         self.step = step
         self.other_signals = other_signals or {}
         self.traces: dict[str, FloatArray] = {}
-        """The states that were passed, for simulations that start along the record."""
+        """States of the elements along the record, by key, from which simulations start."""
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
-        """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where.
+        """First-order lag of a signal, `time_constant` in s; the initial state is `start`, or else the first sample.
 
-        The signal is held between samples, the outcome is the mean over each sample.
+        The signal is held between samples; the output is the mean over each sample.
         """
         begin = float(signal[0]) if start is None else start
         self.traces[key], mean = held_lag(signal, self.step, time_constant, begin)
         return mean
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        """Second-order low-pass, `bandwidth` in Hz; the signal is a straight line between samples."""
+        """Second-order low-pass, `bandwidth` in Hz, of a signal that is linear between samples."""
         numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
         state = np.multiply.outer(np.cumsum((numerator - denominator)[::-1])[::-1][1:], signal[0])
         passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
         return np.asarray(passed, dtype=np.float64)
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
-        """Position [m] of what is dragged through a gap of `width` [m], from its middle (the play operator)."""
+        """Output position [m] of the play operator (backlash) of `width` [m], which starts in its middle."""
         self.traces[key] = _play(position, width / 2.0)
         return self.traces[key]
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-        """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
+        """Elastic force [N] of a bristle along `position` [m], with yield force `limit` [N] (Dahl)."""
         self.traces[key] = bristle_force(np.ascontiguousarray(position), stiffness, np.ascontiguousarray(limit))
         self.traces[key + ".x"] = position
         return self.traces[key]
 
 
 class StepMemory(Memory):
-    """Memory of many windows that advance together, one `step` at a time; `tick` closes a step.
+    """Elements with memory of many windows, advanced in parallel one `step` [s] at a time; `tick` ends a step.
 
-    Sensors are applied to the whole outcome: what only they need stays a record's.
+    `low_pass` is not advanced: only sensors need it, and they are applied to the simulated windows as a whole.
     """
 
     def __init__(self, step: float, states: dict[str, FloatArray]) -> None:
         super().__init__(step)
         self._states = states
-        """As a record left every element."""
+        """State of every element, by key; initially those along a record."""
         self._next: dict[str, FloatArray] = {}
 
     def tick(self) -> None:
-        """Accept the states that the last evaluation proposed."""
+        """Advance to the next states, which the last evaluation computed."""
         self._states.update(self._next)
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
@@ -115,7 +115,7 @@ class StepMemory(Memory):
 
 
 def _bent(force: FloatArray, moved: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-    """Force [N] of a bristle after it has `moved` [m] (`along`)."""
+    """Force [N] of a bristle after a displacement `moved` [m] from the state `force` [N]."""
     goal = np.sign(moved) * limit
     return np.asarray(goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit, 1e-6)))
 
@@ -130,11 +130,11 @@ def _play(position, half):
 
 @lru_cache(maxsize=256)
 def amplifier(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, FloatArray]:
-    """Second-order low-pass, sampled exactly for an input that is a straight line between samples.
+    """Second-order low-pass, discretised exactly for an input that is linear between samples.
 
     Returns
     -------
-    Numerator and denominator in z^-1, three numbers each.
+    Numerator and denominator in z^-1, three coefficients each.
     """
     omega = 2.0 * np.pi * bandwidth
     augmented = np.zeros((4, 4))  # position, velocity, input, its slope
@@ -157,11 +157,11 @@ def amplifier(bandwidth: float, damping: float, step: float) -> tuple[FloatArray
 
 
 Indices = npt.NDArray[np.int64]
-"""Samples at which windows begin."""
+"""Indices of the samples at which windows begin."""
 
 
 class ColumnMemory(Memory):
-    """A record's memory whose time runs down the first axis, one column per window."""
+    """Elements with memory over many windows, one per column, time along the first axis."""
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         single = super().lag
@@ -169,7 +169,7 @@ class ColumnMemory(Memory):
 
 
 class WindowMemory(ColumnMemory):
-    """A column memory of windows that begin along a record, in the states in which it left what remembers."""
+    """Column memory of windows that start along a record, with its states (`traces`) as their initial states."""
 
     def __init__(self, step: float, other_signals: Mapping[str, FloatArray], traces: dict[str, FloatArray],
                  at: Indices) -> None:  # fmt: skip
@@ -177,7 +177,7 @@ class WindowMemory(ColumnMemory):
         self._along, self._at = traces, at
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
-        """A slow state is the record's."""
+        """Return the record's slow state at the samples of the windows."""
         return self._along[key][self._at]
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of hypotheses by weighted least squares: problem, fit, score tests, intervals, free-form inputs."""
+"""Estimation of the parameters of hypotheses by weighted least squares: noise, problem, fit, screening, intervals."""

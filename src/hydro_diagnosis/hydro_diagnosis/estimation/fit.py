@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares over the parameters of some claims, with each channel weighed by what it leaves unexplained.
+"""Maximum likelihood of the parameters of claims: least squares with each channel weighted by its residual variance.
 
-A channel's deviation is never taken below the measured noise, and above it where the claims leave a remainder: so a
-channel that nobody can explain does not drown the evidence of the others (diagnosis.md, "Evidence").
+A channel's standard deviation is at least that of the measured noise, and larger where the claims leave a remainder: a
+channel that no claim explains does not outweigh the evidence of the others (diagnosis.md, "Evidence").
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ Part = TypeVar("Part")
 
 
 def pack(claims: Sequence[Claim]) -> tuple[list[FitParameter], FloatArray]:
-    """Parameters and their values, claim after claim."""
+    """Return the parameters of all claims and their values, shape (k,), claim by claim."""
     parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
     values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]
     return parameters, np.array(values, dtype=np.float64)
 
 
 def by_claim(claims: Sequence[Claim], values: Sequence[Part]) -> Iterator[tuple[Claim, Sequence[Part]]]:
-    """Each claim with its part of `values`, which have one entry per parameter in the order of `pack`."""
+    """Yield each claim with its part of `values`: one entry per parameter, in the order of `pack`."""
     at = 0
     for claim in claims:
         yield claim, values[at : at + len(claim.effect.parameters)]
@@ -40,7 +40,7 @@ def by_claim(claims: Sequence[Claim], values: Sequence[Part]) -> Iterator[tuple[
 
 
 def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
-    """Claims from values."""
+    """Return the claims of effects with parameter values in the order of `pack`, shape (k,)."""
     claims, k = [], 0
     for effect in effects:
         names = [parameter.name for parameter in effect.parameters]
@@ -50,9 +50,10 @@ def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
 
 
 def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, first: int = 0) -> FloatArray:
-    """One-sided differences over 1/1000 of a span, towards the neutral value's far side unless a bound stands there.
+    """Jacobian of the residual by one-sided differences over 1/1000 of a span, upwards unless a bound is closer.
 
-    `residual`: at these claims. `first`: parameter from which on columns are computed.
+    In residuals per `FitParameter.span`, shape (n, k - first). `residual`: at these claims. `first`: index of the first
+    parameter of which a column is computed.
     """
     parameters, values = pack(claims)
     effects = [claim.effect for claim in claims]
@@ -68,14 +69,14 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, fi
 
 
 FORM_ERROR = 0.035
-"""Share of a claim's signature that its form may be off by: another of its family must explain more."""
+"""Form error of a claim as a share of its signature: another claim of its family must explain more than that."""
 SHORTEST = 1e-100
-"""Length of a column below which it counts as nothing: its square still is a number."""
+"""Lower bound of the length of a column, or of its square, in divisions: small, but its square does not underflow."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Claims at their best values."""
+    """Fitted claims with their residual, Jacobian and deviance."""
 
     claims: tuple[Claim, ...]
     residual: FloatArray
@@ -86,21 +87,21 @@ class Fit:
 
     @property
     def cause_claims(self) -> tuple[Claim, ...]:
-        """Claims of causes: all but the bench numbers that every fit estimates."""
+        """Claims of causes: all but the bench parameters that every fit estimates."""
         return tuple(claim for claim in self.claims if not claim.effect.estimated)
 
     @property
     def removable(self) -> tuple[Claim, ...]:
-        """Claims of causes that no other claim needs."""
+        """Claims of causes that may be removed: no other claim needs them."""
         needed = {name for claim in self.claims for name in claim.effect.needs}
         return tuple(claim for claim in self.cause_claims if claim.effect.id not in needed)
 
     def claims_without(self, claim: Claim) -> tuple[Claim, ...]:
-        """All claims but this one."""
+        """Return all claims of the fit except one."""
         return tuple(one for one in self.claims if one is not claim)
 
     def columns(self, claim: Claim) -> slice:
-        """Columns of the Jacobian that are a claim's."""
+        """Return the slice of the Jacobian's columns that belong to a claim's parameters."""
         at = sum(len(one.effect.parameters) for one in self.claims[: self.claims.index(claim)])
         return slice(at, at + len(claim.effect.parameters))
 
@@ -111,7 +112,7 @@ class Fit:
 
     @property
     def score(self) -> float:
-        """Deviance plus price: lower is better."""
+        """Bayesian information criterion: deviance plus ln(n) per parameter; lower is better."""
         return self.deviance + self.free * float(np.log(len(self.residual)))
 
 
@@ -124,11 +125,11 @@ def fit(
     fixed: int | None = None,
     slopes: FloatArray | None = None,
 ) -> Fit:
-    """Levenberg-Marquardt from the claims' values, within their bounds, until the deviance gains less than `tolerance`.
+    """Fit claims by Levenberg-Marquardt from their values, within bounds, until a step gains less than `tolerance`.
 
-    Numbers that the problem estimates are fitted too, before the claims. `fixed`: index of a parameter that stays where
-    it is. `slopes`: the Jacobian nearby; it is then followed by secants (Broyden 1965), one residual a step, instead of
-    being computed at each.
+    Bench parameters that the problem estimates are fitted too, before the claims. `tolerance`: in deviance. `fixed`:
+    index of a parameter that is held constant. `slopes`: initial Jacobian; it is then updated by secants (Broyden
+    1965), with one residual a step, instead of being computed at each.
     """
     among = {claim.effect.label for claim in claims if claim.effect.estimated}
     claims = (*(one for one in problem.estimated if one.effect.label not in among), *claims)
@@ -137,7 +138,7 @@ def fit(
     span = np.array([parameter.span for parameter in pack(claims)[0]])
     residual = problem.residual(claims)
     best = problem.deviance(residual)
-    slopes = None if problem.estimated else slopes  # numbers begin far from where they end: too far for secants
+    slopes = None if problem.estimated else slopes  # these start far from their estimates: too far for secants
     damping, secant = 1e-4, slopes is not None
     slopes = jacobian(problem, claims, residual) if slopes is None else slopes
     for _ in range(iterations if len(values) else 0):
@@ -184,21 +185,21 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
 def cross_validated_deviance(
     products: FloatArray, weight: FloatArray, count: FloatArray, size: float = 1.0
 ) -> FloatArray:
-    """Return -2 log likelihood, up to a constant, of blocks to which the columns were not fitted, shape (sets,).
+    """Return the held-out deviance of each set of columns by cross-validation over blocks of time, shape (sets,).
 
-    Residuals are linear in a term's parameters to first order. So cross-validation of any set of columns needs no
-    further residual: each fold's products of all columns are summed once, by channel, and every set is solved from
-    them.
+    -2 log likelihood up to a constant. Residuals are linear in a term's parameters to first order. So cross-validation
+    of any set of columns needs no further residual: each fold's products of all columns are summed once, by channel,
+    and every set is solved from them.
 
     Parameters
     ----------
     products
-        Of a residual (the first) and columns with each other, by fold and channel, for sets of columns: shape
+        Inner products of a residual (the first) and the columns, by fold and channel, for sets of columns: shape
         (folds, channels, columns, columns, sets).
     weight, count
         Of each channel: inverse variance and number of residuals.
     size
-        Factor of all products.
+        Squared length of the residual, if the products are those of a normalised one.
     """
     length = np.sqrt(np.maximum(np.einsum("fciim->im", products), SHORTEST))
     length[0] = 1.0
@@ -213,7 +214,7 @@ def cross_validated_deviance(
 
 
 def held_out_deviance(problem: Problem, found: Fit) -> float:
-    """-2 log likelihood, up to a constant, of blocks that the parameters of a fit were not fitted to."""
+    """Return the cross-validated deviance of a fit: -2 log likelihood, up to a constant, of held-out blocks of time."""
     layout, channels = problem.layout, len(problem.layout.count)
     everything = np.column_stack([found.residual, found.jacobian])
     group = layout.channel * FOLDS + layout.folds()
@@ -225,7 +226,7 @@ def held_out_deviance(problem: Problem, found: Fit) -> float:
 
 
 def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
-    """Part of a vector that is orthogonal to columns."""
+    """Return the component of a vector, shape (n,), orthogonal to columns, shape (n, k)."""
     if columns.shape[1] == 0:
         return vector
     lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -233,16 +234,16 @@ def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
-    """The fit with another claim, the slopes of its parameters computed and those of `found` taken over."""
+    """Return the fit with a further claim, from its Jacobian columns and those of the fit `found`."""
     claims = (*found.claims, claim)
     if problem.estimated:
-        return fit(problem, claims, tolerance=tolerance)  # which takes no slopes
+        return fit(problem, claims, tolerance=tolerance)  # bench parameters: no secants
     own = jacobian(problem, claims, problem.residual(claims), found.free)
     return fit(problem, claims, tolerance=tolerance, slopes=np.column_stack([found.jacobian, own]))
 
 
 def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
-    """The fit without a claim, by the slopes of `found`."""
+    """Return the fit without a claim, from the Jacobian of the fit `found`."""
     at = found.claims.index(claim)
     slopes = np.delete(found.jacobian, found.columns(claim), axis=1)
     others = (*found.claims[:at], *found.claims[at + 1 :])
@@ -250,7 +251,7 @@ def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float 
 
 
 def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
-    """Share of the held-out squared residual, beyond that of all claims, that a claim removes; below 0: it adds."""
+    """Return one claim's share of a fit's reduction of the held-out squared residual; below 0: an increase."""
     squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
     nothing, fewer, everything = squares
     return (fewer - everything) / max(nothing - everything, 1e-12)
@@ -258,14 +259,14 @@ def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
 
 @dataclass(frozen=True)
 class Prospect:
-    """A candidate with starting values and the gain in deviance that they promise."""
+    """A candidate claim at start values, with its first-order gain in deviance."""
 
     claim: Claim
     gain: float
 
 
 def eligible_effects(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence[str]) -> Iterator[Effect]:
-    """Yield the effects that may join the claims: another cause, its needs claimed, visible in these blocks."""
+    """Yield the effects that may be added to claims: of another cause, their needs claimed, acting in these blocks."""
     taken = {cause(claim.effect) for claim in claims}
     ids = {claim.effect.id for claim in claims}
     for effect in library:
@@ -274,22 +275,22 @@ def eligible_effects(library: Sequence[Effect], claims: Sequence[Claim], blocks:
 
 
 def cause(effect: Effect) -> tuple[str, ...]:
-    """Key that identifies a cause: id and options, but not the form unless it has no name."""
+    """Return the key of an effect's cause: id and options, without the form if the effect has a name."""
     telling = {key: value for key, value in effect.options.items() if key != "form" or not effect.named}
     return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
 
 
 Signatures = dict[tuple[object, ...], npt.NDArray[np.float32]]
-"""Changes of the residual by the candidates at their starts, kept for claims that differ by a few.
+"""Changes of the residual by candidates at their start values (physical unit), cached by label and values.
 
-What a candidate does depends little on the other claims: to rank candidates, not to fit them, it may be old.
+They depend little on the other claims, so that outdated ones suffice to rank candidates, not to fit them.
 """
 
 
 def screen(
     problem: Problem, found: Fit, library: Sequence[Effect], signatures: Signatures | None = None
 ) -> list[Prospect]:
-    """Prospects, the most promising first; `signatures` that are known already are not computed again."""
+    """Return the candidates that may be added to a fit, ranked by first-order gain; `signatures`: cache, extended."""
     weight = problem.weight(found.residual)
     basis = found.jacobian * weight[:, None]
     if basis.shape[1]:
@@ -316,7 +317,7 @@ def screen(
 def _start_values(
     problem: Problem, claim: Claim, direction: FloatArray, weight: FloatArray, left: FloatArray
 ) -> Prospect:
-    """Start values: amplitudes as suggested to first order, off a bound by 2 % of the way or more; shapes as probed."""
+    """Start values: first-order estimates of amplitudes, 2 % of the range or more off bounds; shapes as probed."""
     effect, power = claim.effect, float(direction @ direction)
     if power <= 1e-12:
         return Prospect(claim, 0.0)

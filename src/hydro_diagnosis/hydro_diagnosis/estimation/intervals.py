@@ -3,10 +3,10 @@
 
 A parameter is moved, all others are fitted again, and the deviance must rise by 3.84. Residuals are not quite
 independent and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to
-the curvature (the sandwich), and by more where blocks resemble their neighbours (slow noise, drift); where a remainder
-is left unexplained that ratio grows by itself. The systematic part covers the residuals' own discretisation, a fraction
-of the smallest size worth claiming, noise in what a parameter multiplies, and rows that were not recorded. Where a
-claim's law may have another form, the interval spans those of all forms that fit as well.
+the curvature (the sandwich), and by more where blocks are autocorrelated (slow noise, drift); where a remainder is left
+unexplained that ratio grows by itself. The systematic part covers the residuals' own discretisation, a fraction of the
+smallest size worth claiming, noise in a parameter's regressor, and missing rows. Where a claim's law may have another
+form, the interval spans those of all forms that fit as well.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from hydro_diagnosis.significance import (
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
-    """Shift of each claim's parameters if half of the rows are left out, to first order; 0 if none are missing.
+    """Absolute first-order shift of each claim's parameters if half of the rows are left out; 0 if no row is missing.
 
     Returns
     -------
@@ -53,9 +53,9 @@ def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
 
 
 def is_significant(claim: Claim) -> bool:
-    """Return whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
+    """Return whether any of a claim's amplitudes exceeds its smallest size, and none is at a bound but neutral.
 
-    An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
+    An effect without amplitudes (bristles, by their stiffness) must differ from neutral by `PRACTICAL_SHARE`.
     """
     amplitudes = claim.effect.amplitudes
     for one in amplitudes:
@@ -71,7 +71,7 @@ def is_significant(claim: Claim) -> bool:
 
 
 def all_significant(problem: Problem, found: Fit) -> bool:
-    """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
+    """Return whether every claim is significant, and exceeds its errors by a noisy regressor and by missing rows."""
     for claim in found.cause_claims:
         least, values = COVERAGE_FACTOR * problem.attenuation.get(claim.effect.id, 0.0), claim.values
         beyond = not least or any(abs(values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
@@ -87,7 +87,7 @@ def all_significant(problem: Problem, found: Fit) -> bool:
 
 
 FEWEST = 3.0
-"""Degrees of freedom at least."""
+"""Smallest number of degrees of freedom."""
 
 
 @dataclass(frozen=True)
@@ -99,16 +99,16 @@ class Interval:
     high: float
     identifiable: bool
     inflation: float = 1.0
-    """Standard deviations that residuals as they are make of one by independent residuals."""
+    """Ratio of the parameter's robust standard deviation (sandwich) to that under independent residuals."""
 
     def estimate(self, unit: str) -> ParameterEstimate:
-        """As it stands in report.json."""
+        """Return the entry of report.json: value, unit, and the interval if the parameter is identifiable."""
         ci95 = [self.low, self.high] if self.identifiable else None
         return ParameterEstimate(value=self.value, ci95=ci95, unit=unit)
 
 
 def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
-    """Return the fit without claims whose intervals include neutral, and the intervals of those that remain."""
+    """Return the fit without claims whose intervals include the neutral values, and the intervals of its parameters."""
     while True:
         bounds = intervals(problem, found)
         standing = [claim for claim, own in by_claim(found.claims, bounds)
@@ -121,7 +121,7 @@ def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Inter
 
 
 def all_exclude_neutral(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
-    """Return whether no claim's interval includes its absence; `bounds` of all parameters, in the order of `pack`."""
+    """Return whether the intervals of every cause exclude its absence; `bounds`: in the order of `pack`."""
     return not any(_includes_neutral(claim, own) for claim, own in by_claim(claims, bounds)
                    if not claim.effect.estimated)  # fmt: skip
 
@@ -134,7 +134,7 @@ def _includes_neutral(claim: Claim, bounds: Sequence[Interval]) -> bool:
 
 
 def intervals(problem: Problem, found: Fit) -> list[Interval]:
-    """One per parameter of the claims, in the order of `pack`."""
+    """Return the 95 % interval of each parameter of the claims, in the order of `pack`."""
     owners = [claim for claim in found.claims for _ in claim.effect.parameters]
     bounds = _intervals(problem, found, range(len(owners)))
     for claim in found.claims:
@@ -173,7 +173,7 @@ def _intervals(problem: Problem, found: Fit, which: Sequence[int]) -> list[Inter
 
 
 def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations by curvature, in spans, and how much wider the sandwich says they are."""
+    """Standard deviations by curvature, in spans, and the factors by which the sandwich's are larger."""
     layout = problem.layout
     weight = 1.0 / problem.variances(found.residual)[layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
@@ -193,13 +193,13 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
-    """Factor of the variance of sums over blocks that do not differ by chance from those before.
+    """Factor of the variance of sums over blocks by their autocorrelation, shape (k,).
 
     The larger of that of a first-order process (Andrews and Monahan 1992), which lasts, and of the sum of pairs of
     autocorrelations up to the first that chance would make (Geyer 1992), which may end at once: a stroke's own error.
 
-    `moves`: what each block moves each parameter by, shape (blocks, k). `blocks`: number of each block in time; those
-    that follow upon each other differ by 1.
+    `moves`: shift of each parameter by each block, shape (blocks, k). `blocks`: index of each block in time; those of
+    consecutive blocks differ by 1.
     """
     chance = QUANTILE / sqrt(max(len(blocks), 1))
     power = np.maximum(np.mean(np.square(moves), axis=0), 1e-300)
@@ -210,7 +210,7 @@ def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
         return np.asarray(np.sum(pairs, axis=0) / max(len(pairs), 1) / power)
 
     first = correlation(1) if len(blocks) > 1 else np.zeros(moves.shape[1])
-    most = (len(blocks) - FEWEST) / (len(blocks) + FEWEST)  # as many blocks as that are new
+    most = (len(blocks) - FEWEST) / (len(blocks) + FEWEST)  # leaves `FEWEST` independent blocks
     first = np.clip(np.where(first > chance, first, 0.0), 0.0, max(most, 0.0))
     total, lasts = 1.0 + 2.0 * first, np.ones(moves.shape[1], bool)
     for lag in range(2, len(blocks) // 4, 2):
@@ -225,8 +225,8 @@ def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
 def _profiled(problem: Problem, found: Fit, index: int, value: float, step: float, inflation: float) -> float:
     """Distance at which the profile has risen by QUANTILE^2 inflation^2, from one point on it near there.
 
-    Where two shapes are nearly one, the curvature at the fit says nothing of the distance: then points come nearer.
-    Values beyond a number's bounds mean nothing: the profile ends there.
+    Where two shapes are nearly the same, the curvature at the fit says nothing of the distance: then the step is
+    reduced. The profile ends at the parameter's bounds.
     """
     effects = [claim.effect for claim in found.claims]
     number = [parameter for effect in effects for parameter in effect.parameters][index]

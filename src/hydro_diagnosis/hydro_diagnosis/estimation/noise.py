@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What residuals may be off if nothing is missing.
+"""Standard deviations of the residuals under a complete model.
 
-The sensors' noise, measured by the white part of the recordings themselves; noise and timing of the flows; and dry
-friction near standstill, whose sign is not known.
+They follow from the sensors' noise, estimated from the white part of the recordings themselves; noise and timing of
+the flows; and the unknown sign of dry friction near standstill.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ if TYPE_CHECKING:
     from hydro_diagnosis.model.segment_model import SegmentModel
 
 VELOCITY_UNCERTAINTY = 1e-3
-"""Uncertainty [m/s] of the velocity's zero."""
+"""Uncertainty [m/s] of the velocity near standstill."""
 
 
 def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units.
 
-    It does not depend on the logger: of recordings at several rates, those of the highest estimate it best.
+    It does not depend on the logging rate: of recordings at several rates, those at the highest are used.
     """
     found: dict[str, list[tuple[int, float]]] = {}
     densest = min(model.spacing for model in models)
@@ -52,7 +52,7 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
         recorded = slice(model.segment.phase, None, model.spacing)
         signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
         if model.has_position and model.has_pressures and "valve_current" in model.channels:
-            run = model.chamber_run(())  # it knows of kinks: the current's steps bend pressures and f_h
+            run = model.chamber_run(())  # without the kinks of pressures and f_h by steps of the current
             signals["pressure_a"], signals["pressure_b"] = run.innovations
             if "hydraulic_force" in signals:
                 signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
@@ -68,11 +68,11 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
 
 _SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
-"""Lower bound [Pa, N] by the residuals' own discretization (diagnosis.md, "Noise floor")."""
+"""Lower bound [Pa, N] of the residuals' standard deviations, by discretisation (diagnosis.md, "Noise floor")."""
 
 
 def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
-    """Standard deviation of each residual if nothing is missing, in its physical unit; `step` between recorded rows."""
+    """Return the standard deviation of each residual by sensor noise, physical units; `step` [s] between rows."""
     position = sensors.get("piston_position", 0.0)
     inertia = bench.moving_mass * position * ACCELERATION_NOISE_GAIN / step**2
     damping = bench.viscous_friction * position * VELOCITY_NOISE_GAIN / step
@@ -92,10 +92,10 @@ def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> d
 
 
 def mass_attenuation(models: Sequence[SegmentModel], sensors: Mapping[str, float], mass: float) -> float:
-    """Share of a moving mass [kg] that the encoder's noise hides: that of noise in the acceleration's power.
+    """Attenuation bias [kg] of a moving mass by encoder noise: `mass` times the acceleration's noise-to-signal power.
 
-    Least squares with a noisy regressor are off by up to that (errors in variables: Fuller 1987); through the
-    controller the noise is also in the motion itself, so that the exact amount is not known.
+    The largest bias of least squares with a noisy regressor (errors in variables: Fuller 1987); through the controller
+    the noise is also in the motion itself, so that the exact bias is not known.
     """
     step = min(model.step * model.spacing for model in models)
     noise = sensors.get("piston_position", 0.0) * ACCELERATION_NOISE_GAIN / step**2
@@ -104,41 +104,41 @@ def mass_attenuation(models: Sequence[SegmentModel], sensors: Mapping[str, float
 
 
 class SegmentNoise:
-    """What residuals of a segment may be off if nothing is missing, physical units.
+    """Standard deviations of a segment's residuals under a complete model, physical units.
 
-    `model`: the segment. `sensors`: noise of each sensor by its channel, SI units. `flows`: whether it has residuals of
-    the pressures.
+    `model`: the segment. `sensors`: noise of each sensor by its channel, SI units. `flows`: whether the pressures have
+    residuals.
     """
 
     def __init__(self, model: SegmentModel, sensors: Mapping[str, float], *, flows: bool) -> None:
         self._model = model
         self.residuals = residual_noise(sensors, model.base, model.step * model.spacing)
-        """By the sensors' noise, by channel."""
+        """Standard deviations by sensor noise, by channel."""
         self.flows = self._of_flows(sensors) if flows else None
-        """Of the pressures, by noise in the flows."""
+        """Standard deviations [Pa] of the pressures by noise and timing of the flows; None without their residuals."""
 
     def friction(self, claims: Sequence[Claim], reversals: int) -> FloatArray:
-        """Standard deviation [N] of dry friction, decimated: near standstill the velocity is only known so well.
+        """Standard deviation [N] of dry friction by the uncertain velocity near standstill, decimated.
 
-        `reversals`: of all recordings; the same kernel misplaces the velocity alike at each of them, which does not
-        average out: its doubt is that of their mean, not of one.
+        `reversals`: number in all recordings; the smoothing kernel's error of the velocity is the same at each, so that
+        it does not average out: it counts by the root of their number.
         """
         model = self._model
         level = model.dry_friction_level(claims)
         doubt = self._swing(
             claims, VELOCITY_UNCERTAINTY + 0.5 * np.abs(model.a) * model.spacing * model.step, np.zeros_like(level)
         )
-        beyond = model.dry_friction_level(claims, np.full_like(model.v, 1.0))  # m/s: there it is that of sliding
-        if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
+        beyond = model.dry_friction_level(claims, np.full_like(model.v, 1.0))  # 1 m/s: sliding
+        if not any(claim.effect.bristles for claim in claims):  # bristles: no jump of the force
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self._kink(claims), beyond))
         late = [claim for claim in claims if claim.effect.lagged_channel == "hydraulic_force"]
         return model.kept(model.smooth(np.abs(model.reading("hydraulic_force", doubt, late))))
 
     def _kink(self, claims: Sequence[Claim]) -> FloatArray:
-        """By how much [m/s] the first Gaussian misplaces a velocity whose slope jumps where the piston reverses.
+        """Error [m/s] of the velocity by the first Gaussian around reversals, where the acceleration jumps.
 
-        Dry friction F turns round there, so x_p'' jumps by 2 F / m. A kink of slope J seen through a Gaussian of width
-        s is off by J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
+        Dry friction F reverses there, so x_p'' jumps by 2 F / m. The error of a kink of slope J behind a Gaussian of
+        width s is J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
         """
         model = self._model
         at_rest = model.dry_friction_level(claims, np.zeros_like(model.v))
@@ -149,7 +149,7 @@ class SegmentNoise:
 
     @cached_property
     def reversals(self) -> int:
-        """Number of times that the piston comes to a stand or reverses; what an encoder shows at rest is none."""
+        """Number of stops and reversals of the piston; encoder noise at rest does not count."""
         slides = ~self._resting & (np.abs(self._model.v) > OUTLYING * VELOCITY_UNCERTAINTY)
         marks = self._resting.astype(int) - slides.astype(int)
         return int(np.count_nonzero(np.diff(marks[marks != 0], prepend=-1) == 2))
@@ -165,14 +165,14 @@ class SegmentNoise:
 
     @cached_property
     def _since_rest(self) -> FloatArray:
-        """Samples to the nearest one at which the piston stands or turns round."""
+        """Number of samples to the nearest one at which the piston is at rest or reverses."""
         model = self._model
         if not self._resting.any():
             return np.full_like(model.v, len(model.v))
         return np.asarray(distance_transform_edt(~self._resting))
 
     def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:
-        """Half of how far dry friction beyond a level `but` [N] changes between -/+ `velocity` around the recorded."""
+        """Half the change [N] of dry friction, less `but` [N], from -`velocity` to +`velocity` about the recorded."""
         model = self._model
         low, high = (
             (model.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_UNCERTAINTY)
@@ -181,9 +181,9 @@ class SegmentNoise:
         return np.asarray(np.abs(high - low) / 2.0)
 
     def _of_flows(self, noise: Mapping[str, float]) -> Pair:
-        """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.
+        """Standard deviations [Pa] of the pressures from both chamber equations, reading noise excluded, decimated.
 
-        Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
+        By the timing of displacement and flow, and by the `noise` [Pa] of the pressures in the flows.
         """
         model = self._model
         bench = model.base
@@ -196,13 +196,13 @@ class SegmentNoise:
         return a, b
 
     def _stiffest(self, chamber: int) -> float:
-        """beta/V [Pa/m3] of a chamber whose end the piston touches."""
+        """Largest beta/V [Pa/m3] of a chamber: with the piston at its end."""
         model = self._model
         bench, moduli = model.base, (model.base.bulk_modulus, model.base.bulk_modulus)
         return float(eq.stiffnesses(bench, moduli, 0.0 if chamber == 0 else bench.stroke)[chamber])
 
     def _flow_uncertainty(self, chamber: str, noise: float) -> FloatArray:
-        """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
+        """Standard deviation [Pa] of a pressure by the noise of its own reading in the flow."""
         model = self._model
         bench, current = model.base, model.channels["valve_current"]
         pressure = chambers.middle(model.channels["pressure_" + chamber])
@@ -212,9 +212,9 @@ class SegmentNoise:
         stiff = self._stiffest("ab".index(chamber))
         built = np.square(stiff * gain * noise * model.step)  # neighbours share a reading
         if model.spacing > 1:
-            # What the box added to the current from sample to sample that no row shows: of n samples per row n - 1 are
-            # not seen, and the one that is stands for all, together n (n - 1) times the variance of a single one. What
-            # half of the rows change does not tell: they do not see these either.
+            # Dither of the box between the rows: of n samples per row n - 1 are not recorded, and the recorded one
+            # stands for all, together n (n - 1) times the variance of a single one. Leaving out half of the rows does
+            # not reveal this error: neither half has these samples.
             measured = model.segment.measured
             seen = np.ones(len(model.time), dtype=np.bool_) if measured is None else measured
             dither = white_noise(current[model.segment.phase :: model.spacing])

@@ -3,8 +3,8 @@
 
 Each block of equations is computed once for the claims that act in it.
 
-The deviation of each residual is what it may be off if nothing is missing: the sensors' noise, measured by the white
-part of the recordings; the uncertainty of velocity reversals and of flows; rows that were not recorded.
+The deviation of each residual is its standard deviation under a complete model: by the sensors' noise, estimated from
+the white part of the recordings; by the uncertainty of velocity reversals and of flows; by missing rows.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from hydro_diagnosis.significance import FOLDS
 from hydro_sim.model.bench import Bench
 
 FOLD_SECONDS = 1.0
-"""Length of a held-out block [s]: many times the memory of any residual."""
+"""Length of a held-out block [s]: many times the correlation time of any residual."""
 CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
 
 
@@ -52,7 +52,7 @@ class Layout:
 
     @classmethod
     def of(cls, blocks: Sequence[str], models: Sequence[SegmentModel]) -> Layout:
-        """Return that of these blocks, channel by channel and in each segment by segment."""
+        """Return the layout of the residuals of these blocks, ordered by channel, then by segment."""
         channel, segment, time = [], [], []
         for block in blocks:
             for name in BLOCKS[block]:
@@ -82,47 +82,47 @@ class Layout:
 
     @cached_property
     def _stretches(self) -> list[tuple[int, int, int]]:
-        """Channel, begin and end of the stretches of one channel each."""
+        """Channel, begin and end of each run of entries of one channel."""
         edges = [0, *(np.flatnonzero(np.diff(self.channel)) + 1).tolist(), len(self.channel)]
         return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
 COST = {
-    PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9,  # of a sample, without claims of another kind
-    "column": 5e-8,  # of a sample's response to one column of a screen
-    "evaluation": 8e-4,  # and of its part in a fit that does not grow with the samples of a block
-    "segment": 2e-4,  # however short, in a block
+    PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9,  # per sample and block
+    "column": 5e-8,  # per sample and column of a screen
+    "evaluation": 8e-4,  # per evaluation in a fit, whatever the number of samples
+    "segment": 2e-4,  # per segment and block, however short
 }  # fmt: skip
-"""CPU [s] by block or kind of work on an AMD EPYC core; `benchmarks.real_recordings` has it beside that of each rig."""
+"""CPU time [s] by block or kind of work on an AMD EPYC core; `benchmarks.real_recordings` compares measured times."""
 SEARCH = 0.6
-"""Share of the budget that the search for names may take; the rest is for laws."""
+"""Share of the budget for the search for named causes; the rest is for laws."""
 
 
 @dataclass
 class Budget:
-    """Work done and allowed, in seconds of CPU as counted by kind of work: the same on every machine, in every run."""
+    """Budget of work in nominal seconds of CPU, counted by kind of work (`COST`): the same on every machine."""
 
     seconds: float | None = None
-    """Allowed; None until it is known how much is recorded."""
+    """Allowed work; None until the number of samples is known."""
     spent: float = 0.0
     evaluations: int = 0
     """Evaluations of all residuals: the measure of a search's effort."""
 
     def allow(self, samples: int) -> None:
-        """Set the budget for a number of samples, unless it was chosen: 24 s of CPU up to 60 s at 1 kHz.
+        """Set the budget for a number of samples, unless already set: 24 s of CPU per 60 s at 1 kHz, at least 24 s.
 
-        Search and laws may take it; what follows takes a quarter of it at most.
+        For search and laws; the later stages take at most a quarter of it in addition.
         """
         if self.seconds is None:
             self.seconds = 24.0 * max(1.0, samples / 6e4)
 
     def exceeds(self, share: float) -> bool:
-        """Whether more than a share of it is spent."""
+        """Return whether more than a share of the budget is spent."""
         return self.seconds is not None and self.spent > share * self.seconds
 
     @property
     def exhausted(self) -> bool:
-        """Whether no further search may begin."""
+        """Whether the whole budget is spent: no further search may start."""
         return self.exceeds(1.0)
 
 
@@ -131,28 +131,29 @@ ResidualParts = dict[tuple[str, int], FloatArray]
 
 
 NOTICEABLE = 0.35
-"""Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
+"""Excess over 1 of a channel's mean square over the noise variance that is more than noise: the latter's uncertainty.
+"""
 
 
 class Problem:
-    """Segments, the assumed bench, and the deviations of the residuals; only caches and the count of work change.
+    """Least-squares problem: segments, assumed bench, residuals and their deviations; only caches and budget change.
 
     Parameters
     ----------
     segments, bench
         Recorded stretches and the bench file.
     baseline
-        Claims that are already made.
+        Claims that the bench file contains already, part of every residual.
     noise
-        Of each sensor by its channel, SI units; measured in the segments unless given.
+        Standard deviation of each sensor's noise by its channel, SI units; estimated from the segments unless given.
     like
-        The same segments with more rows, whose judged samples are judged here too.
+        Problem of the same segments with all recorded rows, whose evaluated samples are used here too.
     estimated
-        Start values of the bench numbers that every fit estimates.
+        Start values of the bench parameters that every fit estimates.
     ruled_out
-        Causes that the user says it cannot be.
+        Causes that the user has ruled out.
     budget
-        Of work, that every evaluation is counted in.
+        Budget of work, to which every evaluation is charged.
     """
 
     def __init__(
@@ -188,7 +189,7 @@ class Problem:
         self.noise = self._noises[0].residuals
         """Noise of the first segment's residuals by channel, physical units; others differ where their rate does."""
         self.attenuation = {}
-        """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
+        """Attenuation bias [SI unit] of a parameter by noise in its regressor, by effect id."""
         if MOTION in self.blocks:
             hidden = mass_attenuation(self.models, self.sensor_noise, bench.moving_mass)
             self.attenuation["moving_mass"] = hidden
@@ -198,35 +199,36 @@ class Problem:
         self.thinner = (
             Problem(thinner, bench, baseline, self.sensor_noise, self, budget=self.budget) if lacking else None
         )
-        """The same problem from half of the rows where rows are missing; None where none are."""
+        """The same problem with half of the rows, if any rows are missing; else None."""
         self._weigh(())
 
     @property
     def unseen_ringing(self) -> float:
-        """Frequency [Hz] of a mass that rings on the oil too fast for the rows of a logger; 0 where none does.
+        """Hydraulic natural frequency [Hz] of the assumed bench if above the rows' Nyquist frequency, else 0.
 
-        Seen less than twice a period it looks slow, in half of the rows as in all: nothing tells it from a law.
+        The aliased oscillation looks slow, in half of the rows as in all, and cannot be told from a law.
         """
         return max(model.unseen_ringing for model in self.models) if PRESSURE in self.blocks else 0.0
 
     # -- deviations ----------------------------------------------------------------------------------------------------
 
     def reweighted(self, claims: Sequence[Claim]) -> Problem:
-        """Return the problem with residuals weighed down where these claims leave the sign of friction uncertain.
+        """Return the problem with the deviations of the residuals under these claims.
 
-        Missing rows weigh residuals down, too. All else is shared, caches and the count of work among them.
+        They are larger where the sign of dry friction is uncertain, or rows are missing. All else is shared, including
+        caches and budget.
         """
         other = copy(self)
         other._weigh(claims)
         return other
 
     def for_segments(self, segments: Sequence[Segment]) -> Problem:
-        """Return the same problem for other segments, with the sensors' noise as it was measured here."""
+        """Return the same problem for other segments, with this problem's estimate of the sensors' noise."""
         return Problem(segments, self.bench, self.baseline, noise=self.sensor_noise, estimated=self.estimated,
                        budget=self.budget)  # fmt: skip
 
     def with_estimated(self, numbers: Sequence[Claim]) -> Problem:
-        """Return the problem with these start values of the numbers that every fit estimates; all else is shared."""
+        """Return the problem with other start values of the bench parameters that every fit estimates."""
         other = copy(self)
         other.estimated = tuple(numbers)
         return other
@@ -245,7 +247,7 @@ class Problem:
         self.uncertainty = tuple(float(np.sum(one)) for one in (*doubt, *unseen.values()))
         """Sum of the uncertainty per segment, all zeros without any: identifies the deviations."""
         self.deviations = np.empty(len(self.layout.time))
-        """Standard deviation of every residual if nothing is missing, physical unit, in the order of `layout`."""
+        """Standard deviation of every residual under a complete model, physical unit, in the order of `layout`."""
         for index in np.unique(self.layout.channel):
             for k, noise in enumerate(self._noises):
                 deviation: FloatArray | float = noise.residuals[CHANNELS[index]]
@@ -264,21 +266,21 @@ class Problem:
         return {key: fewer[key] - part for key, part in whole.items()}
 
     def change(self, claims: Sequence[Claim]) -> FloatArray:
-        """Change of each residual if half of the rows are left out, over its deviation."""
+        """Return the change of each residual, over its deviation, if half of the rows are left out, shape (n,)."""
         return np.concatenate([*self._changes(claims).values()]) / self.deviations
 
     # -- residuals -----------------------------------------------------------------------------------------------------
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
-        """Every residual over its deviation, one vector in the order of `layout`."""
+        """Return the residual vector, each entry over its deviation, in the order of `layout`, shape (n,)."""
         self.budget.evaluations += 1  # counted also where a cache spares it: a search's effort is the same
         self.budget.spent += COST["evaluation"]
         return np.concatenate([*self.parts(claims).values()]) / self.deviations
 
     def join_responses(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
-        """Return the responses of the residuals over their deviations, by channel index, shape (terms, residuals).
+        """Return the responses of all segments, over the residuals' deviations, by channel index, (terms, residuals).
 
-        `shown`: of each segment (`model.responses`), physical unit; 0 where no term acts in a channel.
+        `shown`: responses of each segment (`model.responses`), physical unit; 0 where no term acts in a channel.
         """
         found = {}
         for index, name in enumerate(CHANNELS):
@@ -315,7 +317,7 @@ class Problem:
 
         return self._cache.get_or_compute(block, there, computed)
 
-    # -- what residuals hold -------------------------------------------------------------------------------------------
+    # -- statistics of residuals ---------------------------------------------------------------------------------------
 
     def variances(self, residual: FloatArray) -> FloatArray:
         """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
@@ -332,14 +334,14 @@ class Problem:
         return float(np.sum(self.layout.count * np.log(variance) + squares / variance))
 
     def mean_squares(self, residual: FloatArray) -> dict[str, float]:
-        """Each channel's mean square over the noise's."""
+        """Return the mean square of each channel's residuals over the noise variance."""
         squares = np.bincount(self.layout.channel, np.square(residual), len(CHANNELS))
         count = self.layout.count
         return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
 
     @property
     def noise_thresholds(self) -> dict[str, float]:
-        """Each channel's mean square over the noise's above which it holds more than noise.
+        """Thresholds of `mean_squares` above which a channel's residuals are more than noise.
 
         The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square): it must exceed
         1 by four standard deviations, too.
@@ -348,10 +350,10 @@ class Problem:
         return {name: 1.0 + max(NOTICEABLE, 4.0 * float(np.sqrt(2.0 / n))) for name, n in counts.items()}
 
     def remaining(self, residual: FloatArray) -> dict[str, float]:
-        """Mean square over the noise's of those channels that hold more than noise."""
+        """Return `mean_squares` of the channels whose residuals are more than noise."""
         limit = self.noise_thresholds
         return {name: square for name, square in self.mean_squares(residual).items() if square > limit[name]}
 
     def noticeable(self, residual: FloatArray) -> bool:
-        """Return whether any channel holds more than noise."""
+        """Return whether the residuals of any channel are more than noise."""
         return bool(self.remaining(residual))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimation of numbers that a bench file does not hold, or only roughly: where they begin.
+"""Start values of bench parameters that are unknown, or only roughly known, and that every fit then estimates.
 
-The effect that stands for a wrong number (`effects`) stands for an unknown one too. Its range is that of an error, so
-the recordings are fitted first from a few sizes of the number, beside the causes that every bench may have, and the
-bench is written again until it moves no more. Then the search has that effect in each of its fits.
+The effect that represents an error of a parameter (`effects`) represents an unknown one too. Its range is that of an
+error, so the recordings are first fitted from a few sizes of the parameter, jointly with the causes that every bench
+may have, and the estimate is written into the bench until it converges. The search then has that effect in each fit.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.model.bench import Bench
 
 JOINT_EFFECTS = ("friction_coulomb", "friction_viscous", "force_offset", "leakage_internal", "valve_offset")
-"""Causes that are fitted jointly with unknown numbers: without them a number would take their place."""
+"""Causes that are fitted jointly with unknown bench parameters, which would otherwise absorb them."""
 
 
 @cache
 def estimable() -> dict[str, Effect]:
-    """Numbers of a bench file that can be estimated, and the effect that stands for each."""
+    """Return the bench parameters that can be estimated, each with the effect that represents its error."""
     bench = Bench.nominal()
     found: dict[str, Effect] = {}
     for effect in LIBRARY:
@@ -42,7 +42,7 @@ def estimable() -> dict[str, Effect]:
 
 
 def refuse_inestimable(names: Collection[str]) -> None:
-    """Raise `InputError` if one of these is no number that can be estimated."""
+    """Raise `InputError` if a name is not that of a bench parameter that can be estimated."""
     for name in names:
         if name not in estimable():
             why = "cannot be estimated: nothing stands for it"
@@ -51,7 +51,7 @@ def refuse_inestimable(names: Collection[str]) -> None:
 
 
 def estimated_claims(bench: Bench, names: Collection[str]) -> tuple[Claim, ...]:
-    """The effects of these numbers relative to the bench, absent."""
+    """Return claims that represent errors of these bench parameters, at their neutral values."""
     claims = []
     for name in names:
         effect = replace(estimable()[name].adapted(bench), estimated=True)
@@ -60,16 +60,16 @@ def estimated_claims(bench: Bench, names: Collection[str]) -> tuple[Claim, ...]:
 
 
 def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence[Claim], names: Sequence[str]) -> Bench:
-    """The bench with numbers near which the recordings put them, known from now on.
+    """Return the bench with start values of these parameters, estimated from the recordings and marked as known.
 
-    `baseline`: effects that the bench file holds already.
+    `baseline`: effects that the bench file contains already.
     """
     if not any(lacks(bench, name) for name in names):
-        return bench  # beside causes that are not known yet a fit would leave what was given
+        return bench  # a fit without the causes, not known yet, would leave the given values
     share = min(12.0 / sum(len(one) * one.step for one in segments), 1.0)  # of each segment, 12 s in all
     short = [one.cut(0, max(round(share * len(one)), min(len(one), round(2.0 / one.step)))) for one in segments]
     tried = []
-    for size in (1.0, 0.1, 10.0):  # multiples of the stand-in at which a number that was not given begins
+    for size in (1.0, 0.1, 10.0):  # start sizes of parameters not given, as multiples of the stand-in
         tried.append(_iterate_bench(short, _start(bench, names, size, short), baseline, names))
         if not tried[-1][1].noticeable(tried[-1][2].residual):
             break
@@ -79,7 +79,7 @@ def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence
 def _iterate_bench(
     segments: Sequence[Segment], bench: Bench, baseline: Sequence[Claim], names: Sequence[str]
 ) -> tuple[Bench, Problem, Fit]:
-    """Return bench, problem and fit once the numbers are steady within 1 %."""
+    """Return bench, problem and fit once the parameters have converged within 1 %."""
     taken = {estimable()[name].id for name in names}
     for _ in range(ITERATIONS):
         problem = Problem(segments, bench, baseline, estimated=estimated_claims(bench, names))
@@ -114,7 +114,7 @@ def _start(bench: Bench, names: Collection[str], size: float, segments: Sequence
 
 
 def _physical_deviance(problem: Problem, found: Fit) -> float:
-    """-2 log likelihood of what remains in physical units: comparable between benches, whose noise floors differ."""
+    """-2 log likelihood of the residuals in physical units: comparable between benches, whose noise floors differ."""
     parts: dict[str, list[float]] = {}
     for (channel, _), part in problem.parts(found.claims).items():
         sums = parts.setdefault(channel, [0.0, 0.0])

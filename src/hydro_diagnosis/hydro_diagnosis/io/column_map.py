@@ -5,14 +5,12 @@
 
     time=t,piston_position=pos[mm],hydraulic_force=vir*gtau,pressure_a=pa[bar]+1,load_force=0
 
-On the left `time` or a BenchState field; on the right a column, its unit in brackets if it is neither SI nor the one
-that the file states, then `*`, `/`, `+` or `-` with a number or the name of a single number in the file, taken from
-left to right and in that unit, then `@` and the time by which the column is late (`fl@20ms`). A number alone is a
-constant, `none` leaves a field out. A YAML file holds the same, one line each, or the words column, unit, scale,
-offset, delay.
+Left of `=`: `time` or a BenchState field. Right: a column; its unit in brackets, if neither SI nor stated by the file;
+operations `*`, `/`, `+` or `-` with a number or a named scalar of the file, applied from left to right in that unit;
+`@` and the column's delay (`fl@20ms`). A number alone is a constant, `none` omits the field. A YAML file holds the
+same, one line per field, or the keys column, unit, scale, offset, delay.
 
-A map without `time` corrects what there is: all columns that carry a field's own name are taken besides, and the times
-that the file states.
+A map without `time` extends the default map: columns named as BenchState fields, at the times that the file states.
 """
 
 from __future__ import annotations
@@ -40,29 +38,29 @@ _SOURCE = re.compile(
 _STEP = re.compile(r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*")
 _DELAY = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
 _BARE = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
-"""A column's name that needs no quotes, in a map in short nor in YAML."""
+"""Column name that needs no quotes, neither in a short map nor in YAML."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Source of a field."""
+    """Source of a BenchState field: a column with operations, unit and delay, or a constant."""
 
     column: str
     """Name in the file; empty for a constant."""
     steps: tuple[tuple[str, float | str], ...] = ()
-    """Sign (*, /, +, -) and number, or the name of a single number in the file; in this order."""
+    """Operations in order: a sign (*, /, +, -), and a number or the name of a scalar in the file."""
     unit: str = ""
-    """Unit of the column, SI if empty; the last to be multiplied."""
+    """Unit of the column, SI if empty; converted to SI after the steps."""
     delay: float = 0.0
-    """s by which the column is late against the others: what it shows at a time happened so much earlier."""
+    """Delay [s] of the column relative to the others: its value at time t was measured at t - delay."""
 
     @property
     def plain(self) -> bool:
-        """Whether the column is taken as it is, so that the unit that the file states for it counts."""
+        """Whether the map states neither operations nor a unit for the column, so that the file's unit applies."""
         return bool(self.column) and not self.steps and not self.unit
 
     def __str__(self) -> str:
-        """Text of the source, as in a short map."""
+        """Source in the syntax of a short map."""
         if not self.column:
             return f"{sum(float(number) for _, number in self.steps):g}"
         quoted = self.column if _BARE.fullmatch(self.column) else f"'{self.column}'"
@@ -76,10 +74,9 @@ class Source:
         return f"{quoted}{unit}{steps}{late}"
 
     def of(self, columns: Mapping[str, FloatArray], constants: Mapping[str, float], length: int) -> FloatArray:
-        """The field in SI units, shape (length,).
+        """Values of the field in SI units: the column's, shape (n,), or of a constant, shape (length,).
 
-        Raises InputError if the file lacks the column or a number that the steps name, the sentence lists what there
-        is; or if the column is what no field is.
+        Raises InputError if the file lacks the column, or a scalar named in the steps; the message lists what it has.
         """
         if not self.column:
             values: FloatArray = np.zeros(length)
@@ -98,7 +95,7 @@ class Source:
 
 
 def source_of(field: str, value: Any) -> Source:
-    """The source that an entry of a map describes. Raises InputError: in one sentence that names the field."""
+    """Source described by an entry of a column map. Raises InputError if invalid; the message names the field."""
     if isinstance(value, bool) or value is None:
         raise InputError(f"columns: {field} = {value!r} is neither a column nor a number")
     if not isinstance(value, Mapping) and isinstance(number := _number(value), float):
@@ -171,42 +168,42 @@ def _instead(name: str, there: Iterable[str]) -> str:
 
 _OPERATIONS = {"*": mul, "/": truediv, "+": add, "-": sub}
 TARGETS = ("time", *STATE_FIELDS)
-"""Targets of a column."""
+"""Targets of a column: `time` and the BenchState fields."""
 QUANTITY_OF = {
     "time": "time", "hydraulic_force": "force", "load_force": "force", "pressure_a": "pressure",
     "pressure_b": "pressure", "piston_position": "length", "piston_velocity": "velocity", "valve_current": "current",
     "reference_force": "force", "hydraulic_force_rate": "force rate", "load_force_rate": "force rate",
     "nominal_valve_current": "current",
 }  # fmt: skip
-"""Quantity that a field is."""
+"""Physical quantity of each target that has one."""
 
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Sources by `time` and BenchState field name."""
+    """Column map: sources by target, `time` or a BenchState field."""
 
     sources: Mapping[str, Source]
     absent: frozenset[str] = frozenset()
     """Fields that are left out though the file has columns of their names."""
 
     def __str__(self) -> str:
-        """Text as it is given to `--columns`."""
+        """Map in the syntax of `--columns`."""
         left_out = [f"{field}=none" for field in sorted(self.absent)]
         return ",".join([*(f"{field}={source}" for field, source in self.sources.items()), *left_out])
 
     def completed(self, names: Iterable[str]) -> ColumnMap:
-        """Return the map with the columns among `names` that carry a field's own name, unless it maps the time."""
+        """Return the map extended by the columns among `names` that are named as a target; unless it maps the time."""
         if "time" in self.sources:
             return self
         besides = {name: Source(name) for name in names if name in TARGETS and name not in self.absent}
         return ColumnMap({**besides, **self.sources}, self.absent)
 
     def corrections(self) -> ColumnMap:
-        """Return only what differs from columns that carry the fields' own names."""
+        """Return the map without the sources that are plain columns named as their targets."""
         return ColumnMap({name: one for name, one in self.sources.items() if one != Source(name)}, self.absent)
 
     def changed(self, field: str, source: Source | None) -> ColumnMap:
-        """Return the map with another source for a field, or without the field."""
+        """Return the map with the source of a field replaced; None omits the field."""
         others = {name: one for name, one in self.sources.items() if name != field or source is not None}
         if source is None:
             return ColumnMap(others, self.absent | {field})
@@ -216,7 +213,7 @@ class ColumnMap:
     def load(cls, given: str | Path | Mapping[str, Any] | ColumnMap | None) -> ColumnMap | None:
         """Load a map from `FIELD=SOURCE,...`, the path of a YAML file, or a mapping; None stays None.
 
-        Raises InputError: in one sentence that names what cannot be read, and for a field the names that there are.
+        Raises InputError if it cannot be read; the message names the entry, and for an unknown field the valid names.
         """
         if given is None or isinstance(given, ColumnMap):
             return given

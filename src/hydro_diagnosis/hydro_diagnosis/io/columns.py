@@ -22,27 +22,27 @@ _TIME = re.compile(
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns and single numbers of a file."""
+    """Columns and scalars of a file."""
 
     series: dict[str, FloatArray] = field(default_factory=dict)
     """Columns by name, each of shape (n,); n may differ between clocks."""
     constants: dict[str, float] = field(default_factory=dict)
-    """Single numbers by name (of .mat and HDF5 files)."""
+    """Scalars by name (of .mat and HDF5 files)."""
     other: list[str] = field(default_factory=list)
-    """Names of what is neither: texts, columns of another length."""
+    """Names of entries that are neither: texts, columns of another length."""
     units: dict[str, str] = field(default_factory=dict)
-    """Units that the file states, as `units.stated` has them."""
+    """Units stated by the file, by column, as normalised by `units.stated`."""
     clocks: dict[str, str] = field(default_factory=dict)
-    """By column, the name of the column that holds its times; none for a table in which every row is one instant."""
+    """Clock of each column: the name of its time column; empty for a table whose columns share one clock."""
     notes: list[str] = field(default_factory=list)
-    """Notes on these times, one sentence each."""
+    """Notes on the reading of the file, one sentence each."""
     extents: Mapping[str, Extent] = field(default_factory=dict)
-    """By column of which `series` holds every n-th number: what is known of all."""
+    """Count and range of all numbers, by column of which `series` holds every n-th row."""
     broken: dict[str, str] = field(default_factory=dict)
-    """By column that cannot be read as numbers: which cell is why, one sentence."""
+    """Reason, by column that cannot be read as numbers: its first such cell, one sentence."""
 
     def add(self, name: str, values: FloatArray, unit: str = "") -> str:
-        """Add a column in a unit as the file states it; returns its name, with a number behind it if it was taken."""
+        """Add a column with the file's unit; returns its name, numbered if a column of this name exists."""
         column = unique(name, self.series)
         self.series[column] = values
         if stated(unit):
@@ -50,20 +50,20 @@ class Columns:
         return column
 
     def clock(self, times: FloatArray, group: str = "") -> str:
-        """Name of the clock with these times [s], which is added if no column of the `group` (a prefix) has it."""
+        """Return the name of the clock with these times [s], added unless a clock of the `group` (prefix) has them."""
         clocks = (clock for clock in dict.fromkeys(self.clocks.values()) if clock.startswith(group))
         same = (clock for clock in clocks if np.array_equal(self.series[clock], times))
         return next(same, "") or self.add(f"{group}time", times, "s")
 
     def unit(self, name: str) -> str:
-        """Unit of a column, as the file states it or by the column's name; empty if neither tells."""
+        """Unit of a column, stated by the file or contained in the column's name; empty if unknown."""
         return self.units.get(name) or split_unit(name)[1]
 
 
 def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
-    """Return whether the numbers grow from each row to the next but for rare exceptions, as times do.
+    """Return whether more than 90 % of the steps from row to row are positive, as in a column of times.
 
-    `ticks`: or stand still for some rows and go on, as a clock of coarse steps does.
+    `ticks`: steps of 0 count as well, if any step is positive, as of a clock with a coarse resolution.
     """
     steps = np.diff(values[np.isfinite(values)])
     forward = steps >= 0.0 if ticks and np.any(steps > 0.0) else steps > 0.0
@@ -71,7 +71,7 @@ def runs_forward(values: FloatArray, *, ticks: bool = False) -> bool:
 
 
 def median_step(times: FloatArray) -> float:
-    """Middle of the steps forward; inf where there is none."""
+    """Median of the positive time steps; inf if there is none."""
     steps = np.diff(times)
     return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.inf
 
@@ -83,12 +83,12 @@ def means(values: FloatArray, samples: int) -> FloatArray:
 
 
 def is_time(name: str, values: FloatArray) -> bool:
-    """Return whether a column's name and numbers say that it is the time."""
+    """Return whether a column is a time, by its name and its increasing values."""
     return _TIME.match(split_unit(name)[0]) is not None and runs_forward(values, ticks=True)
 
 
 def counts_rows(values: FloatArray) -> bool:
-    """Return whether a column only counts: its steps are 1."""
+    """Return whether a column is a row counter: all of its steps are 1."""
     return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
@@ -98,7 +98,7 @@ _START = r"x_?0|t_?0|wf_?start_?offset|start|x_?(origin|offset|zero)"
 
 
 def stated_step(properties: Iterable[tuple[str, object]]) -> tuple[float, float]:
-    """Start and step [s] by which properties of a file say that its rows follow each other; a step of 0 if none does.
+    """Start and sampling step [s] of the rows, as stated by a file's properties; (0, 0) if no step is stated.
 
     Keys as loggers and scopes write them: `wf_increment`, `Delta_X`, `Increment`, `Sample rate [Hz]`.
     """
@@ -120,9 +120,10 @@ def stated_step(properties: Iterable[tuple[str, object]]) -> tuple[float, float]
 
 
 def merge_parts(parts: Iterable[Columns]) -> Columns:
-    """Return the parts of a recording as one: parts with the same columns are joined while their times go on.
+    """Merge the parts of a recording: consecutive parts with the same columns and continuing times are concatenated.
 
-    A note says so. Parts whose time begins again, and other columns, are kept apart; a repeated name gets a number.
+    Parts whose time restarts, or with other columns, add columns of their own, numbered where a name repeats. Notes
+    report concatenated and restarted parts.
     """
     found, last, joined, again = Columns(), Columns(), 0, 0
     names: dict[str, str] = {}
@@ -155,7 +156,7 @@ def merge_parts(parts: Iterable[Columns]) -> Columns:
 
 
 def _goes_on(above: Columns, below: Columns) -> bool:
-    """Return whether all times of one part follow those of another: clocks, else the column named so or the first."""
+    """Return whether the times of `below` continue those of `above`: all clocks, else a time column or the first."""
     named = (name for name, values in above.series.items() if is_time(name, values))
     clocks = set(above.clocks.values()) or {next(named, next(iter(above.series)))}
     ends = [(above.series[name], below.series[name]) for name in clocks]
@@ -164,9 +165,9 @@ def _goes_on(above: Columns, below: Columns) -> bool:
 
 
 def set_day_units(found: Columns) -> None:
-    """State the unit of times that spreadsheets and MATLAB count in days: date and clock as one number.
+    """Set the unit of time columns that are date numbers of spreadsheets or MATLAB: days.
 
-    Read as seconds, rows would follow each other by less than 10 us.
+    Criterion: a median step below 20 us (of a time of day, below 2 us) if the numbers were seconds.
     """
     for name, values in found.series.items():
         finite = values[np.isfinite(values)]
@@ -180,10 +181,10 @@ def set_day_units(found: Columns) -> None:
 
 
 def assign_clocks_of_equal_length(found: Columns) -> None:
-    """Assign clocks to columns of several lengths: the one column of times of the same length.
+    """Assign a clock to each column of a file with several lengths: a time column of the same length.
 
-    The time beside a column, in the same struct or group, comes before one elsewhere. Columns of one length need no
-    clock; of several lengths, the longest does without, and what has neither is listed under `other`.
+    A time column in the same struct or group takes precedence. Of columns without one, the longest are kept without a
+    clock and the others are listed under `other`.
     """
     series, clocks = found.series, found.clocks
     longest = max(map(len, series.values()), default=0)
@@ -204,6 +205,6 @@ def assign_clocks_of_equal_length(found: Columns) -> None:
 
 
 def unique(name: str, taken: Mapping[str, object]) -> str:
-    """The name, or with a number behind it if it is taken: `time`, `time.2`, `time.3`."""
+    """Return the name, numbered if it is taken: `time`, `time.2`, `time.3`."""
     numbered = (f"{name}.{number}" for number in count(2))
     return name if name not in taken else next(one for one in numbered if one not in taken)

@@ -12,8 +12,8 @@ each clock, as TwinCAT Scope writes them (`Name;fPos;Name;fForce`, then ms and v
 either. Without names, columns are numbered. A step in the header (LabVIEW's `Delta_X`, a scope's `Increment`) makes the
 times where no column is one.
 
-pandas reads the numbers. A column that it cannot read is read by the signs of all of its cells together: decimal and
-thousands, times of day. One that is partly something else is not read, and the first such cell and its line are told.
+pandas reads the numbers. Where it fails, a column is parsed in the format that fits all of its cells: a decimal sign
+with thousands separators, or times of day. If none does, the first unparsable cell and its line are reported.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NAME_KEYS = (
     "name", "names", "trace_name", "trace_names", "displayidentifier", "signal", "signals", "channel", "label", "path",
     "variable", "bezeichnung", "symbolname",
 )  # fmt: skip
-"""First cells of rows that hold names, the best first: those in which names differ come before."""
+"""First cells of rows of column names, in order of preference; a row with more distinct names precedes."""
 UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_label")
 """First cells of rows that hold units."""
 BLANKS = r"\s+"
@@ -57,16 +57,16 @@ _NUMBER = {sign: re.compile(f"(?:{_GROUPED[sign]}|{_PLAIN[sign]})", re.IGNORECAS
 _CLOCK = r"(?<!\d)(?:(\d{1,2}):)?(\d\d):(\d\d)(?:([.,:])(\d+))?(?!\d|:)(?:\s*([ap])\.?m\b)?"
 """Time of day in a cell, or minutes and seconds; parts of a second behind a point, a comma or a colon."""
 _TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
-"""A line that begins with a word: what stands above a block of numbers."""
+"""Line that begins with a word, as headers do."""
 
 
 class Style(NamedTuple):
-    """Signs of a text table."""
+    """Separator and decimal sign of a text table."""
 
     separator: str
     decimal: str
     certain: bool
-    """Whether some cell can be read by this decimal sign only."""
+    """Whether some cell can be parsed with this decimal sign only."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +80,10 @@ class Header:
     names: tuple[str, ...]
     """Names of the columns, each unique."""
     units: tuple[str, ...]
-    """Units as `units.stated` has them; empty where none is stated."""
+    """Units of the columns, normalised by `units.stated`; empty if not stated."""
     start: float
     step: float
-    """s from row to row, where the header states it; else 0."""
+    """Sampling step [s] if the header states one, else 0."""
 
 
 def delimited_columns(path: Path) -> Columns:
@@ -121,7 +121,7 @@ def _encoding(head: bytes) -> str:
 
 
 def style_of(lines: list[str]) -> Style:
-    """Separator and decimal sign by which the most cells of the last lines are numbers and the fewest are none."""
+    """Return the separator and decimal sign with which most cells of the last 200 lines parse as numbers."""
     last = [line for line in lines[-200:] if line.strip()]
     best, most = Style(",", ".", certain=False), -1
     for decimal, other in (".,", ",."):
@@ -151,11 +151,11 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 
 def header_of(lines: list[str], style: Style) -> Header:
-    """Header of a block that begins with `lines`. Raises ValueError if no row of numbers is among them."""
+    """Header of a block's `lines`. Raises ValueError without a row of numbers, or if decimal commas split cells."""
     rows = [_cells(line, style.separator) for line in lines]
 
     def lead(at: int) -> int:
-        """Return 1 where a row begins with a key and the next with an empty cell, else 0."""
+        """Return 1 if a row begins with a key and the next with an empty cell, else 0."""
         keyed = any(rows[at][:1]) and not _is_number(rows[at][0], style.decimal)
         return int(keyed and (at + 1 >= len(rows) or rows[at + 1][:1] == [""]))
 
@@ -187,7 +187,7 @@ def header_of(lines: list[str], style: Style) -> Header:
 
 
 def _header_rows(lines: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
-    """Rows above the numbers; where none is as wide, the lines by any separator that makes them so."""
+    """Cells of the rows above the numbers; if none has `width` cells, by any separator that gives as many."""
     bare = [line.strip().lstrip("#%").strip() for line in lines]
     if separator == BLANKS:
         rows = [line.split() for line in bare]
@@ -199,7 +199,7 @@ def _header_rows(lines: list[str], rows: list[list[str]], width: int, separator:
 
 
 def _properties(above: list[list[str]]) -> Iterator[tuple[str, str]]:
-    """Cells with what stands next to them and below them, where that is a number."""
+    """Yield cells, each with the number behind it, next to it or below it, if there is one."""
     for row, next_row in zip(above, [*above[1:], []], strict=False):
         for j, cell in enumerate(row):
             below = next_row[j] if len(next_row) > j else ""
@@ -212,7 +212,7 @@ def _properties(above: list[list[str]]) -> Iterator[tuple[str, str]]:
 
 def _names_and_units(above: list[list[str]], width: int, *, keyed: bool) -> tuple[list[str], list[str]]:
     """Names and units of the columns, `width` of each: from rows that begin with a key, else from rows as wide."""
-    if any(row[0].lower() in NAME_KEYS and row[0] in row[1:] for row in above):  # which is repeated above each clock
+    if any(row[0].lower() in NAME_KEYS and row[0] in row[1:] for row in above):  # a key repeated for each clock
         clock = dict.fromkeys(UNIT_KEYS, "ms")
         above = [
             [row[0], *(clock.get(row[0].lower(), "") if cell == row[0] else cell for cell in row)] for row in above
@@ -233,7 +233,7 @@ def _names_and_units(above: list[list[str]], width: int, *, keyed: bool) -> tupl
 
 
 def _are_units(row: list[str]) -> bool:
-    """Return whether a row holds units: most are known, or all stand in brackets."""
+    """Return whether the cells of a row are units: most are known, or all are in brackets."""
     cells = [cell for cell in row if cell and cell not in ("-", "[-]") and not _is_number(cell, ",")]
     if not cells:
         return not any(row)
@@ -255,7 +255,7 @@ def _mostly_numbers(row: list[str], decimal: str) -> bool:
 
 
 def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
-    """Blocks of numbers below their headers; most files are one, read by pandas in one go."""
+    """Yield the columns of each block of numbers below a header; most files are one block."""
 
     def text() -> Iterator[str]:
         with path.open(encoding=encoding, errors="replace") as file:
@@ -291,7 +291,7 @@ def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
 
 
 def _holds_headers(frame: pd.DataFrame, style: Style) -> bool:
-    """Return whether rows look like a header of a new block: words in the first cell, and no numbers beside it."""
+    """Return whether some rows are headers of a new block: words in the first cell, and few numbers in the others."""
     first = frame.iloc[:, 0]
     if first.dtype != object:
         return False
@@ -303,13 +303,13 @@ def _holds_headers(frame: pd.DataFrame, style: Style) -> bool:
 
 
 def _read(source: object, header: Header, style: Style) -> pd.DataFrame:
-    """The block's cells: numbers where pandas reads them all, else texts."""
+    """Cells of a block: columns of numbers if pandas can parse all cells of one, else of texts."""
     width = len(header.names) + header.lead
     frame = pd.read_csv(
         source, sep=style.separator, decimal=style.decimal, header=None, names=range(width),
         usecols=range(header.lead, width), index_col=False, skiprows=header.n_lines, skipinitialspace=True,
         skip_blank_lines=True, low_memory=False, dtype=None if style.certain else str,
-        na_values=["-", "--", "---", "?", "NaN.", "1.#R"],  # beside those that pandas knows
+        na_values=["-", "--", "---", "?", "NaN.", "1.#R"],  # in addition to pandas' own
         float_precision="round_trip" if style.decimal == "." else "high",
     )  # fmt: skip
     if not len(frame):
@@ -321,7 +321,7 @@ def _read(source: object, header: Header, style: Style) -> pd.DataFrame:
 def _columns(
     header: Header, frame: pd.DataFrame, style: Style, lines: Callable[[], Iterator[str]], begin: int
 ) -> Columns:
-    """A block's columns. `lines`: those of its numbers, of which `begin` others stand above."""
+    """Columns of a block. `lines`: of its rows of numbers; `begin`: number of lines above them in the file."""
     found, numbers = Columns(), []
     if style.separator == BLANKS and frame.iloc[:-1, -1].isna().any():
         widths = ((begin + k + 1, len(line.split())) for k, line in enumerate(lines()))
@@ -354,10 +354,11 @@ def _columns(
 
 
 def numbers_of(cells: pd.Series, decimal: str = ".", *, certain: bool = True) -> tuple[FloatArray, int | None]:
-    """Numbers of a column, and the first cell that is none where others are; NaN throughout where none is.
+    """Parsed numbers of a column, (n,), and the index of its first unparsable cell; such a column is NaN throughout.
 
-    Signs are decided by all cells together: `decimal` with thousands, the other decimal sign, times of day. Unless it
-    is `certain`, a column is not read in which some cells have a sign before three digits, the others none.
+    The format is the first that fits all cells: `decimal` with thousands, the other decimal sign, times of day [s].
+    Unless `decimal` is `certain`, a column is rejected in which the two signs give different numbers in some cells
+    only. The index is None if all cells, all but the last, or none can be parsed.
     """
     if cells.dtype != object:
         return cells.to_numpy(dtype=np.float64), None
@@ -380,7 +381,7 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, certain: bool = True) ->
     times = _times_of_day(text)
     fits, values = max([*read, (np.isfinite(times), times)], key=lambda one: int(np.sum(one[0] & given)))
     bad = np.flatnonzero(given & ~fits)
-    if not len(bad) or (np.any(fits & given) and bad[0] == len(text) - 1):  # the file ends within it
+    if not len(bad) or (np.any(fits & given) and bad[0] == len(text) - 1):  # the file was cut off in it
         return values, None
     return np.full(len(text), np.nan), int(bad[0]) if np.any(fits & given) else None
 
@@ -402,7 +403,7 @@ def _times_of_day(text: pd.Series) -> FloatArray:
 
 
 def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
-    """Add a block's columns; a column of times is the clock of those to its right, and kept once."""
+    """Add the columns of a block; a time column is the clock of those to its right, and is added once."""
     series, clocks = found.series, found.clocks
     times = [k for k, name in enumerate(header.names) if is_time(name, columns[k][_filled(columns[k])])]
     clock = ""
@@ -423,7 +424,7 @@ def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
     for k, name in enumerate(header.names):
         values, unit = columns[k], header.units[k]
         if k in times and clock and np.array_equal(values, steps, equal_nan=True):
-            continue  # the clock of the columns to the left again
+            continue  # a repetition of the previous clock
         if not np.isfinite(values).any():
             found.other.extend([name] * (name not in found.broken))
         elif k in times:
@@ -441,13 +442,13 @@ def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
 
 
 def _filled(values: FloatArray) -> npt.NDArray[np.bool_]:
-    """All rows up to the last that holds a number."""
+    """Mask of the rows up to the last with a number, (n,)."""
     finite = np.flatnonzero(np.isfinite(values))
     return np.arange(len(values)) < (finite[-1] + 1 if len(finite) else 0)
 
 
 def _thinned(values: FloatArray, times: FloatArray) -> bool:
-    """Return whether a column has a number in every so many rows only: sampled less often than the times beside it."""
+    """Return whether a column has a number in every n-th row only: it is sampled more slowly than `times`."""
     sampled = np.flatnonzero(np.isfinite(values[np.isfinite(times)]))
     if len(sampled) < 3 or len(sampled) > 0.7 * np.count_nonzero(np.isfinite(times)):
         return False

@@ -35,12 +35,12 @@ from hydro_diagnosis.io.columns import (
 from hydro_diagnosis.io.units import known
 from hydro_diagnosis.recording import InputError
 
-log_manager.set_level(logging.CRITICAL)  # npTDMS prints what a note says here
+log_manager.set_level(logging.CRITICAL)  # npTDMS would print what is reported as a note here
 
 
 @contextmanager
 def _read_as(kind: str) -> Iterator[None]:
-    """Raise ValueError for whatever a reader stumbles over in a damaged file, but OSError as it is."""
+    """Convert all errors of a file reader, except OSError, to ValueError."""
     try:
         yield
     except OSError:
@@ -50,9 +50,9 @@ def _read_as(kind: str) -> Iterator[None]:
 
 
 def matlab_columns(path: Path) -> Columns:
-    """Numbers of a .mat file; structs and cells are taken apart by dots, matrices into `name.0`, `name.1`.
+    """Columns of a .mat file; structs and cells are flattened with dots, matrices to `name.0`, `name.1`.
 
-    Where texts beside a matrix name its columns, `name.text`.
+    A matrix whose columns are named by texts of the same struct gives `name.text`.
 
     Raises ValueError, OSError if it cannot be read.
     """
@@ -67,13 +67,13 @@ def matlab_columns(path: Path) -> Columns:
 
 
 Leaf = tuple[str, Any, str, Iterable[tuple[str, Any]]]
-"""Name, array or number or anything else, unit, and properties."""
+"""Leaf of a file's tree: name, value (an array, a scalar or other), unit, and properties."""
 
 
 def leaves_as_columns(leaves: Iterator[Leaf], objects: list[str]) -> Columns:
-    """Leaves as columns, single numbers and others; columns whose properties state a step get times by it.
+    """Columns, scalars and other entries from leaves; a sampling step in a leaf's properties makes its clock.
 
-    `objects`: names of MATLAB's objects beside them; raises ValueError if there is nothing else.
+    `objects`: names of MATLAB objects, which cannot be read; raises ValueError if there are some, but no column.
     """
     found = Columns()
     for name, value, unit, properties in leaves:
@@ -102,7 +102,7 @@ def leaves_as_columns(leaves: Iterator[Leaf], objects: list[str]) -> Columns:
 
 
 def split(name: str, array: FloatArray) -> dict[str, FloatArray]:
-    """A matrix as columns `name.0`, `name.1`, ..., time along its longer side."""
+    """Return the columns `name.0`, `name.1`, ... of a matrix, time along its longer side; a vector is `name`."""
     upright = np.atleast_2d(array)
     upright = upright if upright.shape[0] >= upright.shape[1] else upright.T
     if array.ndim == 1 or upright.shape[1] == 1:
@@ -111,7 +111,7 @@ def split(name: str, array: FloatArray) -> dict[str, FloatArray]:
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Structs and cells taken apart: `out.signals.0.values`, `log.data.pA [bar]`."""
+    """Yield the leaves of structs and cells: `out.signals.0.values`, `log.data.pA [bar]`."""
     if isinstance(value, Mapping):
         parts = [(str(key), _by_texts(one, value)) for key, one in value.items()]
     elif isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.dtype == object):
@@ -124,7 +124,7 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _by_texts(array: Any, beside: Mapping[str, Any]) -> Any:
-    """An array by the texts beside it, one a column, names or units: `colheaders`, `label`; else the array itself."""
+    """Columns of an array by name, if texts of its struct name them or their units (`colheaders`, `label`), else it."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
         return array
     columns = list(split("", array).values())
@@ -145,7 +145,7 @@ def _texts(value: Any) -> list[str]:
 
 
 def _capture(content: Any) -> Columns | None:
-    """What ControlDesk exports, axes X and signals Y with Name and Data; `XIndex` counts the axes from 1. Else None."""
+    """Columns of a ControlDesk export (axes X, signals Y with Name, Data and the axis `XIndex` from 1), else None."""
     if not isinstance(content, Mapping) or not {"X", "Y"} <= set(content):
         return None
     entries = (np.atleast_1d(np.asarray(content[key], dtype=object)) for key in "XY")
@@ -169,7 +169,7 @@ def _capture(content: Any) -> Columns | None:
 
 
 def hdf5_columns(path: Path) -> Columns:
-    """Numbers of an HDF5 file, groups by dots, matrices and the fields of tables into `name.0` and `name.field`.
+    """Columns of an HDF5 file; groups are flattened with dots, matrices to `name.0`, tables to `name.field`.
 
     Raises ValueError, OSError if it cannot be read.
     """
@@ -181,9 +181,9 @@ def hdf5_columns(path: Path) -> Columns:
 
 
 def _hdf5_leaves(group: h5py.Group, prefix: str, objects: list[str]) -> Iterator[Leaf]:
-    """Arrays and the fields of tables; texts come as texts, which are no columns."""
+    """Yield arrays and the fields of tables; texts are leaves without numbers."""
     for key, item in group.items():
-        if key.startswith("#"):  # where MATLAB keeps what its cells refer to
+        if key.startswith("#"):  # MATLAB's storage of the contents of cells
             continue
         name = f"{prefix}.{key}" if prefix else str(key)
         if isinstance(item, h5py.Group):
@@ -210,7 +210,7 @@ def _text(value: Any) -> str:
 
 
 def mdf_columns(path: Path) -> Columns:
-    """Channels by name, each with the times of its channel group; those that it marks as invalid are no numbers.
+    """Channels of an MDF file, each with the clock of its channel group; samples marked as invalid are NaN.
 
     Raises InputError if asammdf is not installed; ValueError, OSError if the file cannot be read.
     """
@@ -222,7 +222,7 @@ def mdf_columns(path: Path) -> Columns:
         raise InputError(
             "an MDF file is read by asammdf, which is not installed: `python -m pip install asammdf==8.8.28`"
         ) from None
-    for kind in (MDF3, MDF4):  # of a file that cannot be read it prints a traceback of its own
+    for kind in (MDF3, MDF4):  # for an unreadable file it prints a traceback
         setattr(kind, "__del__", lambda self: None)  # noqa: B010
     parts: dict[int, Columns] = {}
     with _read_as("an MDF file"), MDF(str(path)) as file:
@@ -249,12 +249,12 @@ def mdf_columns(path: Path) -> Columns:
 
 
 class _Starts(TdmsReader):
-    """Reader that keeps what a channel says of its start where it began again: the file keeps the last only."""
+    """TDMS reader that records all start times of a channel; npTDMS retains the last only."""
 
     def __init__(self, path: str) -> None:
         super().__init__(path)
         self.starts: dict[str, list[tuple[int, np.datetime64]]] = {}
-        """By channel: number of its first sample, and when that was taken."""
+        """By channel: index of the first sample after each start, and the start time."""
 
     def _update_object_metadata(self, segment: Any) -> None:
         self._before = {path: one.num_values for path, one in self.object_metadata.items()}
@@ -269,9 +269,9 @@ class _Starts(TdmsReader):
 
 
 def tdms_columns(path: Path) -> Columns:
-    """Channels by name, with their group in front where there are several; times from the waveform's properties.
+    """Channels of a TDMS file, prefixed by their group if there are several; times from the waveform properties.
 
-    Channels begin when they say so, and begin again where they say so. Raises ValueError, OSError if it cannot be read.
+    The times restart at each start time that a channel states. Raises ValueError, OSError if it cannot be read.
     """
     found = Columns()
     with _read_as("a TDMS file"):
@@ -302,7 +302,7 @@ def tdms_columns(path: Path) -> Columns:
                 starts = reader.starts.get(channel.path, [])
                 unsaid += [name] * (not starts)
                 own: FloatArray = step * np.arange(length, dtype=np.float64)
-                for first, start in starts:  # one that goes on as counted is none
+                for first, start in starts:  # one that continues the count of samples is no restart
                     begin = float((start - earliest) / np.timedelta64(1, "ns")) * 1e-9
                     if first < length and (first == 0 or abs(begin - own[first]) > 0.5 * step):
                         own[first:] = begin + step * np.arange(length - first, dtype=np.float64)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings as tables: bags, files of other loggers, column maps, and channels with different clocks.
 
-Channels are resampled to one clock without interpolating slow sensors: one that is as fast as the chosen clock, or
-faster, is read off between its two neighbouring samples; a slower one would be straight lines, which read as physics,
-and is left out. The current is held for the box's sample: a row gets the mean over one row's length about the middle of
-the sample that begins there, which up to 1 ms is what acted from this row to the next. All of it is noted.
+Channels are resampled to one clock. A sensor as fast as this clock, or faster, is interpolated linearly between
+neighbouring samples; a slower one is omitted, since its straight lines would be identified as physics. The valve
+current is a zero-order hold over the box's sample: a row gets its mean over one row's length, centred on the middle of
+the sample that begins there (rows of up to 1 ms: the mean from this row to the next). Notes report each conversion.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, unr
 
 
 def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str], dict[str, str]]:
-    """Times [s], fields in SI units by name, all of the same length, what was done to get them there, and their units.
+    """Times [s], (n,), fields in SI units, (n,), by name, notes on their conversion, and the columns' stated units.
 
-    Raises InputError if a column or a single number that the map names is not there, or no time belongs to the fields.
+    Raises InputError if a mapped column or scalar is missing or unusable, or the columns have no times in common.
     """
     notes = [*found.notes, *(f"{name} holds no numbers and was left out" for name in found.other if name in MEASURED)]
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
@@ -44,7 +44,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
     time = times(base)
     step, inside = median_step(time), np.ones(len(time), dtype=bool)
-    coincident = 1e-3 * step  # within which two times are the same: times of day have 0.2 us in a float
+    coincident = 1e-3 * step  # tolerance of equal times: stamps since 1970 resolve 0.2 us in a float
     fields = {}
     for field, source in sources.items():
         if field == "time":
@@ -88,7 +88,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
 
 
 def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> Source:
-    """A source that is taken as it is, in the unit that the file states. Raises InputError: the field has no such."""
+    """Return a plain source with the file's unit. Raises InputError if that is not of the field's quantity."""
     unit = found.unit(source.column)
     if not source.plain or not unit:
         return source
@@ -111,7 +111,7 @@ def _names(found: Columns) -> str:
 
 
 def base_of(sources: Mapping[str, Source], found: Columns) -> str:
-    """The column of times to which all are resampled: the mapped one, else that of most sensors, or the longest."""
+    """Time column to which all others are resampled: the mapped one, else the clock of most sensors or the longest."""
     if "time" in sources:
         return sources["time"].column
     owners = [found.clocks.get(source.column, "") for field, source in sources.items() if field in MEASURED]
@@ -122,7 +122,7 @@ def base_of(sources: Mapping[str, Source], found: Columns) -> str:
 
 
 def _times_of(clock: str, found: Columns, mapped: Source | None, notes: list[str]) -> FloatArray:
-    """Times of a clock in s; what the map says of one holds for all of which the file states no unit."""
+    """Times of a clock [s]; the mapped unit and operations apply to all clocks without a unit stated by the file."""
     if clock in found.broken:
         raise InputError(found.broken[clock])
     if mapped is not None and (clock == mapped.column or not found.unit(clock)):
@@ -134,9 +134,9 @@ def _times_of(clock: str, found: Columns, mapped: Source | None, notes: list[str
 
 
 def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArray:
-    """Times of rows that a clock of coarse ticks stamped: evenly apart, by counting them.
+    """Times of rows stamped by a clock of coarse resolution: evenly spaced, by counting the rows.
 
-    Raises InputError if their number from tick to tick says that rows are missing, so that no count tells when.
+    Raises InputError if the counts from tick to tick show that rows are missing, or there are too few ticks.
     """
     steps = np.diff(times)
     if not np.isfinite(times).all() or np.any(steps < 0.0) or not 0.1 < np.mean(steps == 0.0) < 1.0:
@@ -163,7 +163,7 @@ def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArra
 
 
 def _held_mean(own: FloatArray, values: FloatArray, time: FloatArray) -> FloatArray:
-    """Mean of what is held from each of its own times to the next, over a row's length about the sample's middle."""
+    """Means of a zero-order hold with times `own`, one per row of `time`, centred on the middle of the box's sample."""
     ends = np.concatenate([own, own[-1:] + median_step(own)])
     dose = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
     rows = np.diff(time, append=time[-1] + median_step(time))
@@ -174,7 +174,7 @@ def _held_mean(own: FloatArray, values: FloatArray, time: FloatArray) -> FloatAr
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a file. Raises InputError: in one sentence that names the path."""
+    """Read the columns of a measurement file. Raises InputError if it cannot be read; the message names the path."""
     try:
         kind = path.suffix.lower()
         if kind == ".dat":  # INCA's are MDF, those of test machines are text
@@ -228,28 +228,28 @@ _READERS: dict[str, Callable[[Path], Columns]] = {
 
 @dataclass(frozen=True)
 class RawTable:
-    """A recording as it was read, before any check."""
+    """Recording as read, before the quality checks."""
 
     name: str
     time: FloatArray
     """s, shape (n,)."""
     sample: FloatArray | None
-    """Number of each sample by the box's count, shape (n,), or None."""
+    """Box sample number of each row, from 0, shape (n,), or None without the box's counter."""
     columns: dict[str, FloatArray]
-    """BenchState fields, each of shape (n,)."""
+    """BenchState fields, SI units, each of shape (n,)."""
     notes: tuple[str, ...] = ()
     """Conversions applied to the file, one sentence each."""
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """By field, the unit in which its column was taken, by the map or the file; none for SI."""
+    """Unit of a field's column before conversion to SI, where the map or the file states one."""
 
 
 def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     """Read one recording.
 
-    `path`: a rosbag2 folder or .mcap, or a file of one of `recording.SUFFIXES`. `columns`: which of its columns is
-    what. None: it holds a `time` column [s] and any of the BenchState field names as columns. A bag with /hydro/state
-    needs none; of other bags `topics` makes the columns. Raises InputError: in one sentence that names the path, and
-    where a column is not found, the columns that there are.
+    `path`: a rosbag2 folder or .mcap, or a file of one of `recording.SUFFIXES`. `columns`: column map; None for a file
+    with a `time` column [s] and columns named as BenchState fields. A bag with /hydro/state needs none; the columns of
+    other bags are made by `topics`. Raises InputError with a message that names the path, and where a column is not
+    found, the available columns.
     """
     path = Path(path)
     if not exists(path):
@@ -265,9 +265,9 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
 
 
 def columns_of(path: Path, rows: int | None = None) -> Columns:
-    """Columns of a recording before any map: the fields of a bag with /hydro/state, all numbers of other files.
+    """Columns of a recording before mapping: the fields of a bag with /hydro/state, all numeric columns of other files.
 
-    `rows`: of longer bags every n-th row is kept, as by `read_bag`. Raises InputError: in one sentence that names the
+    `rows`: longer bags are thinned to every n-th row, as by `read_bag`. Raises InputError with a message that names the
     path.
     """
     if not exists(path):
@@ -282,12 +282,12 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
     if path.suffix.lower() in SUFFIXES:
         return read_columns(path)
     if path.suffix.lower() in (".bag", ".db3"):
-        _bag(path)  # says what makes it readable
+        _bag(path)  # raises with the remedy
     raise InputError(f"{path}: {unreadable(path)}")
 
 
 def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
-    """Apply a column map to a bag's fields. Raises InputError: as `read_table`."""
+    """Apply a column map to the fields of a bag. Raises InputError: as `read_table`."""
     turned = table_of(path, Columns({"time": raw.time, **raw.columns}, notes=list(raw.notes)), columns)
     same = turned.time is not None and len(turned.time) == len(raw.time)
     return replace(turned, name=raw.name, sample=raw.sample if same else None)
@@ -305,12 +305,12 @@ def _bag(path: Path, rows: int | None = None) -> Bag:
 
 
 ROW = "row"
-"""Name under which a map takes the number of a row, from 0, where the file has no column of it."""
+"""Column name by which a map refers to the row index, from 0, unless the file has a column of this name."""
 COUNTED = "where its rows are even, count them: --columns time=row*0.001,... at 1 kHz"
 
 
 def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
-    """Read one recording of which the columns are known already. Raises InputError: as `read_table`."""
+    """Apply a column map to the columns of a file. Raises InputError: as `read_table`."""
     chosen = (columns or ColumnMap({})).completed([*found.series, *found.broken])
     there = _names(found)
     if not set(chosen.sources) - {"time"}:

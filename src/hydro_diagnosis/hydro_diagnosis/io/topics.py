@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags of other graphs: every topic of numbers as columns `/topic.field`, each with its own times."""
+"""Bags without /hydro/state: numeric fields of all topics as columns `/topic.field`, with a clock per topic."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.recording import InputError
 
 _UNITS = {"sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa")}
-"""Units of message types that define one."""
+"""Field and unit of message types that define one."""
 
 
 def has_states(path: Path) -> bool:
@@ -34,7 +34,7 @@ def has_states(path: Path) -> bool:
 
 
 def topic_columns(path: Path, rows: int | None = None) -> Columns:
-    """Numbers of all topics; times are the headers' stamps, or where a type has none, when the recorder got a message.
+    """Numeric columns of all topics; times are the header stamps, or without a header the recorder's receive times.
 
     `rows`: as `read_bag`. Raises InputError if the bag cannot be read.
     """
@@ -69,7 +69,7 @@ def topic_columns(path: Path, rows: int | None = None) -> Columns:
 
 
 def _columns_of_objects(path: Path, topic: str) -> tuple[dict[str, FloatArray], bool]:
-    """Columns of a type with texts, lists or parts, its numbers by name and number, and whether it is stamped."""
+    """Numeric fields of a nested message type as columns, (n,), and whether all messages are stamped."""
     times: list[float] = []
     rows: list[dict[str, float]] = []
     stamped = True

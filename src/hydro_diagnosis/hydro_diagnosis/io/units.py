@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units of columns: read by pint, beside the spellings of loggers that it does not know."""
+"""Units of columns: parsed by pint, plus spellings of loggers that pint does not know."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _SPELLINGS = {
     "°": "deg", "grad": "deg",
     "Nm": "N*m", "kNm": "kN*m", "NM": "N*m",
 }  # fmt: skip
-"""In lower case where the case does not tell two units apart."""
+"""Spellings of loggers in pint's; lower-case keys apply to any case."""
 _NONE = ("", "-", "--", "1", "n/a", "na", "none", "unitless", "dimensionless", "no unit")
 _WORD = re.compile(r"(?:1/)?[A-Za-zµμΩ°%$/*·^(][\w µμΩ°%/*·^().²³⁻¹-]{0,23}")
 
 
 @cache
 def _registry() -> Any:
-    """A registry of its own, complete before it is used: that of the program may have other units, and fills late."""
+    """Separate unit registry: the program's own may define other units, and is filled late."""
     import pint
 
     return pint.UnitRegistry()
@@ -67,7 +67,7 @@ def _measured(text: str) -> tuple[str, float] | None:
 
 @cache
 def known(text: str) -> str:
-    """The unit as pint reads it; empty where it is none that a bench has. `mPa` is what it says, `MPA` is MPa."""
+    """Return a unit in pint's spelling; empty if it measures no quantity of a bench. `mPa` is kept, `MPA` is MPa."""
     bare = text.strip().strip('[]{}"').strip()
     bare = bare[1:-1].strip() if bare[:1] == "(" and bare[-1:] == ")" else bare
     bare = bare.rstrip(".")
@@ -79,19 +79,19 @@ def known(text: str) -> str:
 
 
 def stated(text: str) -> str:
-    """The unit that a text states: as `known` has it, else the text as it is; empty where it states none."""
+    """Unit stated by a text: in pint's spelling if known, else the text itself; empty for none or dimensionless."""
     bare = text.strip().strip('[]"').strip()
     return known(text) or ("" if bare.lower() in _NONE else bare)
 
 
 def quantity(unit: str) -> str:
-    """Quantity that a unit measures; empty for one that is not known."""
+    """Physical quantity measured by a unit; empty if the unit is unknown."""
     found = _measured(known(unit)) if unit else None
     return found[0] if found else ""
 
 
 def to_si(unit: str) -> float:
-    """Factor from a unit to SI; 1 without one. Raises KeyError: it is not known."""
+    """Factor from a unit to SI; 1 for an empty unit. Raises KeyError if the unit is unknown."""
     if not unit:
         return 1.0
     found = _measured(known(unit))
@@ -114,7 +114,8 @@ _NEEDS = {
     "A": r"i|i_?v\w*|\w*current|cur|\w*strom", "V": r"u|\w*volt\w*|cmd\w*|command|control|signal|spannung",
     "l": r"vol\w*", "L": r"vol\w*", "a": r"i|\w*current|cur|\w*strom", "b": "",
 }  # fmt: skip
-"""Endings that are more often a chamber, a port or a limit, and the words beside which they are units."""
+"""Suffixes that are more often a chamber, a port or a limit than a unit, with the words next to which they are units.
+"""
 
 
 def _fits(name: str, unit: str) -> bool:
@@ -125,7 +126,7 @@ def _fits(name: str, unit: str) -> bool:
 def split_unit(name: str) -> tuple[str, str]:
     """A column's name without the unit at its end, and that unit: `pos [mm]`, `pos_mm`, `vel_mm_s`, `p / bar`.
 
-    What stands in square brackets states a unit even where it is not known, elsewhere only where it is.
+    Text in square brackets is a unit even if unknown, text elsewhere only if known.
     """
     if found := _BRACKETS.search(name):
         own, round_ = name[: found.start()].strip(), found[2] or ""

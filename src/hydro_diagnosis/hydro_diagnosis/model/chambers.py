@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chamber equations: pressure and hydraulic force that the recorded valve current and motion build per sample.
+"""Chamber equations: increments of pressure and hydraulic force per sample, from recorded valve current and motion.
 
 The two chamber equations (paper eq. q13, physics.md) are integrated from sample to sample. Displacement is the
 difference of recorded positions, exactly; flow is the mean opening of the valve within the sample times the root of the
@@ -28,9 +28,9 @@ from hydro_sim.model.hydraulics import pressure_rates
 
 @njit
 def edge_flows(into_a, into_b, opened, closing, p_a, p_b, supply, tank):
-    """Write the flows [m3/s] through the edges into both chambers; `tank` [Pa] is a number, all else (n,).
+    """Write the flows [m3/s] through the edges into both chambers; `tank` [Pa] is a scalar, all else (n,).
 
-    `opened`, `closing`: conductances [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
+    `opened`, `closing`: conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
     """
     for k in range(len(p_a)):
         out, back = compiled.edge_drops(supply[k], tank, p_a[k], p_b[k])
@@ -40,7 +40,7 @@ def edge_flows(into_a, into_b, opened, closing, p_a, p_b, supply, tank):
 
 @njit
 def _flows(positive, negative, p_a, p_b, supply, tank):
-    """Flows into both chambers with all edges open [m3/s/sqrt(Pa)] that drive the piston out, and back."""
+    """Flows [m3/s] into both chambers, by conductances [m3/s/sqrt(Pa)] of the edges that extend, and that retract."""
     out, back = compiled.edge_drops(supply, tank, p_a, p_b)
     a, b = 0.0, 0.0
     if positive != 0.0:
@@ -54,7 +54,7 @@ def _flows(positive, negative, p_a, p_b, supply, tank):
 
 @njit
 def nominal_flows(into_a, into_b, gain, spool, p_a, p_b, supply, tank):
-    """The same of a zero-lapped valve; `spool` [A] has shape (n, substeps), `gain`, `supply` and `tank` are numbers."""
+    """Write the flows [m3/s] of a zero-lapped valve into both chambers; `spool` [A]: (n, substeps), pressures: Pa."""
     share = gain / spool.shape[1]
     for k in range(len(p_a)):
         positive, negative = 0.0, 0.0
@@ -78,16 +78,16 @@ def first_moments(gain, moment, spool, p_a, p_b, supply, tank):
 
 
 OBSERVER_MEMORY = 0.12
-"""Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
+"""Time constant [s] of the observer. A shorter one suppresses the slow drift that a small leak causes."""
 BLOCK = 0.1
 """Averaging time [s] of the hydraulic balance."""
 
 
 @njit
 def innovations(recorded, built, gain):
-    """What a recorded signal has beyond the sum of what each sample has `built`, minus its slow part, shape (n,).
+    """Innovations of an observer, shape (n,): a recorded signal less the sum of the increments `built`, high-passed.
 
-    The slow part follows by `gain` per sample; it begins at the mean of the first ten.
+    The slow part subtracted is a first-order low-pass of `gain` per sample, from the mean of the first ten samples.
     """
     beyond = np.empty_like(recorded)
     total = 0.0
@@ -104,7 +104,7 @@ def innovations(recorded, built, gain):
 
 @njit
 def derivatives(rates, bench, state, flows_a, flows_b, stiff_a, stiff_b, against, load):
-    """Write d/dt of [x_p, x_p', p_a, p_b], shape (4, n); `load` and what is `against` the motion in N, shape (n,)."""
+    """Write d/dt of [x_p, x_p', p_a, p_b], shape (4, n); forces `against` the motion and of the `load` in N, (n,)."""
     for k in range(state.shape[1]):
         v = state[1, k]
         driven = compiled.hydraulic_force(bench, state[2, k], state[3, k])
@@ -123,7 +123,7 @@ def _nominal(bench, x, v, p_a, p_b, current):
 
 @njit
 def nominal_run(states, bench, state, begins, spool, step):
-    """Write the states of windows of the bench without any effect, shape (length, 4, n), from `state`, shape (4, n).
+    """Simulate windows of the bench without effects by RK4: write `states`, (length, 4, n), from `state`, (4, n).
 
     `begins`: first sample of each; `spool`: A, shape (samples, substeps), held for a substep of `step` [s].
     """
@@ -148,7 +148,7 @@ SUBSTEPS = 4
 
 
 def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> Pair:
-    """Flow [m3/s] into chamber A and into chamber B, leaks included."""
+    """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
     if acting(claims, "openings", "supply"):
@@ -173,7 +173,7 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
 
 
 def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> Pair:
-    """beta/V [Pa/m3] of both chambers."""
+    """Return the stiffnesses beta/V [Pa/m3] of the oil in both chambers under claims."""
     softer = acting(claims, "modulus")
     moduli: list[Any] = [bench.bulk_modulus, bench.bulk_modulus]
     for k, pressure in enumerate(oil.pressures if softer else ()):
@@ -191,13 +191,13 @@ class ChamberRun:
     innovations: Pair
     """Pa, shape (n,), not smoothed."""
     arc: FloatArray
-    """N, shape (n,): by how much the mean of f_h around a sample exceeds what straight lines between samples give."""
+    """Excess [N], shape (n,), of the mean of f_h around a sample over that of its linear interpolation."""
     built_force: FloatArray
-    """N, shape (n,): what each sample adds to f_h."""
+    """Increment [N] of f_h in each sample, shape (n,)."""
 
 
 def force_arc(bench: Bench, oil: Oil, stiff: Pair, acceleration: FloatArray, step: float) -> FloatArray:
-    """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
+    """`ChamberRun.arc` [N], (n,): dt times the integral of f_h'(s) (1/2 - s), s in a sample 0..1 (Euler-Maclaurin)."""
     moment = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
     moment = moment if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
     flows = first_moments(
@@ -209,6 +209,6 @@ def force_arc(bench: Bench, oil: Oil, stiff: Pair, acceleration: FloatArray, ste
 
 
 def middle(signal: FloatArray) -> FloatArray:
-    """Mean of each sample and the next, shape (n,); the last repeats."""
+    """Values at the middles of the sample intervals: means of each sample and the next, the last repeated, (n,)."""
     between: FloatArray = 0.5 * (signal + np.concatenate([signal[1:], signal[-1:]]))
     return between

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
+"""First-order responses of the residuals to a term of an equation: its hook, then linear propagation to the channels.
 
-Many terms are carried at a time: the way is linear. What a term of one equation does by way of another is left out:
-responses rank terms, and fit none. The error of a pressure gauge also goes through flows, stiffness and
+Many terms are propagated at a time. The influence of a term of one equation by way of another is neglected: responses
+serve to rank terms, not to fit them. The error of a pressure sensor also propagates through flows, stiffness and
 hydraulic balance, which are computed from its readings.
 """
 
@@ -24,11 +24,11 @@ from hydro_sim.model import equations as eq
 
 _PRESSURES = ("pressure_a", "pressure_b")
 Shown = dict[str, FloatArray]
-"""By channel of the residuals: physical unit, shape (terms, judged rows)."""
+"""Responses by channel of the residuals: physical unit, shape (terms, evaluated rows)."""
 
 
 class Responses:
-    """Linear responses of a segment's residuals to hidden inputs, given the retained claims."""
+    """Linear responses of a segment's residuals to hidden inputs, under given claims."""
 
     def __init__(self, model: SegmentModel, blocks: Collection[str], claims: Sequence[Claim]) -> None:
         self.model, self.claims = model.with_true_position(claims), claims
@@ -48,13 +48,13 @@ class Responses:
 
     @cached_property
     def _roots(self) -> list[FloatArray]:
-        """Roots of the pressure drops [sqrt(Pa)] that the valve has opened into chamber A and out of chamber B."""
+        """Roots of the pressure drops [sqrt(Pa)] across the open edges of the valve at chambers A and B."""
         extends = substep_mean(self._oil.spool) >= 0.0
         drops = eq.edge_drops(self.bench.supply_pressure, self.bench.tank_pressure, *self._oil.pressures)
         return [eq.signed_root(np.where(extends, out, back)) for out, back in zip(*drops, strict=True)]
 
     def of(self, terms: Sequence[Claim]) -> Shown:
-        """Responses to terms of one law."""
+        """Return the responses to terms of one law or table, each at its values."""
         effect, model, nothing = terms[0].effect, self.model, self._nothing
         assert isinstance(effect, Closure)
         if effect.acts_in("opposing_force"):
@@ -84,7 +84,7 @@ class Responses:
         return self._read(terms, effect.law.where)
 
     def smooth(self, signals: FloatArray) -> FloatArray:
-        """`SegmentModel.kept_smooth` of each, shape (terms, judged rows)."""
+        """Return `SegmentModel.kept_smooth` of each signal, shape (terms, evaluated rows)."""
         return np.stack([self.model.kept_smooth(one) for one in signals])
 
     def restrict_to_blocks(self, shown: Mapping[str, FloatArray]) -> Shown:
@@ -133,7 +133,7 @@ class Responses:
         return self.restrict_to_blocks({"motion": -read(force, True)[:, self.model.rows], "hydraulic": -means})
 
     def _displaced(self, terms: Sequence[Claim]) -> Shown:
-        """Return the responses to an error of the position, but not by friction near standstill and the oil."""
+        """Return the responses to an error of the position, without those by dry friction and oil volumes."""
         model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
         errors = np.stack([one.effect.invert_reading("piston_position", recorded, self._memory, one.values) - recorded
                            for one in terms])  # fmt: skip
@@ -152,7 +152,7 @@ class Responses:
         return np.stack([self.model.behind_cell(one, self.bench) for one in force])
 
     def _misread(self, terms: Sequence[Claim], channel: str) -> Shown:
-        """Responses to errors of a pressure gauge."""
+        """Responses to errors of a pressure sensor."""
         model = self.model
         shown: dict[str, list[FloatArray]] = {"pressure_a": [], "pressure_b": [], "hydraulic": []}
         area = self.bench.piston_area * (1.0 if channel == "pressure_a" else -self.bench.area_ratio)
@@ -171,12 +171,12 @@ class Responses:
 
     @cached_property
     def _built(self) -> Pair:
-        """Pressure [Pa] that each sample builds in both chambers."""
+        """Pressure increments [Pa] per sample in both chambers."""
         return self.model.built(self.bench, self._oil, self.claims)[1]
 
     @cached_property
     def _by_pressure(self) -> dict[str, Pair]:
-        """Change of what each sample builds in chambers A and B per change of one pressure."""
+        """Derivatives of the pressure increments per sample in chambers A and B by each pressure."""
         found = {}
         for k, name in enumerate(_PRESSURES):
             moved = []

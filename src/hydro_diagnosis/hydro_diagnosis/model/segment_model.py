@@ -5,7 +5,7 @@
 
     pressure_a, pressure_b   innovations of a slow observer of the chamber equations, 120 ms of memory     1 kHz / 5
     motion                   f_h - (m x'' + b x' + dry friction + spring), weak form                        1 kHz / 5
-    load                     f_l - what its sensor makes of the spring's force                               1 kHz / 5
+    load                     f_l - reading of its sensor for the load's force                                1 kHz / 5
     hydraulic                f_h - (A_p p_a - alpha A_p p_b), means over 100 ms: the slow part, which the
                              observer forgets; the fast part is in the other residuals already
 """
@@ -58,23 +58,23 @@ from hydro_sim.model.equations import LOAD_CELL_DAMPING
 LAG_ITERATIONS = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
 SLOPE_STEP = 1e3
-"""Step [Pa] of the differences that give the slope of a curved reading."""
+"""Step [Pa] of the finite differences for the slope of a nonlinear sensor."""
 _NODES, _WEIGHTS = hermegauss(3)
-"""Of a mean over a Gaussian; the weights sum to the root of two pi."""
+"""Gauss-Hermite nodes and weights of a mean over a Gaussian; the weights sum to the root of two pi."""
 BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
 """Channels of residuals in each block."""
 
 
 class SegmentModel:
-    """A segment, the bench that is believed, the piston's smoothed motion, and residuals under claims, physical units.
+    """Model of a segment: assumed bench, smoothed piston motion, and residuals under claims in physical units.
 
-    `like`: the same stretch with more rows, whose judged samples are judged here too.
+    `like`: model of the same segment with all recorded rows, whose evaluated samples are used here too.
     """
 
     def __init__(self, segment: Segment, bench: Bench, like: SegmentModel | None = None) -> None:
         self.segment = segment
         self.base = bench
-        """The bench as believed, no claim written into it."""
+        """Assumed bench, without the corrections of any claim."""
         self.step = segment.step
         self.spacing = segment.spacing
         self.time = segment.time
@@ -83,15 +83,15 @@ class SegmentModel:
         self.has_position = "piston_position" in channels
         self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
         self.at_the_rod = at_the_rod(channels, bench)
-        """Whether the load's force in the motion equation is what its cell measured."""
+        """Whether the load's force in the motion equation is the reading of the load cell."""
         self.settle = min(round(2.5 * OBSERVER_MEMORY / self.step), len(segment) // 4)
-        """Samples at the start that are not judged: filters and observer settle, to 8 %."""
-        end = len(segment) - 20 * self.spacing  # the last rows are not judged
-        margin = round(4.0 * TOTAL_WIDTH)  # what the test function sees on either side of a row that is missing
+        """Number of samples at the start that are not evaluated, while filters and observer settle to 8 %."""
+        end = len(segment) - 20 * self.spacing  # the last rows are not evaluated
+        margin = round(4.0 * TOTAL_WIDTH)  # reach of the test function to either side, free of missing rows
         self.rows: npt.NDArray[np.int64] | slice = (
             like.rows if like else segment.evaluated_rows(self.settle, end, STRIDE, margin)
         )
-        """Samples that are judged."""
+        """Evaluated samples, at which residuals are taken."""
         self._judged = np.arange(len(segment))[self.rows]
         if self.has_position:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
@@ -111,7 +111,7 @@ class SegmentModel:
         self._corrected_models = BoundedCache(4)  # models with corrected positions
 
     def bench(self, claims: Sequence[Claim]) -> Bench:
-        """The bench with the values that the claims replace."""
+        """Return the bench with the parameters that the claims correct."""
         bench = self.base
         for claim in acting(claims, "correct"):
             bench = claim.effect.correct(bench, claim.values)
@@ -119,7 +119,7 @@ class SegmentModel:
 
     @cached_property
     def unseen_ringing(self) -> float:
-        """Frequency [Hz] at which the believed mass rings on the oil; 0 where the rows show it, twice in a period."""
+        """Hydraulic natural frequency [Hz] of the assumed bench if above the rows' Nyquist frequency, else 0."""
         if self.spacing == 1 or not (self.has_position and self.has_pressures):
             return 0.0
         bench, moduli = self.base, (self.base.bulk_modulus, self.base.bulk_modulus)
@@ -129,7 +129,7 @@ class SegmentModel:
         return ringing if 2.0 * ringing * self.step * self.spacing > 1.0 else 0.0
 
     def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
-        """A channel with the sensors' gains and biases taken out."""
+        """Return the true signal of a channel, shape (n,): its recording with the claimed sensor errors inverted."""
         signal = self.channels[channel]
         for claim in acting(claims, "invert_reading"):
             signal = claim.effect.invert_reading(channel, signal, self.memory, claim.values)
@@ -158,36 +158,36 @@ class SegmentModel:
         return smoothed | ({"acceleration": self.finish(self.a)} if self.has_position else {})
 
     def kept(self, signal: FloatArray) -> FloatArray:
-        """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""
+        """Return a signal at the evaluated samples, shape (rows,): every fifth recorded row once settled."""
         return signal[self.rows]
 
     def smooth(self, signal: FloatArray) -> FloatArray:
-        """A measured signal through the test function, shape (n,)."""
+        """Return a measured signal smoothed by the test function, shape (n,)."""
         return smooth(signal, self.spacing)
 
     def finish(self, signal: FloatArray) -> FloatArray:
-        """Smooth a result of the smoothed motion to the test function's width, shape (n,)."""
+        """Return a signal of the smoothed motion, smoothed further to the test function's width, shape (n,)."""
         return finish(signal, self.spacing)
 
     def kept_smooth(self, signal: FloatArray) -> FloatArray:
-        """`smooth` at the judged samples alone."""
+        """Return `smooth` at the evaluated samples only, shape (rows,)."""
         return smooth_at(signal, self._judged, self.spacing)
 
     def kept_finish(self, signal: FloatArray) -> FloatArray:
-        """`finish` at the judged samples alone."""
+        """Return `finish` at the evaluated samples only, shape (rows,)."""
         return finish_at(signal, self._judged, self.spacing)
 
     def means(self, signal: FloatArray) -> FloatArray:
-        """Return the block means over `BLOCK` of a signal, from where it has settled."""
+        """Return the means of a signal over blocks of `BLOCK`, once settled, shape (blocks,)."""
         length, settled = round(BLOCK / self.step), signal[self.settle :]
         return settled[: len(settled) // length * length].reshape(-1, length).mean(axis=1)
 
     def kept_time(self) -> FloatArray:
-        """s, of the decimated residuals."""
+        """Return the times [s] of the decimated residuals, shape (rows,)."""
         return self.kept(self.time)
 
     def block_time(self) -> FloatArray:
-        """s, of the means over blocks."""
+        """Return the times [s] of the block means, shape (blocks,)."""
         length = round(BLOCK / self.step)
         count = (len(self.time) - self.settle) // length
         return self.time[self.settle] + (np.arange(count) + 0.5) * length * self.step
@@ -209,9 +209,9 @@ class SegmentModel:
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
-        """Shape (n, substeps); an unshaped current is constant within a sample and needs only one substep.
+        """Spool position [A], shape (n, substeps); without claims it is constant in a sample: one substep.
 
-        Each claim's spool is kept back, so that what comes later in the command's path begins there.
+        The spool after each claim is cached, as the input of claims that follow in the command path.
         """
         if len(claims) > 1:
             spool = self._cache.get_or_compute("spool", claims[:-1], self._spool)
@@ -226,7 +226,7 @@ class SegmentModel:
         return p_a, p_b
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
-        """Innovations and arcs under the claims."""
+        """Return the chambers' innovations and the increments and arcs of f_h under the claims."""
         bench = self.bench(claims)
         oil = self.oil(claims)
         stiff, (built_a, built_b) = self.built(bench, oil, claims)
@@ -243,14 +243,14 @@ class SegmentModel:
         return ChamberRun((innovations[0], innovations[1]), arc, force)
 
     def built(self, bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[Pair, Pair]:
-        """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
+        """Return beta/V [Pa/m3] of both chambers, and the pressure increments [Pa] per sample in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
         stiff, position = chambers.compliances(bench, oil, claims), self.channels["piston_position"]
         moved = np.diff(position, append=position[-1])
         return stiff, eq.pressure_rates(bench, stiff, (into_a * self.step, into_b * self.step), moved)
 
     def _ahead_of_lag(self, oil: Oil, built: Pair, claims: Sequence[Claim]) -> Oil:
-        """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
+        """The oil with the true pressures of lagging sensors: the lag's error is that for the pressures built."""
         others = [claim for claim in claims if not claim.effect.lagged_channel.startswith("pressure")]
         pressures = list(oil.pressures)
         for index, channel in enumerate(("pressure_a", "pressure_b")):
@@ -263,7 +263,7 @@ class SegmentModel:
 
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
         curved = [claim for claim in claims if claim.effect.nonlinear_channel == channel]
-        if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
+        if curved:  # the integral has no absolute level: the sensor's slope is taken at the recorded level
             built = built * self.reading_slope(channel, self.true_signal(channel, claims), curved)
             claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
         gain = self.step / OBSERVER_MEMORY
@@ -276,7 +276,7 @@ class SegmentModel:
         return unexplained - np.asarray(followed)
 
     def reading_slope(self, channel: str, signal: FloatArray, curved: Sequence[Claim]) -> FloatArray:
-        """Change of a curved reading [-] per change of its true signal, within each sample."""
+        """Slope [-] of a nonlinear sensor's reading over its true signal, in the middle of each interval, (n,)."""
         signal = chambers.middle(signal)
         above, below = (self.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
         return np.asarray((above - below) / (2.0 * SLOPE_STEP))
@@ -284,7 +284,7 @@ class SegmentModel:
     # -- forces --------------------------------------------------------------------------------------------------------
 
     def dry_friction_level(self, claims: Sequence[Claim], velocity: FloatArray | None = None) -> FloatArray:
-        """Level [N] of dry friction while sliding."""
+        """Magnitude [N] of sliding dry friction at the smoothed, or a given, velocity [m/s], shape (n,)."""
         motion = self.kinematics if velocity is None else Kinematics(self.time, self.x, velocity)
         level = np.zeros_like(self.x)
         for claim in acting(claims, "dry_level"):
@@ -292,17 +292,17 @@ class SegmentModel:
         return level
 
     def spring_force(self, bench: Bench, claims: Sequence[Claim], motion: Kinematics) -> FloatArray:
-        """True force [N] of the load."""
+        """Force [N] of the load under claims, without sensor errors, shape (n,)."""
         force = bench.spring_stiffness * (motion.position - bench.spring_rest_position)
         for claim in acting(claims, "load"):
             force = claim.effect.load(force, motion, bench, self.memory, claim.values)
         return force
 
     def dry_friction(self, claims: Sequence[Claim]) -> FloatArray:
-        """Dry friction [N] without bristles, as the first Gaussian sees it: a mean over velocities where they change.
+        """Signed dry friction [N], averaged over the velocities within the first Gaussian; 0 with bristles, (n,).
 
-        Friction is no straight line in the velocity. Taken at the smoothed velocity alone, a Stribeck rise that the
-        piston passes within milliseconds would read a quarter too small.
+        Friction is nonlinear in the velocity. At the smoothed velocity alone, a Stribeck rise that the piston passes
+        within milliseconds would be a quarter too small.
         """
         force = np.zeros_like(self.x)
         if not acting(claims, "dry_level") or any(claim.effect.bristles for claim in claims):
@@ -323,7 +323,7 @@ class SegmentModel:
         return tuple((weight, velocity, np.tanh(velocity / slip)) for weight, velocity in nodes)
 
     def required_force(self, claims: Sequence[Claim]) -> FloatArray:
-        """Hydraulic force [N] that the recorded motion needs, as the first Gaussian sees it."""
+        """Hydraulic force [N] required by the recorded motion (inverse dynamics), after the first Gaussian, (n,)."""
         bench = self.bench(claims)
         force = self.dry_friction(claims)
         resisting = acting(claims, "opposing_force")
@@ -334,7 +334,7 @@ class SegmentModel:
         return inertia + force + self.spring_force(bench, claims, self.kinematics)
 
     def variable(self, name: str) -> FloatArray:
-        """A variable that a hidden input may depend on, shape (n,), SI units."""
+        """Return a variable on which a hidden input may depend, by name, shape (n,), SI units."""
         if name == "pressure_difference":
             return self.smooth(self.channels["pressure_a"] - self.channels["pressure_b"])
         if name == "current":
@@ -356,10 +356,10 @@ class SegmentModel:
         return self._corrected_models.get_or_compute("position", moving, moved)
 
     def residuals(self, block: str, claims: Sequence[Claim]) -> dict[str, FloatArray]:
-        """Residuals of a block under its claims by channel, decimated: Pa or N.
+        """Return the residuals of a block under its claims by channel, decimated: Pa or N.
 
-        Beside those of the pressures `arc` [N]: by how much the mean of f_h around each sample exceeds it. Straight
-        lines between the samples (second differences over 12), and the arcs upon them.
+        That of the pressures also has `arc` [N]: the excess of the mean of f_h around each sample over f_h, by linear
+        interpolation between samples (second differences over 12) plus `ChamberRun.arc`.
         """
         model = self.with_true_position(claims)
         if block == MOTION:
@@ -376,7 +376,7 @@ class SegmentModel:
         return {"pressure_a": a, "pressure_b": b, "arc": model.kept_smooth(run.arc) + model._lines_arc}
 
     def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
-        """N, decimated, without the arc."""
+        """Return the residual [N] of the motion equation, decimated, without the arc."""
         required = self.required_force(claims)
         if "hydraulic_force" not in self.channels or not acting(claims, "read_sensor"):
             return self.measured_force(claims) - self.kept_finish(required)
@@ -384,7 +384,7 @@ class SegmentModel:
         return self.measured_force(claims) - self.kept(shown)
 
     def measured_force(self, claims: Sequence[Claim]) -> FloatArray:
-        """Hydraulic force [N] of the cell, or else of the pressures, less the load's at the rod, decimated."""
+        """Hydraulic force [N] of the force cell, or else of the pressures, less a load cell's at the rod, decimated."""
         if "hydraulic_force" in self.channels:
             return self._cell_force
         bench = self.bench(claims)
@@ -401,7 +401,7 @@ class SegmentModel:
 
     @property
     def driving_force(self) -> FloatArray:
-        """Force [N] that moves the piston by the cells, or else by the pressures, as recorded, shape (n,)."""
+        """Recorded force [N] on the piston, of the force cell, or else of the pressures, less the load cell's, (n,)."""
         force = self.channels.get("hydraulic_force")
         if force is None:
             p_a, p_b = self.channels["pressure_a"], self.channels["pressure_b"]
@@ -410,12 +410,12 @@ class SegmentModel:
 
     @cached_property
     def _lines_arc(self) -> FloatArray:
-        """N, decimated: what straight lines between the samples of f_h exceed them by."""
+        """Excess [N] of the mean of linearly interpolated f_h around each sample over the sample, decimated."""
         bent = correlate1d(self.driving_force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest")
         return self.kept_smooth(bent)
 
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
-        """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
+        """Hydraulic residual [N], block means. A pressure sensor's lag is not inverted: all else is delayed alike."""
         bench = self.bench(claims)
         late = [one for one in claims if one.effect.lagged_channel.startswith("pressure")]
         others = [claim for claim in claims if claim not in late]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward simulation of the bench with claims, from the recorded valve current, many windows side by side.
+"""Forward simulation of the bench with claims, from the recorded valve current, many windows in parallel.
 
-The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. Other
-elements with memory (droop, bristles, play) start in the states that the recording gives. The sensors' readings of the
-simulated states are their response to the recording, and to how far the states leave it.
+The rates come from the same hooks of effects as the residuals; the states x_p, x_p', p_a, p_b are integrated by RK4.
+Other elements with memory (droop, bristles, play) start from their states along the recording. A sensor's reading is
+its response to the recording plus that to the deviation of the simulated states from it.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def _load(plant: Plant, motions: Kinematics, samples: Indices) -> FloatArray:
 def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, differences: dict[str, FloatArray]) -> FloatArray:
     """The sensor's response to the recording's own signal plus its response to the difference from it.
 
-    A reading that depends on the instant alone, or on a path, is taken where the signal is: it may be curved.
+    A reading that depends on the instant or on a path alone is evaluated at the full signal: it may be nonlinear.
 
     `differences`: simulated less recorded signals on which the reading may depend besides its own.
     """
@@ -137,30 +137,30 @@ class StictionStep:
     """Whether dry friction reaches the holding force."""
 
     def toward(self, motion: Kinematics) -> Kinematics:
-        """The motion with a sign, also at standstill."""
+        """Return the motion with its velocity in `direction`, at least 1e-9 m/s: signed also at standstill."""
         speed = np.maximum(np.abs(motion.velocity), 1e-9)
         return Kinematics(motion.time, motion.position, self.direction * speed)
 
 
 @dataclass(frozen=True)
 class Plant:
-    """A recording and the claims with which it is simulated."""
+    """Plant under claims, to be simulated from any sample of a recording."""
 
     model: SegmentModel
     claims: tuple[Claim, ...]
     bench: Bench
     spool: FloatArray
-    """A, shape (n, substeps)."""
+    """Spool position [A], shape (n, substeps)."""
     traces: dict[str, FloatArray]
-    """Elements with memory, along the recording."""
+    """States of the elements with memory along the recording, by key."""
     channels: Mapping[str, FloatArray]
-    """As recorded; the position of `model` is the piston's under the claims."""
+    """Channels as recorded; the position of `model` is corrected by the claims."""
     sticks: bool
-    """Whether dry friction holds the piston as far as it reaches: no bristles carry it."""
+    """Whether dry friction causes stiction: not if bristles represent it."""
 
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:
-        """Prepare a recording."""
+        """Return the plant of a recording under claims: spool path and states of memory along it are computed."""
         sticks = bool(acting(claims, "dry_level")) and not any(claim.effect.bristles for claim in claims)
         substeps = chambers.SUBSTEPS * (2 if sticks else 1)
         channels, model = model.channels, model.with_true_position(claims)
@@ -185,7 +185,7 @@ class Plant:
         memory: StepMemory,
         stiction: StictionStep | None = None,
     ) -> FloatArray:
-        """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `stiction`: what dry friction does in this step."""
+        """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `stiction` of this step; None: without dry friction."""
         x, v, p_a, p_b = state
         bench = self.bench
         oil = Oil(time, x, (p_a, p_b), spool, v)
@@ -207,20 +207,20 @@ class Plant:
 
     @cached_property
     def acting(self) -> dict[str, tuple[Claim, ...]]:
-        """Claims by the hook of `Effect` that they change, and those that act in the chambers."""
+        """Claims by the hook of `Effect` in which they act; `hydraulic`: those of the chamber equations."""
         found = {hook: tuple(acting(self.claims, hook)) for hook in ("dry_level", "opposing_force", "load", "inertia")}
         # the spool's path is computed beforehand
         return {"hydraulic": tuple(acting(self.claims, "openings", "supply", "leaks", "modulus")), **found}
 
     def mass(self, motion: Kinematics) -> FloatArray | float:
-        """Mass [kg] that the piston moves."""
+        """Return the moving mass [kg], including that moved with the load."""
         return self.bench.moving_mass + sum(
             claim.effect.inertia(motion, self.bench, claim.values) for claim in self.acting["inertia"]
         )
 
     @cached_property
     def _numbers(self) -> np.void:
-        """The bench as compiled code reads it."""
+        """Record of the bench's constants for compiled code."""
         numbers: np.void = self.bench.constants()[0]
         return numbers
 
@@ -240,17 +240,17 @@ class Plant:
         return level
 
     def memory(self, samples: Indices, step: float) -> StepMemory:
-        """Memory of windows that begin at these samples, one `step` [s] at a time."""
+        """Return the memory of windows that start at these samples, advanced one `step` [s] at a time."""
         return StepMemory(step, {key: trace[samples] for key, trace in self.traces.items()})
 
     def start(self, begins: Indices) -> FloatArray:
-        """States at samples, from smoothed recordings, shape (4, windows)."""
+        """Return initial states of windows, from the smoothed recording, shape (4, windows)."""
         model = self.model
         p_a, p_b = (model.smooth(model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
         return np.stack([model.x[begins], model.v[begins], p_a[begins], p_b[begins]])
 
     def run(self, state: FloatArray, begins: Indices, length: int) -> FloatArray:
-        """Simulate windows of `length` samples from `state`: as from `start`, or variants side by side.
+        """Simulate windows of `length` samples from `state`, as of `start`, shape (4, variants * windows).
 
         Returns
         -------

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Resampling to the box's clock: the valve current changes once a millisecond, whatever the logger's rate.
 
-From a faster logger, the rows at the box's milliseconds are taken. For a slower one, or one that lost rows, missing
-rows are interpolated by splines and never judged; and the same stretch is made again from half of the rows
-(`Segment.thinner`): the missing rows may change a residual or a parameter by as much as that does.
+From a faster logger, one row per box sample is taken. For a slower one, or one that lost rows, missing rows are
+interpolated by splines and excluded from the residuals. The same stretch is also interpolated from half of the rows
+(`Segment.thinner`): the difference estimates the effect of missing rows on residuals and parameters.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from hydro_diagnosis.significance import PRACTICAL_SHARE
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
 BETWEEN = 10
-"""Samples from one row of a slow logger to the next at most: its splines bend no faster."""
+"""Largest number of samples per row of a slow logger: its splines resolve no faster motion."""
 
 
 def on_box_clock(
     name: str, start: float, step: float, rows: Rows, columns: Mapping[str, FloatArray], *, resampled: bool = False
 ) -> Segment:
-    """One stretch without a long gap.
+    """Resample a stretch without long gaps to the box's clock.
 
-    `name`, `start`, `step`: the recording, s since its start, and s between the logger's rows. `rows`: number of each
-    recorded row by the logger's even count, ascending, shape (m,). `columns`: what was recorded there, by BenchState
-    field, each of shape (m,). `resampled`: whether they are interpolated from uneven stamps.
+    `name`, `start`, `step`: the recording, the stretch's start in it [s], and the logger's row spacing [s]. `rows`:
+    index of each recorded row on the logger's even grid, ascending, shape (m,). `columns`: recorded values by
+    BenchState field, each of shape (m,). `resampled`: whether they are interpolated from uneven stamps.
     """
     rows, skipped = rows - rows[0], round(SAMPLE_PERIOD / step)
     if skipped > 1:  # the current changes at the box's milliseconds, and is held until the next
@@ -49,7 +49,7 @@ def on_box_clock(
         return Segment(name, start, step, {key: np.asarray(one, np.float64) for key, one in columns.items()})
     length = (count - 1) * spacing + 1
     kept = np.ones(len(rows), dtype=np.bool_) if even else rows % 2 == 0
-    if even:  # without as many rows after each gap as the gap has
+    if even:  # `thinner` lacks as many further rows after each gap as the gap has
         for k in np.flatnonzero(np.diff(rows) > 1):
             kept[k + 1 : k + int(rows[k + 1] - rows[k])] = False
         kept[-4:] = True
@@ -63,7 +63,7 @@ def _placed(
     name: str, start: float, step: float, spacing: int, count: int, at: Rows, columns: Mapping[str, FloatArray],
     thinner: Segment | None = None,
 ) -> Segment:  # fmt: skip
-    """`count` samples on the box's clock, of which those `at` were recorded."""
+    """Segment of `count` samples, interpolated from the recorded ones at indices `at`."""
     even, measured = np.arange(count), np.zeros(count, dtype=np.bool_)
     measured[at] = True
     splined = (*MEASURED, "valve_current")  # all others by straight lines
@@ -73,7 +73,7 @@ def _placed(
     }
     for key, values in columns.items():
         channels[key][at] = values
-    held = step / SAMPLE_PERIOD  # of the box's milliseconds, in each of which the current is another
+    held = step / SAMPLE_PERIOD  # box samples, each with its own current, per sample of the segment
     if "valve_current" in columns and spacing > 1 and held > 1.5:
         channels["valve_current"] = CubicSpline(at, columns["valve_current"])(even + 0.5 * (held - 1.0) / held)
     return Segment(name, start, step, channels, spacing, measured, thinner)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data sets: recordings are read, split into fitted and held-out parts, and trimmed.
 
-Of long recordings those windows are kept that together cover most of the state space.
+Of long recordings, the windows that together cover most of the state space are retained.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ def load_dataset(
     recordings: Sequence[str | Path], holdout: Sequence[str | Path], bench: Bench, columns: ColumnMap | None = None,
     inspection: Inspection | None = None,
 ) -> tuple[list[Segment], list[Segment], list[str]]:  # fmt: skip
-    """Return segments to fit, segments held out, and notes on their quality; `column_map`: see `read_table`.
+    """Return the segments to fit, the held-out segments, and notes on their quality; `columns`: as of `read_table`.
 
-    `inspection` collects the doubts about each recording, also where none can be diagnosed.
+    `inspection` collects the doubts about the wiring of each recording, also if none can be diagnosed.
 
-    Raises InputError if none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
+    Raises InputError if no recording can be diagnosed, or two share data: held-out data must not be fitted.
     """
     inspection = Inspection() if inspection is None else inspection
     in_full = named_in_full([*recordings, *holdout])
@@ -74,7 +74,7 @@ def load_dataset(
 
 
 def _refuse_twice(recordings: list[Recording]) -> None:
-    """Refuse copies: a sensor's noise never repeats, so recordings that share a stretch of it are copies."""
+    """Raise InputError for copies: a sensor's noise never repeats, so recordings with an equal segment are copies."""
     contents = [  # what each sensor that moves read in each segment; in single precision, as any file has it
         {
             (name, sha256(segment.channels[name].astype(np.float32).tobytes()).hexdigest())
@@ -94,9 +94,9 @@ def _refuse_twice(recordings: list[Recording]) -> None:
 
 
 def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
-    """Refuse too little motion: a bench that trips at once shows half a second, which any hypothesis explains.
+    """Raise UnusableRecordingError for too little motion, of a bench that trips at once: any hypothesis would fit.
 
-    `notes`: on what was discarded. A quarter of a second is judged at a time.
+    `notes`: on discarded data. Motion is counted in blocks of a quarter of a second.
     """
     moving = lasted = 0.0
     for segment in segments:
@@ -126,9 +126,9 @@ def _read(
     paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, inspection: Inspection, in_full: set[Path],
     *, spare: bool = False,
 ) -> tuple[list[Recording], list[str]]:  # fmt: skip
-    """Recordings with information, and a note on each without.
+    """Recordings that can be diagnosed, and notes on their quality and on refused ones.
 
-    If none does, the first reason is raised, unless another recording can take their place (`spare`).
+    If all are refused, the first error is raised, unless another recording can replace them (`spare`).
     """
     recordings, refused = list[Recording](), list[UnusableRecordingError]()
 
@@ -158,7 +158,7 @@ def _read(
 
 
 def _informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
-    """The most informative windows, `LONGEST` seconds at most."""
+    """The most informative windows of the segments, `LONGEST` seconds at most, with a note."""
     total = sum(len(segment) * segment.step for segment in segments)
     if total <= LONGEST:
         return segments

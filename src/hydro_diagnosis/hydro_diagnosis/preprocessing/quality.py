@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quality checks: faults are repaired and listed where that is sound, refused in one sentence where it is not.
 
-The outcome is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing
-for longer than five rows, and what is shorter is bridged (`box_clock`).
+The result is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing
+for longer than five rows; shorter gaps are interpolated (`box_clock`).
 
 Time stamps: a logger that stamps rows on arrival adds jitter to samples that the box took evenly; one that polls takes
-samples unevenly with correct stamps. The recording itself decides: placed correctly, it is smoother.
+samples unevenly with correct stamps. The alternative with less white noise in the position is taken.
 
-Frozen sensors: a noisy one repeats its number. An encoder is quantised and a piston may stand: frozen is one that stays
-exactly where it is while the load's force or the reported velocity moves on, or that jumps when it comes back. What
-follows a stop for a moment (the load cell's amplifier rings, the velocity's filter runs out) does not count.
+Frozen sensors: a noisy one repeats its value. An encoder is quantised and a piston may stand: it is frozen if its value
+repeats while the load force or the reported velocity changes, or if it jumps afterwards. Transients just after a stop
+(ringing of the load cell's amplifier, settling of the velocity's filter) do not count.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def uneven(time: FloatArray) -> bool:
-    """Return whether stamps [s] run forward, but more than 5 % of them off the even ones by 2 % of a step."""
+    """Return whether stamps [s] never decrease, but over 5 % of their steps are off multiples of the median by 2 %."""
     steps = np.diff(time)
     if not np.all(np.isfinite(steps)) or np.any(steps < 0.0) or not np.any(steps > 0.0):
         return False
@@ -44,22 +44,22 @@ def uneven(time: FloatArray) -> bool:
 
 
 def sampling_grid(time: FloatArray) -> tuple[float, Rows]:
-    """Return the sampling time [s] and the row number of each stamp; missing rows leave gaps in the numbers."""
-    step = median_step(time)  # lost rows have lengthened it
-    for count, reach in ((32, 0.03), (512, 3e-3), (8192, 2e-4)):  # finer as more of the stamps are in step
+    """Return the sampling time [s] and the row index of each stamp, (n,); missing rows leave gaps in the indices."""
+    step = median_step(time)  # too long if rows were lost
+    for count, reach in ((32, 0.03), (512, 3e-3), (8192, 2e-4)):  # finer as longer blocks stay in phase
         length = min(count, len(time))
         blocks = time[: len(time) // length * length].reshape(-1, length)
         trials = step * (1.0 + np.linspace(-reach, reach, 61))
         rhythm = [np.sum(np.square(np.abs(np.exp(2j * np.pi / one * blocks).sum(axis=1)))) for one in trials]
         step = float(trials[int(np.argmax(rhythm))])
-    turns = np.exp(2j * np.pi / step * (time[:21] - time[0]))  # their mean angle: lost rows do not matter
+    turns = np.exp(2j * np.pi / step * (time[:21] - time[0]))  # mean phase, insensitive to lost rows
     clock = float(time[0]) + float(np.angle(turns.mean())) / (2.0 * np.pi) * step
     rows, row = np.zeros(len(time), dtype=np.int64), 0
     for k in range(1, len(time)):
         passed = max(round((time[k] - clock) / step), 1)
         row += passed
         clock += passed * step
-        clock += 0.01 * (time[k] - clock)  # it follows a share of a stamp's error
+        clock += 0.01 * (time[k] - clock)  # tracks slow drift of the stamps
         rows[k] = row
     return float(np.polyfit(rows, time - time[0], 1)[0]), rows
 
@@ -93,15 +93,15 @@ def _stamped(
 
 
 QUANTA = 10.0
-"""Steps of the encoder that it must move at least."""
+"""Quantisation steps by which a sensor's value must change to count as moved."""
 AVERAGED = 20
-"""Samples over which the load's force is averaged."""
+"""Samples over which load force and pressures are averaged."""
 
 
 def repeated_values(values: FloatArray) -> Mask:
-    """Samples in which a sensor has stopped: at least 40 equal values, and what comes after is far from them.
+    """Mask of frozen samples of a noisy sensor, (n,): runs of at least 40 equal values that end in a jump.
 
-    One that reads in coarse steps may stand at its zero, and goes on by a step or two.
+    A run at the end of the recording is frozen unless the sensor resolves coarsely, and so may rest at its zero.
     """
     mask = np.zeros(len(values), dtype=bool)
     steps = np.abs(np.diff(values[np.isfinite(values)]))
@@ -114,14 +114,14 @@ def repeated_values(values: FloatArray) -> Mask:
 
 
 def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench) -> Mask:
-    """Samples in which `piston_position` stands though the piston moves; `step` is the sampling time in s."""
+    """Mask of the samples, (n,), in which `piston_position` repeats but the piston moves; `step`: sampling time [s]."""
     position = columns["piston_position"]
     steps = np.abs(np.diff(position))
     quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
     least = max(MOVING, QUANTA * quantum) if np.isfinite(quantum) else MOVING
 
     def load_moves(begin: int, end: int) -> bool:
-        """Return whether the load's force changes by what the spring does over `least`, and beyond the noise."""
+        """Return whether the load force changes by more than the spring's over `least`, and by more than its noise."""
         if "load_force" not in columns or not has_spring(bench):
             return False
         force = columns["load_force"]
@@ -133,7 +133,7 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
         return float(np.ptp(averaged)) > max(bench.spring_stiffness * least, 8.0 * noise)
 
     def glides(begin: int, end: int) -> bool:
-        """Return whether the reported velocity carries the piston on; an offset of a tachometer is no motion."""
+        """Return whether the reported velocity moves the piston by over `least`; a tachometer's offset is no motion."""
         if "piston_velocity" not in columns:
             return False
         speed = np.abs(columns["piston_velocity"])
@@ -151,7 +151,7 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
 def _runs(values: FloatArray) -> list[tuple[int, int]]:
     """First and one past the last sample of every run of at least 40 equal values.
 
-    A noisy sensor that repeats the same number so often has stopped, an encoder may have.
+    A noisy sensor with such a run is frozen, an encoder may be.
     """
     same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
@@ -161,24 +161,24 @@ def _runs(values: FloatArray) -> list[tuple[int, int]]:
 SHORTEST = 1.5
 """Shortest segment [s] that is used."""
 STOP_MARGIN = 5e-4
-"""Margin [m] from an end stop."""
+"""Distance [m] from an end stop within which samples are excluded."""
 MOVING = 2e-4
-"""m: a segment in which the position moves less (a tripped bench, say) is left out; of a recording in which it moves by
-a tenth of it nothing can be diagnosed. An encoder that stands while the piston moves so far is frozen.
+"""Range [m] of the position below which a segment (of a tripped bench, say) is omitted; below a tenth of it a recording
+is refused. An encoder that repeats its value while the piston moves so far is frozen.
 """
 SATURATED = 0.999
-"""Share of the largest current from which on the valve is taken to stand at its limit."""
+"""Share of the largest valve current from which the valve counts as saturated."""
 REMEDY = (
     "record it with lower gains; if the bench still trips or swings from stop to stop, give the box, not the "
     "diagnosis, a bench.yaml with a valve_nominal_flow that is 25 % higher or more"
 )
-"""Remedy for a bench that cannot be driven: the velocity term is then compensated only in part."""
+"""Advice for a bench that trips or saturates; with a larger nominal flow the law compensates the velocity in part."""
 
 
 def check_recording(table: RawTable, bench: Bench) -> Recording:
     """Check a recording, and cut it into segments that can be diagnosed.
 
-    Raises UnusableRecordingError: too short, clock broken, nothing moves, or saturated throughout.
+    Raises UnusableRecordingError: too short, invalid times, no sensor or motion, outside the stroke, or saturated.
     """
     notes: list[str] = []
     columns: dict[str, FloatArray] = {}
@@ -213,7 +213,7 @@ def check_recording(table: RawTable, bench: Bench) -> Recording:
 
 
 def _grid(table: RawTable, notes: list[str]) -> tuple[float, Rows]:
-    """Sampling time and the number of each sample on an even grid; steps back become gaps."""
+    """Sampling time [s] and the row index of each sample on an even grid; backward steps become gaps."""
     time, gap = table.time, 10**6
     if len(time) < 3 or np.count_nonzero(np.isfinite(time)) < 3:
         raise UnusableRecordingError(f"{table.name}: the recording is empty")
@@ -244,7 +244,7 @@ def _grid(table: RawTable, notes: list[str]) -> tuple[float, Rows]:
 
 
 def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> None:
-    """Refuse a piston that stands or whose position is another's, and a valve that is saturated throughout."""
+    """Refuse a standing piston, a position outside the stroke, and a valve saturated in most samples."""
     if "piston_position" in columns:
         position, stroke = columns["piston_position"], bench.stroke
         low, high = float(np.nanmin(position)), float(np.nanmax(position))
@@ -273,7 +273,7 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
 
 
 def _bad_samples(columns: dict[str, FloatArray], time: FloatArray, step: float, bench: Bench, notes: list[str]) -> Mask:
-    """Samples without a number, or in which a sensor is frozen."""
+    """Mask of the samples without a number or with a frozen sensor, (n,)."""
     bad = np.zeros(len(time), dtype=bool)
     empty: dict[str, list[str]] = {}
     for channel in (name for name in columns if name in (*MEASURED, "valve_current")):
@@ -287,7 +287,7 @@ def _bad_samples(columns: dict[str, FloatArray], time: FloatArray, step: float, 
             samples = f"in {count} samples " if count > 1 else ""
             empty.setdefault(f"{samples}{where}", []).append(channel)
         if channel == "valve_current":
-            continue  # a command: it may stay what it is
+            continue  # a command, which may be constant
         frozen = frozen_encoder(columns, step, bench) if channel == "piston_position" else repeated_values(values)
         bad |= frozen
         if frozen.any():
@@ -297,10 +297,10 @@ def _bad_samples(columns: dict[str, FloatArray], time: FloatArray, step: float, 
 
 
 def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list[str]) -> Mask:
-    """Samples within 100 of an end stop or of cavitation, which no equation here describes.
+    """Mask of the samples within 100 of an end stop or of cavitation, which no equation here describes, (n,).
 
-    A pressure cavitates that is too low, alone or in the mean around it, by more than its noise would make it: below
-    half a bar, or, where the tank is nearer to nothing and gauges count from the atmosphere, below minus half a bar.
+    A chamber cavitates if its pressure, or the moving average, is below half a bar by more than the noise; below minus
+    half a bar if the tank pressure is at most half a bar, since gauges then read relative to the atmosphere.
     """
     outside = np.zeros(len(next(iter(columns.values()))), dtype=bool)
     if "piston_position" in columns and knows(bench, "stroke"):
@@ -326,7 +326,7 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
 def _segments(
     name: str, step: float, index: Rows, columns: dict[str, FloatArray], bad: Mask, notes: list[str], resampled: bool
 ) -> list[Segment]:
-    """Cut where more than five rows are missing."""
+    """Segments on the box's clock, cut where more than five rows are missing."""
     good = np.flatnonzero(~bad)
     if len(good) < 2:
         return []

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Weak form: signals and derivatives through Gaussian test functions, and the white noise in a signal.
 
-Nothing noisy is differentiated. Two Gaussians follow each other. The first (1 recorded row) makes position, velocity
-and acceleration out of the recorded position; the second brings everything, forces computed from these and forces
-measured, to the same total width of 1.5 rows: 1.5 ms at 1 kHz. Where a logger recorded every n-th row of the box's
-clock alone, `spacing` is n.
+Noisy signals are not differentiated directly. A first Gaussian (width 1 recorded row) gives position, velocity and
+acceleration from the recorded position; a second brings measured forces, and forces computed from the motion, to the
+same total width of 1.5 rows (1.5 ms at 1 kHz). `spacing`: samples of the box's clock per row recorded by the logger.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ from hydro_core.signals import FloatArray
 from hydro_sim.jit import njit
 
 KINEMATIC_WIDTH = 1.0
-"""Width [recorded rows] of the Gaussian behind position, velocity and acceleration."""
+"""Standard deviation [recorded rows] of the Gaussian for position, velocity and acceleration."""
 TOTAL_WIDTH = 1.5
-"""Width [recorded rows] of the Gaussian behind every residual."""
+"""Standard deviation [recorded rows] of the total Gaussian of every residual."""
 STRIDE = 5
-"""Recorded rows between the residuals that are kept: at this distance their noise is all but independent."""
+"""Recorded rows between the residuals that are evaluated: at this spacing their noise is nearly independent."""
 
 
 @lru_cache(maxsize=64)
@@ -48,23 +47,23 @@ _REST = _taps(_REST_WIDTH, 0)
 _TOTAL = _taps(TOTAL_WIDTH, 0)
 
 TOTAL_NOISE_GAIN = float(np.sqrt(np.sum(_TOTAL**2)))
-"""Standard deviation of smoothed white noise over that of the noise."""
+"""Noise gain of `smooth`: standard deviation of smoothed white noise over that of the noise."""
 POSITION_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[0] ** 2)))
-"""Standard deviation of the position over that of the encoder."""
+"""Noise gain of the position of `kinematics`, relative to the recorded position."""
 VELOCITY_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[1] ** 2)))
-"""Standard deviation of the velocity times the sampling time, over that of the position."""
+"""Noise gain of the velocity of `kinematics`, times the sampling time, relative to the recorded position."""
 ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC[2], _REST) ** 2)))
-"""The same for the finished acceleration, times the sampling time squared."""
+"""Noise gain of the acceleration after `finish`, times the sampling time squared, relative to the recorded position."""
 
 
 def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity, acceleration through the first Gaussian; shapes as given, `step` in s."""
+    """Position [m], velocity [m/s] and acceleration [m/s2] by the first Gaussian, shape (n,) each; `step` [s]."""
     x, v, a = (_through(position, KINEMATIC_WIDTH * spacing, derivative) for derivative in range(3))
     return x, v / step, a / step**2
 
 
 def second_derivative(position: FloatArray, step: float) -> FloatArray:
-    """Acceleration [m/s2] of a position as it was recorded, of fourth order in the `step` [s]; to be smoothed."""
+    """Acceleration [m/s2] by central differences of fourth order of a recorded position [m], (n,); `step` [s]."""
     weights = (-1.0 / 12.0, 4.0 / 3.0, -5.0 / 2.0, 4.0 / 3.0, -1.0 / 12.0)
     return np.asarray(correlate1d(position, np.array(weights) / step**2, mode="nearest"))
 
@@ -80,12 +79,12 @@ def smooth(signal: FloatArray, spacing: int = 1) -> FloatArray:
 
 
 def finish_at(signal: FloatArray, rows: npt.NDArray[np.int64], spacing: int = 1) -> FloatArray:
-    """`finish` at some samples alone, shape (rows,)."""
+    """`finish` evaluated at the samples `rows` only, shape (len(rows),)."""
     return np.asarray(_correlated_at(signal, _taps(_REST_WIDTH * spacing, 0), rows))
 
 
 def smooth_at(signal: FloatArray, rows: npt.NDArray[np.int64], spacing: int = 1) -> FloatArray:
-    """`smooth` at some samples alone, shape (rows,)."""
+    """`smooth` evaluated at the samples `rows` only, shape (len(rows),)."""
     return np.asarray(_correlated_at(signal, _taps(TOTAL_WIDTH * spacing, 0), rows))
 
 
@@ -107,14 +106,14 @@ def _correlated_at(signal, taps, rows):
 
 def _through(signal: FloatArray, width: float, derivative: int = 0) -> FloatArray:
     taps = _taps(width, derivative)
-    if len(taps) <= 60:  # more are faster by Fourier transforms
+    if len(taps) <= 60:  # longer filters are faster by FFT
         return np.asarray(correlate1d(signal, taps, mode="nearest"))
     reach = len(taps) // 2
     return np.asarray(oaconvolve(np.pad(signal, reach, mode="edge"), taps[::-1], mode="valid"))
 
 
 def white_noise(signal: FloatArray, recorded: npt.NDArray[np.bool_] | None = None) -> float:
-    """Standard deviation of the white noise in a signal, robust against rare jumps; None: every sample is recorded."""
+    """Standard deviation of the white noise in a signal, robust against rare jumps; `recorded`: mask, None for all."""
     order = 6
     differences = np.diff(signal, order) / sum(comb(order, k) ** 2 for k in range(order + 1)) ** 0.5
     if recorded is not None:
@@ -122,6 +121,6 @@ def white_noise(signal: FloatArray, recorded: npt.NDArray[np.bool_] | None = Non
         if not len(differences):
             return white_noise(signal)
     middle = float(np.median(np.abs(differences)))
-    limit = 6.0 * middle if middle > 0.0 else np.inf  # a slow encoder repeats itself most of the time
+    limit = 6.0 * middle if middle > 0.0 else np.inf  # at low speed an encoder mostly repeats its value
     kept = differences[np.abs(differences) <= limit]
     return float(np.sqrt(np.mean(np.square(kept)))) if len(kept) else 0.0

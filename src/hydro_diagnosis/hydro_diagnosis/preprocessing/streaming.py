@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings too long for memory: read in stretches, of which only the informative windows are kept.
+"""Recordings too long for memory: read in stretches, of which only the informative windows are retained.
 
-A bag is read twice. First every window of 10 s is rated by the states that it visits, and released; then those that
-together visit most of position and velocity, of current and pressure, and of the recording's length, are read again.
+A bag is read twice. The first pass counts the states that each window of 10 s visits; the second reads the windows that
+together cover most of position and velocity, of current and pressure, and of the recording's length.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
 
 
 class Visits:
-    """Residence of each window: counts over cells of position by velocity and of current by pressures."""
+    """Occupancy per window: sample counts in cells of position by velocity and of current by pressure difference."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -44,7 +44,7 @@ class Visits:
         self._starts: list[float] = []
 
     def add(self, window: Segment) -> None:
-        """Count one window."""
+        """Append the occupancy of one window."""
         channels, bench = window.channels, self._bench
         here: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
         there: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
@@ -61,9 +61,10 @@ class Visits:
         self._starts.append(window.start)
 
     def select(self, count: int, among: Sequence[int] | None = None) -> list[int]:
-        """Select at most `count` windows, each the one that most increases the sum of the roots of all cells' counts.
+        """Select at most `count` windows greedily, by the increase of the summed square roots of all cells' counts.
 
-        Each counts also for its tenth of the recordings' length, so that drift is seen.
+        A window also counts in a cell for its tenth of the recording's length, so that drift is observed. `among`:
+        indices of the candidate windows, None for all. Returns ascending indices.
         """
         starts, cells = np.array(self._starts), np.array(self._cells)
         part = np.minimum((starts / max(float(starts.max()), 1e-9) * 10).astype(np.int64), 9)
@@ -81,9 +82,9 @@ class Visits:
 STRETCH = 60_000
 """Samples read at a time."""
 LONGEST = 300.0
-"""Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
+"""Largest duration [s] of fitted and of held-out data; longer data are reduced to informative windows, with a note."""
 WHOLE = round(LONGEST / (STRETCH * SAMPLE_PERIOD))
-"""Largest number of stretches that are held whole."""
+"""Largest number of stretches of a recording that is used whole."""
 
 
 def read_bag_within(
@@ -92,11 +93,11 @@ def read_bag_within(
     columns: ColumnMap | None = None,
     inspected: Callable[[RawTable], RawTable] = lambda table: table,
 ) -> Recording:
-    """Read a recording that can be diagnosed, whole if it is short, else its informative windows.
+    """Read a bag with /hydro/state and check it: whole if it is short, else its informative windows.
 
-    `columns` is applied to its fields (`table.mapped`); `inspected` sees its first stretches.
+    `columns` is applied to its fields (`table.mapped`); `inspected` is called with the whole table or first stretch.
 
-    Raises InputError: in one sentence that names the path.
+    Raises InputError if it cannot be diagnosed; the message names the path.
     """
     notes: list[str] = []
     try:
@@ -119,9 +120,9 @@ def read_bag_within(
 
 
 def table_within(table: RawTable, bench: Bench) -> Recording:
-    """As `read_bag_within`, for a table that is held in memory: what is checked and kept of it stays small.
+    """Check a table in memory as `read_bag_within` does a bag, one stretch at a time if it is long.
 
-    Raises InputError: in one sentence that names the recording.
+    Raises InputError if it cannot be diagnosed; the message names the recording.
     """
     rows = max(round(STRETCH * SAMPLE_PERIOD / median_step(table.time)), STRETCH)
     if len(table.time) <= WHOLE * rows:
@@ -139,7 +140,7 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
 
 
 def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Iterator[RawTable]:
-    """The recording in stretches; samples are numbered on from one to the next."""
+    """Yield the recording in stretches; the box's sample numbers continue from one to the next."""
     last = number = None
     for states in _pieces(path, notes):
         counter = states["sequence"] if last is None else np.concatenate([last, states["sequence"]])
@@ -152,7 +153,7 @@ def _stretches(path: Path, columns: ColumnMap | None, notes: list[str]) -> Itera
 
 
 def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
-    """`STRETCH` samples at a time; what is left comes last."""
+    """Yield blocks of `STRETCH` samples; the last may be shorter."""
     parts: list[StateArray] = []
     for block in stream_bag(path, notes=notes, salvages=True):
         parts.append(block)
@@ -165,7 +166,7 @@ def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
 
 
 def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
-    """The informative windows, found in a first pass and read again in a second; all other samples are released."""
+    """Recording of the informative windows, selected in a first pass over the stretches and read in a second."""
     windows: list[tuple[int, int, int, float]] = []  # stretch, segment in it, first sample, s since the start
     visits, notes, idle, origin, seconds = Visits(bench), list[str](), list[UnusableRecordingError](), 0.0, 0.0
     for number, table in enumerate(stretches()):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """corrected.yaml: the bench with wrong values corrected and other effects listed under `effects`.
 
-`Bench.load` accepts the file in place of bench.yaml; `claims_of` gives a simulation or a second diagnosis the
-effects back.
+`Bench.load` accepts the file in place of bench.yaml; `claims_of` converts its effects back into claims, for a
+simulation or a second diagnosis.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ HEADER = """\
 
 
 def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
-    """A bench with its values replaced and the remaining claims in `effects`, after those it had.
+    """Bench corrected by claims: its parameters are replaced, closures and other effects are appended to its own.
 
-    A wrong bulk modulus or valve gain becomes a number of the bench unless an effect before it acts on the same
-    quantity (air in the oil, say): then their order matters, and it stays an effect.
+    A wrong bulk modulus or valve gain replaces the bench's parameter, unless an earlier effect acts on the same
+    quantity (air in the oil, say): then their order matters, and it is appended as an effect.
     """
     before = list(claims_of(bench))
     effects: list[Mapping[str, Any]] = list(bench.effects)
@@ -50,19 +50,19 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
 
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
-    """Write corrected.yaml, of a bench of which little is known what is known."""
+    """Write corrected.yaml of a bench and claims; unknown parameters of the bench are omitted."""
     write_whole(path, corrected_yaml(corrected_bench(bench, claims)).encode())
 
 
 def corrected_yaml(bench: Bench) -> str:
-    """Return corrected.yaml of a bench that is corrected already."""
+    """Return the text of corrected.yaml for a corrected bench."""
     return HEADER + yaml.safe_dump(bench.to_mapping(), sort_keys=False)
 
 
 def claims_of(bench: Bench) -> tuple[Claim, ...]:
-    """The effects and closures of a corrected bench as claims.
+    """Claims for the effects and closures of a corrected bench.
 
-    Raises ValueError: an effect is unknown or lacks a parameter.
+    Raises ValueError if an effect is unknown or lacks a parameter.
     """
     claims = []
     for entry in bench.effects:

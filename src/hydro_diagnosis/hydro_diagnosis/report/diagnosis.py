@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Input of the report pages: the findings, and the data behind them."""
+"""Result of a diagnosis: the report with its underlying data, as text, table and corrected bench."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ if TYPE_CHECKING:
 
 
 def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
-    """Return an interval in words; `factor`: of `display_unit`."""
+    """Return a 95 % confidence interval as text; `factor`: unit conversion by `display_unit`."""
     if ci95 is None:
         return "not identifiable from these recordings"
     return f"95 % {ci95[0] * factor:.5g} to {ci95[1] * factor:.5g}"
 
 
 def accounted_sentence(report: Report) -> str:
-    """How much of what the bench file misses is accounted for, on what was held out; empty without a mismatch."""
+    """Sentence on the shares of the held-out mismatch that the effects account for; empty without a mismatch."""
     what = {
         "pressure_a": "flow of chamber A", "pressure_b": "flow of chamber B", "actuation": "valve's flow",
         "motion": "force on the moving mass", "load": "force of the load", "sensor": "sum of the pressures' forces",
@@ -48,7 +48,7 @@ def accounted_sentence(report: Report) -> str:
 
 @dataclass(repr=False)
 class Diagnosis:
-    """A report and the data behind it."""
+    """Result of a diagnosis: the report, with its estimation problem, fits and held-out segments."""
 
     report: Report
     bench: Bench
@@ -58,7 +58,7 @@ class Diagnosis:
     holdout: list[SegmentModel] = field(default_factory=list)
 
     def __str__(self) -> str:
-        """Return what the command prints."""
+        """Return the result as text, as printed by `diagnose`."""
         report, lines = self.report, [f"verdict: {self.report.verdict}", f"  {self.used}"]
         if accounted := accounted_sentence(report):
             lines.append(f"  {accounted}")
@@ -93,7 +93,7 @@ class Diagnosis:
 
     @property
     def used(self) -> str:
-        """Recordings that were fitted and checked on, and how much of each."""
+        """Sentence on the fitted and the held-out recordings, with their durations."""
         fitted, checked = dict[str, float](), dict[str, float]()
         for models, lengths in ((self.problem.models, fitted), (self.holdout, checked)):
             for segment in (model.segment for model in models):
@@ -106,7 +106,7 @@ class Diagnosis:
 
     @property
     def corrected(self) -> Bench:
-        """The bench with what was found, as in corrected.yaml: an estimated number only if the recordings tell it."""
+        """Corrected bench, as in corrected.yaml; an estimated parameter is replaced only if it is identified."""
         unidentified = [one for one in self.report.estimated if one.ci95 is None]
         given = {one.name: one.given for one in unidentified if one.given is not None}
         missing = frozenset(one.name for one in unidentified if one.given is None)
@@ -115,7 +115,7 @@ class Diagnosis:
 
     @property
     def table(self) -> pd.DataFrame:
-        """The claims: a row per parameter, indexed by effect, with its value in `unit` and its 95 % interval."""
+        """Claimed effects as a table: a row per effect and parameter, with value and 95 % interval in `unit`."""
         import pandas as pd
 
         rows = [

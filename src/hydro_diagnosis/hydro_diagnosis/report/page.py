@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""report.html: one self-contained page that reads well on a laptop and prints; its words are in its template."""
+"""report.html: one self-contained page for screen and print; its text is in the template."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from hydro_sim.plotting import GREEN, PURPLE, RED, SKY, UNITS
 
 
 def compare(found: Diagnosis) -> dict[str, Any] | None:
-    """Signals of the first held-out recording, measured and simulated, as they stand on the page.
+    """Measured and simulated signals of the first held-out segment that is long enough, as content of the page.
 
-    `fits`: by channel, with the bench file alone and with what was found; `shades`: color and cause of what is shaded.
-    None where nothing can be simulated.
+    `fits`: NRMSE fits [%] by channel, with the bench file alone and with the claims; `shades`: color and cause of the
+    shaded intervals. None if the segment cannot be simulated.
     """
     model = next((one for one in found.holdout if len(one.segment) * one.step > 2.0 * FREE_RUN + 1.0), None)
     if model is None or not model.channels.keys() >= SIMULATED or MOTION not in found.problem.blocks:
@@ -41,7 +41,7 @@ def compare(found: Diagnosis) -> dict[str, Any] | None:
     base, claims = tuple(found.problem.baseline), tuple(found.assessment.fit.claims)
 
     def simulated(some: tuple[Claim, ...]) -> dict[str, FloatArray]:
-        """Readings by channel, the windows one after the other."""
+        """Simulated measurements by channel, the windows in sequence, each of shape (rows,)."""
         plant = Plant.of(model, some)
         shown = measurements(plant, plant.run(plant.start(begins), begins, length), begins)
         return {name: one.T.ravel() for name, one in shown.items()}
@@ -68,7 +68,7 @@ def compare(found: Diagnosis) -> dict[str, Any] | None:
 def _causes(
     found: Diagnosis, model: SegmentModel, claims: tuple[Claim, ...], begin: float, end: float
 ) -> list[tuple[float, float, str]]:
-    """Where the residuals without a cause stand out most from those with it, per interval."""
+    """Intervals [s, s], each with the cause whose omission changes the residuals most."""
     problem = found.problem
     unseen = problem.for_segments([model.segment])
     whole = unseen.residual(claims)
@@ -85,7 +85,7 @@ def _causes(
 
 
 def nrmse(measured: FloatArray, simulated: FloatArray) -> float | None:
-    """Fit in percent: 100 is exact, 0 as good as the mean of the measured signal; None where it is not finite."""
+    """NRMSE fit [%]: 100 is exact, 0 as good as the mean of the measured signal; None if it is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.linalg.norm(measured - simulated) / np.linalg.norm(measured - measured.mean()))
     return 100.0 * (1.0 - off) if isfinite(off) else None
@@ -102,11 +102,11 @@ _CHECKED = {
     "pressure_a": "oil of chamber A", "pressure_b": "oil of chamber B", "actuation": "valve and supply",
     "motion": "forces on the moving mass", "load": "force of the load", "sensor": "hydraulic force against pressures",
 }  # fmt: skip
-"""What the equations of `checked` and `not_checked` compare."""
+"""Subject of each equation in `checked` and `not_checked`."""
 
 
 def write_files(found: Diagnosis, folder: Path) -> None:
-    """Write report.json, corrected.yaml and report.html to a folder, which is made only now."""
+    """Write report.json, corrected.yaml and report.html to a folder, which is created if missing."""
     folder.mkdir(parents=True, exist_ok=True)
     found.report.write(folder)
     write_corrected(found.corrected, (), folder / "corrected.yaml")
@@ -114,7 +114,7 @@ def write_files(found: Diagnosis, folder: Path) -> None:
 
 
 def rendered(found: Diagnosis) -> str:
-    """Return the page."""
+    """Return report.html as text."""
     report, comparison = found.report, compare(found)
 
     def row(name: str, error: Mapping[str, Any], values: Sequence[float | None]) -> dict[str, Any]:
@@ -150,13 +150,13 @@ def rendered(found: Diagnosis) -> str:
 
 
 def _heading(identifier: str) -> str:
-    """An id as a heading."""
+    """Heading for an effect's id."""
     words = identifier.replace("_", " ").capitalize()
     return words.replace("coulomb", "(Coulomb)").replace("stribeck", "(Stribeck)")
 
 
 def _range(bounds: Sequence[float] | None) -> str:
-    """Two numbers in thousandths; empty for none."""
+    """Text of an interval, in thousandths; empty for None."""
     return "" if bounds is None else f"{bounds[0] * 1e3:.3g} to {bounds[1] * 1e3:.3g}".replace("-", "\N{MINUS SIGN}")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of the report as SVG text: residuals before and after, each effect's own curve over data."""
+"""Plots of the report as SVG text: signals, residuals, effects, curves, and locations of the mismatch."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _VARIABLES = {
 
 @contextmanager
 def svg(rows: int, size: tuple[float, float], **layout: Any) -> Iterator[tuple[Any, StringIO]]:
-    """Open a figure of `rows` axes, and a buffer that holds it afterwards, as SVG text that can stand within HTML."""
+    """Context of a figure with `rows` axes: yields these, and a buffer that contains the SVG text for HTML at exit."""
     text = StringIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plot.svg"
@@ -55,9 +55,9 @@ def signals_plot(
     time: FloatArray, words: str, measured: Mapping[str, FloatArray], before: Mapping[str, FloatArray],
     after: Mapping[str, FloatArray], shades: Sequence[tuple[float, float, str]],
 ) -> str:  # fmt: skip
-    """Signals by channel, SI units, shape (n,): measured, and simulated with the bench file and with what was found.
+    """Plot signals by channel, SI units, (n,): measured, simulated with the bench file, and with the corrected bench.
 
-    `time`: s, shape (n,), and `words` for it; `shades`: begin, end [s] and color.
+    `time`: s, shape (n,), `words`: label of the time axis; `shades`: begin, end [s] and color of shaded intervals.
     """
     every = max(len(time) // 1500, 1)
     with svg(len(measured), (9.0, 1.5 * len(measured) + 0.5), sharex=True) as (axes, text):
@@ -82,7 +82,7 @@ def signals_plot(
 
 
 def residual_plot(found: Diagnosis) -> str:
-    """Residuals of the first segment against the noise, before and after."""
+    """Plot the residuals of the first segment without and with the claims, and the 2-sigma band of the noise."""
     problem, layout = found.problem, found.problem.layout
     before, after = found.outcome.nothing.residual, found.assessment.fit.residual
     present = [k for k in range(len(CHANNELS)) if np.any(layout.channel == k)]
@@ -102,7 +102,7 @@ def residual_plot(found: Diagnosis) -> str:
 
 
 def effect_plot(found: Diagnosis, effect: EffectReport) -> str:
-    """Plot the recorded data of an effect, and its fitted curve, against the variable on which it depends."""
+    """Plot the residuals without an effect, and its fitted signature, over the variable on which it depends."""
     problem, layout = found.problem, found.problem.layout
     fit, place = found.assessment.fit, (effect.id, effect.options)
     claim = next(one for one in fit.claims if (one.effect.id, dict(one.effect.options)) == place)
@@ -138,7 +138,7 @@ def effect_plot(found: Diagnosis, effect: EffectReport) -> str:
 
 
 def curves_plot(found: Diagnosis) -> str:
-    """Plot what is missing in the equations over their variables, and what the claims make of it."""
+    """Plot the missing force or flow of each equation over its variable, and the claimed effects' part of it."""
     curves = found.report.curves
 
     with svg(len(curves), (8.0, 2.6 * len(curves))) as (axes, text):
@@ -178,7 +178,7 @@ def _variable(cause: Effect, found: Diagnosis) -> str:
 
 
 def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean of y over the mean of x, in even bins cut finer where the data are dense."""
+    """Bin means of x and of y, in equal-width bins refined where data are dense; bins of fewer than 5 are omitted."""
     even = np.linspace(x.min(), x.max(), 37)
     dense = np.quantile(x, np.linspace(0.0, 1.0, 37))
     finer = dense[1:][np.diff(dense) < 0.5 * (even[1] - even[0])]
@@ -193,9 +193,9 @@ def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def location_plot(found: Diagnosis) -> str:
-    """Residuals with the bench file alone, in units of the noise, over all segments side by side.
+    """Plot the residuals of the bench file alone, in units of the noise, over all segments in sequence.
 
-    The root mean square over 0.1 s of the channel in which an equation shows most, for the four largest shares.
+    Moving RMS over 0.1 s, for the four equations with the largest shares of the mismatch, in each one's main channel.
     """
     places, pause, layout = found.assessment.places[:4], 1.0, found.problem.layout
     begins = np.cumsum([0.0, *(len(model.segment) * model.step + pause for model in found.problem.models)])

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selection of hypotheses: search, significance, localisation, constancy, verdict, summary of each effect."""
+"""Selection of hypotheses: stepwise search for causes, and localisation of the mismatch."""

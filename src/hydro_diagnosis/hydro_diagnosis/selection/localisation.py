@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Localisation of a mismatch: by equation, by time, and by region of the state space.
 
-Channels alone do not locate it: a wrong load model also shows in the motion, and a wrong valve model in both
-chambers. So an excess is traced back to the one equation whose hidden input explains the channels together.
+Channels alone do not locate it: a wrong load model also affects the motion residual, and a wrong valve model both
+chambers. So an excess is attributed to the one equation whose hidden input explains the channels jointly.
 
-Free-form hidden inputs: in which equation an unnamed quantity would have to act, as a function of which variable. For
-each equation and variable a piecewise linear function with many knots is pushed through that equation's way to the
-residuals (observer, test function, sensors) and fitted by linear least squares. It competes with the named causes at
-the same price per parameter.
+Free-form hidden inputs tell in which equation, and as a function of which variable, an unnamed quantity would have to
+act. For each equation and variable a piecewise linear function with many knots is propagated to the residuals
+(observer, test function, sensors) and fitted by linear least squares. It competes with the named causes at the same
+price per parameter.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from hydro_diagnosis.estimation.problem import CHANNELS, FOLD_SECONDS, Problem
 from hydro_diagnosis.model.responses import Responses, Shown
 
 KNOTS = 24
-"""Knots of each function; of time: per recording."""
+"""Number of knots of each free-form function; of functions of time, per segment."""
 
 
 @dataclass(frozen=True)
 class FreeForm:
-    """An unnamed hidden input."""
+    """Free-form hidden input: a piecewise linear function of one variable that acts in one equation."""
 
     equation: str
     sensor: str
     """The channel, if the equation is `sensor`."""
     variable: str
     gain: float
-    """Evidence in units of BIC beyond the price of its knots."""
+    """Evidence [BIC]: gain in deviance less ln(n) per knot."""
     knots: FloatArray
     values: FloatArray
     """The input at the knots: m3/s for the chambers, N for motion and load, A for actuation, the sensor's unit else."""
@@ -57,7 +57,7 @@ _INPUTS = (
 
 
 def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
-    """Every free-form input beside the named causes, the most informative first."""
+    """Return the free-form inputs, each fitted jointly with a fit's claims, in descending order of evidence."""
     weight = problem.weight(found.residual)
     named = found.jacobian * weight[:, None]
     left = found.residual * weight
@@ -87,14 +87,14 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
 
 
 def _visible(problem: Problem, equation: str, sensor: str) -> bool:
-    """Whether the recordings hold the channels in which an input shows."""
+    """Whether the recordings have the channels whose residuals depend on an input."""
     if equation == "sensor":
         return sensor in problem.sensor_noise and any(block != "motion" for block in problem.blocks)
     return (equation if equation in ("motion", "load") else "pressure") in problem.blocks
 
 
 def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) -> Shown:
-    """Responses to inputs, shape (functions, n): N, A, m3/s into a chamber, or what a sensor reads too much."""
+    """Responses to inputs, shape (functions, n): N, A, m3/s into a chamber, or additive errors of a sensor."""
     model, nothing = way.model, np.zeros_like(hidden)
     if equation == "motion":
         return way.to_force(hidden)
@@ -117,7 +117,7 @@ def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) ->
 def _hats(problem: Problem, variable: str) -> tuple[FloatArray, list[FloatArray]]:
     """Knots, and the basis functions along each segment, shape (functions, n); of time they act in one segment each."""
     values = np.concatenate([model.variable(variable)[model.settle :] for model in problem.models])
-    if variable in ("velocity", "current"):  # denser around zero, where friction and valve change their ways
+    if variable in ("velocity", "current"):  # denser around zero, where friction and valve are most nonlinear
         knots = np.unique(np.quantile(values, np.linspace(0.0, 1.0, KNOTS)))
     else:
         knots = np.linspace(values.min(), values.max(), KNOTS)
@@ -132,23 +132,23 @@ def _hats(problem: Problem, variable: str) -> tuple[FloatArray, list[FloatArray]
 
 @dataclass(frozen=True)
 class Place:
-    """One equation's part of the mismatch."""
+    """Location of a mismatch: its equation and share, and where it is large in time and in state space."""
 
     equation: str
     share: float
     windows: tuple[tuple[tuple[float, float], ...], ...]
-    """Per segment: stretches [s, s] in which it stands out."""
+    """Intervals [s, s] in which it is large, of each segment."""
     region: dict[str, tuple[float, float]]
-    """Where it stands out, by variable: 10th and 90th percentile, SI units."""
+    """Range of each variable over these intervals: 10th and 90th percentile, SI units."""
     sentence: str
     channel: str
-    """Channel of the residuals in which it shows most."""
+    """Channel of the residuals in which it is largest."""
 
 
 def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm] = ()) -> list[Place]:
-    """Equations that hold more than noise, the largest share first; empty if there is none.
+    """Return the locations, by equation, of residuals that are more than noise, the largest share first.
 
-    `forms`: free-form inputs, the most informative first.
+    `forms`: free-form inputs in descending order of evidence.
     """
     gains = {form.equation: form.gain for form in reversed(forms)}
     excess = {name: square - 1.0 for name, square in problem.remaining(residual).items()}
@@ -166,7 +166,7 @@ def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm] = (
 
 
 def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Place]:
-    """Return the places where the claimed effects act, by the size of their signatures in the residuals."""
+    """Return the locations where claimed effects act, by descending power of their signatures in the residuals."""
     layout = problem.layout
     power: dict[tuple[str, str], float] = {}
     for claim in found.cause_claims:
@@ -207,9 +207,9 @@ def _equation(
 
 
 def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
-    """Return whether each chamber is off mainly while the valve connects it to the supply: then the supply is off.
+    """Return whether both chambers' residuals are large mainly while fed by the supply, whose error it then is.
 
-    One of them may be off by less than is noticeable, but must show it beyond chance.
+    One of them may be less than noticeable, but must exceed chance.
     """
     layout = problem.layout
     loudness, count = np.zeros((2, 2)), np.zeros((2, 2))
@@ -267,7 +267,7 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
 
 
 def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float], ...]:
-    """Stretches in which something is loud; pauses of less than two blocks are bridged."""
+    """Intervals [s, s] in which a residual is `loud`; gaps of less than two blocks are bridged."""
     loud = loud.copy()
     pauses = np.flatnonzero(np.diff(np.concatenate([[True], loud, [True]]).astype(np.int8)))
     for begin, end in zip(pauses[::2], pauses[1::2], strict=True):

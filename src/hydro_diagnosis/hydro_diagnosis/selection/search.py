@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Search for the causes that together explain the recordings: forward and swap steps by evidence.
+"""Stepwise search for the causes that jointly explain the recordings: forward and swap steps by evidence.
 
 Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per
-parameter plus a threshold; so must each parameter that a cause has more than the one whose place it takes.
+parameter plus a threshold; a cause that replaces another must, for each additional parameter.
 `benchmarks.null_simulations` measures the evidence that chance alone reaches.
 """
 
@@ -32,21 +32,21 @@ from hydro_diagnosis.significance import CLAIM_THRESHOLD, COVERAGE_FACTOR, DECIS
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:
-    """Effort of a search, and its thresholds of a claim."""
+    """Settings of a search: its effort, and the thresholds of claims."""
 
     threshold: float = CLAIM_THRESHOLD
     """Evidence in units of BIC that a claim needs beyond its parameters' price."""
     most: int = 12
-    """Claims at most."""
+    """Largest number of claims."""
     patience: int = 2
-    """Successive claims that may each remove less than twice `PRACTICAL_SHARE` of the remainder where they act."""
+    """Successive claims that each remove less than twice `PRACTICAL_SHARE` of the remainder before the search ends."""
     effort: int = 9000
-    """Evaluations of all residuals after which no further claim is looked for: some 3 ms each for 60 s of data."""
+    """Evaluations of all residuals after which the search ends: some 3 ms each for 60 s of data."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the search, for the plot of how evidence converged."""
+    """One step of the search, for the plot of its convergence: action, label of the cause, BIC against no claims."""
 
     action: str
     label: str
@@ -63,15 +63,15 @@ class SearchOutcome:
     nothing: Fit
     steps: list[Step] = field(default_factory=list)
     rivals: dict[str, list[Fit]] = field(default_factory=dict)
-    """By a claim's label: fits in which another cause stands in its place, best first."""
+    """Fits with another cause in place of a claim, by the claim's label, best first."""
     cut_short: str = ""
-    """Why the search ended before nothing paid, in words; empty if it did not."""
+    """Reason in words if the search stopped while further claims might gain enough; else empty."""
 
 
 SCREEN_TOLERANCE = 1.0
-"""Gain in deviance below which a candidate's fit is good enough to be ranked by."""
+"""Tolerance [deviance] of the fits of candidates, which serve to rank them."""
 SAME_UNCERTAINTY = 1e-3
-"""Relative change of the doubt, or of the sizes that bring it, below which fits are not made again."""
+"""Relative change of the residuals' uncertainty, or of the claims' values, below which fits are not repeated."""
 
 
 @dataclass
@@ -79,13 +79,13 @@ class _Screened:
     """Screened candidates for a further claim on one base fit."""
 
     doubt: tuple[float, ...]
-    """`Problem.uncertainty` at that time."""
+    """`Problem.uncertainty` at the time of the screening."""
     waiting: list[Prospect]
     """Prospects that are not fitted yet."""
     fits: list[Fit] = field(default_factory=list)
-    """With one claim more."""
+    """Fits with one claim more than the base."""
     polished: set[str] = field(default_factory=set)
-    """Labels of those that are fitted in full."""
+    """Labels of the candidates that are fitted in full, not by secants."""
 
 
 def _labels(base: Fit) -> frozenset[str]:
@@ -93,20 +93,19 @@ def _labels(base: Fit) -> frozenset[str]:
 
 
 class Shortlists:
-    """Candidates for a further claim, by the base fit that they extend."""
+    """Shortlists of candidates for a further claim, one for each base fit that they extend."""
 
     def __init__(self, library: Sequence[Effect], settings: SearchSettings) -> None:
         self._library, self._settings = library, settings
         self._screened: dict[frozenset[str], _Screened] = {}
-        """By the labels of a base."""
+        """Screened candidates by the labels of the base's claims."""
         self.signatures: Signatures = {}
-        """Emptied, so that what candidates do to the residuals is computed again, at each further claim."""
+        """Cached signatures of the candidates; cleared at each further claim, to be computed again."""
 
     def extensions(self, problem: Problem, base: Fit, promised: float, but: str = "") -> list[Fit]:
-        """Return the fits with one claim more than a base, the best first: polished, or by secants from its slopes.
+        """Return the fits with one claim more than a base, best first: in full, or by secants from its Jacobian.
 
-        `promised`: first-order gain from which candidates are fitted now; the others wait. `but`: label that is left
-        out.
+        `promised`: least first-order gain of the candidates fitted now; the others wait. `but`: excluded label.
         """
         screened = self._screened.get(_labels(base))
         if screened is None:
@@ -123,9 +122,9 @@ class Shortlists:
         return [one for one in screened.fits if one.claims[-1].effect.label != but]
 
     def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000, kin: str = "") -> None:
-        """Fit in full those that score `enough` with one claim more than a base, the best and `most` of them.
+        """Fit in full the extensions of a base that score `enough` or less, among the best `most`.
 
-        `kin`: family that is fitted in full whatever it scores: secants stop short of a spool's two numbers.
+        `kin`: family that is fitted in full whatever its score: secants do not converge on a spool's two parameters.
         """
         screened = self._screened[_labels(base)]
         for k, one in enumerate(screened.fits[:most]):
@@ -140,13 +139,13 @@ class Shortlists:
 POLISHED = 3
 """Largest number of candidates for a further claim that are fitted in full; the others by secants."""
 CONTENDING = 0.3
-"""Share of the best one's worth by which a candidate may fall short by secants and still be fitted in full, and that it
-must promise, to first order, to be tried in the place of a claim at once.
+"""Share of the best gain by which a candidate's secant fit may fall short and the candidate still be fitted in full;
+also the share of a claim's gain that a candidate must promise to first order to be tried at once as its replacement.
 """
 
 
 class Search:
-    """One search over one problem; `given`: whether the numbers to be estimated begin as the bench file has them."""
+    """Search over one problem; `given`: whether bench parameters to be estimated start at a bench file's values."""
 
     def __init__(
         self,
@@ -163,16 +162,16 @@ class Search:
         self.settings = settings or SearchSettings()
         self.progress = progress
         self.steps: list[Step] = []
-        """Steps of acceptance and removal so far, passed to the outcome."""
+        """Steps of the search so far: additions and swaps."""
         self._begun = problem.budget.evaluations
         self._mended = False
-        """Whether a candidate was passed over that may only mend the form of its kin."""
+        """Whether a candidate was skipped that may only correct a form error of its family."""
         self._mending = False
-        """Whether such candidates join."""
+        """Whether such candidates are accepted."""
         self._shortlists = Shortlists(self.library, self.settings)
 
     def run(self) -> SearchOutcome:
-        """Search."""
+        """Run the search and return its outcome."""
         if self.problem.estimated and self.given:
             if beside := self._with_given_numbers():
                 return beside
@@ -185,9 +184,9 @@ class Search:
         return SearchOutcome(problem, fit(problem, ()), fit(problem, ()))
 
     def _with_given_numbers(self) -> SearchOutcome | None:
-        """Return the outcome of a search at the given numbers, which are then estimated jointly with its claims.
+        """Return the outcome of a search at the given bench parameters, then estimated jointly with its claims.
 
-        None where something remains: jointly with causes that are not found yet, a number would leave its given value.
+        None where something remains: without causes not found yet, a parameter would leave its given value.
         """
         outcome = Search(self.problem.with_estimated(()), self.library, self.settings, self.progress).run()
         if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.exceeds(SEARCH):
@@ -206,9 +205,10 @@ class Search:
         return outcome
 
     def _from(self, nothing: Fit) -> SearchOutcome:
-        """Add what pays most, exchange what others do better, until nothing pays.
+        """Add the best candidates, and swap claims for better ones, until no step gains enough.
 
-        Where something remains, what may only mend the form of its kin joins too, but only if in the end nothing does.
+        Where something remains, candidates that may only correct a form error of their family join too, but only if in
+        the end nothing remains.
         """
         self.steps.clear()
         self._mending = self._mended = False
@@ -257,9 +257,9 @@ class Search:
         return spent > self.settings.effort or self.problem.budget.exceeds(SEARCH)
 
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
-        """Fits with one claim more that pay, the best first.
+        """Fits with one claim more that gain enough, the best first.
 
-        Where the best only mends the form of its kin, what others explain there is mimicry: then what acts elsewhere.
+        Where the best may only correct a form error of its family, so may others there: then those that act elsewhere.
         """
         enough = base.score - self.settings.threshold
         self._shortlists.signatures.clear()
@@ -277,7 +277,7 @@ class Search:
         return evidence
 
     def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
-        """Whether `found` and one claim more leave nothing in a channel in which that claim alone leaves some."""
+        """Whether `found` and one claim more leave only noise in a channel in which that claim alone leaves more."""
         enough = found.score - self.settings.threshold
         self._shortlists.extensions(problem, found, 0.0)
         self._shortlists.polish(problem, found, enough, POLISHED)
@@ -288,9 +288,9 @@ class Search:
         return False
 
     def _swap(self, outcome: SearchOutcome, promising: float) -> bool:
-        """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
+        """Try to swap each claim for another cause, store the fits as rivals; return whether any was swapped.
 
-        `promising`: share of a claim's worth that a candidate must promise to be tried.
+        `promising`: share of a claim's gain that a candidate must promise to be tried.
         """
         changed = False
         for claim in outcome.fit.cause_claims:
@@ -323,7 +323,7 @@ class Search:
         self.progress(f"{action} {label}")
 
     def _weighed(self, found: Fit) -> tuple[Problem, Fit]:
-        """Weights and fit under the uncertainty that the fit's own claims bring, iterated until they stand still."""
+        """Problem and fit under the uncertainty of the fit's own claims, iterated until they converge."""
         for _ in range(ITERATIONS):
             before = pack(found.claims)[1]
             problem = self.problem.reweighted(found.claims)
@@ -335,9 +335,9 @@ class Search:
 
 
 def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
-    """Return whether the newest claim explains no more than an error in the form of its kin would.
+    """Return whether the newest claim explains no more than a form error of a claim of its family might.
 
-    Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
+    False where something remains without it and nothing with it: a wrong form leaves a remainder with any name.
     """
     if problem.noticeable(base.residual) and not problem.noticeable(found.residual):
         return False
@@ -355,7 +355,7 @@ def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
 
 
 def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
-    """Return whether the newest claim of `other` acts in channels in which that of `mended` removes next to nothing."""
+    """Return whether the newest claim of `other` acts in channels in which that of `mended` removes little."""
     before, one, two = (problem.mean_squares(each.residual) for each in (base, mended, other))
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     removed = {name: max(before[name] - two[name], 0.0) * counts[name] for name in before}

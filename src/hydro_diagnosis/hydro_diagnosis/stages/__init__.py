@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages of a diagnosis, in order: recordings are read, causes named, the rest modelled, everything reported."""
+"""Stages of a diagnosis, in order: recordings are read, causes named, the remainder modelled, the report built."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recordings as they are, or as they would be without a mistake of wiring: what explains them better is diagnosed.
+"""Wiring hypotheses: the recordings as they are, or with a wiring mistake repaired; the better explained are diagnosed.
 
-Nothing is refused, and a correlation between two channels decides nothing: in a closed loop the current follows the
-force as much as the flow. Where a mistake is suspected, causes are searched for in the recordings as they are and as
-repaired, with the same small effort, and the residuals of fitted and held-out recordings together are compared.
+No recording is refused for its wiring, and no correlation between two channels decides: in a closed loop the current
+follows the force as much as the flow. If a mistake is suspected, causes are searched for in the recordings as they are
+and as repaired, with the same small effort; a repair must reduce the residuals of fitted and of held-out recordings.
 """
 
 from __future__ import annotations
@@ -33,19 +33,18 @@ if TYPE_CHECKING:
     from hydro_diagnosis.stages.naming import StageResult
 
 DECISIVE_LOG_RATIO = float(np.log(10.0))
-"""Log of the factor, over all channels, by which a repair must reduce the mean squared residuals: more than any chance.
-"""
+"""Decisive `log_gain` of a repair: log of the factor by which mean squared residuals fall, summed over the channels."""
 TIE_LOG_RATIO = float(np.log(1.1))
-"""Log of the factor within which the mean squared residuals of two readings tie."""
+"""`log_gain` within which two wiring hypotheses tie."""
 PHYSICS = {
     "valve_current": (-0.02, 0.0), "piston_position": (-0.01, 0.02), "load_force": (-0.01, 0.06),
     "hydraulic_force": (-0.02, 0.02), "pressure_a": (-0.02, 0.02), "pressure_b": (-0.02, 0.02),
 }  # fmt: skip
-"""s by which a channel may be late (negative: early) because of valve, play or an amplifier: causes, no mistakes."""
+"""Range of each channel's delay [s] (negative: early) that valve, play or an amplifier explain: causes, no mistakes."""
 TRIAL = SearchSettings(effort=1500)
-"""Search by which two readings of the same recordings are compared."""
+"""Search settings for the comparison of wiring hypotheses."""
 Repaired = tuple[tuple[Repair, ...], Case]
-"""Repairs, and the recordings after them."""
+"""Repairs, and the case of the repaired recordings."""
 
 
 def residual_sums(problem: Problem, claims: Sequence[Claim]) -> FloatArray:
@@ -75,9 +74,9 @@ def log_gain(before: FloatArray, after: FloatArray) -> float:
 def suspected_repairs(
     problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = (), units: Mapping[str, str] | None = None
 ) -> tuple[Repair, ...]:
-    """Return at most four repairs that each gain `DECISIVE_LOG_RATIO` or more under these claims, in order of gain.
+    """Return at most four repairs, selected greedily, that each gain `DECISIVE_LOG_RATIO` or more under these claims.
 
-    `held`: recordings that are evaluated together with the problem's; `units`: by field, where it was not taken as SI.
+    `held`: held-out segments, evaluated jointly with the problem's; `units`: unit of a field's column, if not SI.
     """
     segments = [replace(one, thinner=None) for one in (*(model.segment for model in problem.models), *held)]
     found: list[Repair] = []
@@ -99,7 +98,7 @@ class _Trial:
         self._known: dict[Repair | None, FloatArray] = {}
 
     def segments(self, repair: Repair | None) -> list[Segment]:
-        """The segments after a repair, without the ends where the clocks do not meet."""
+        """Repaired segments, trimmed by the delay at both ends."""
         if repair is None:
             return self._segments
         moved = [replace(one, channels={**repair.apply(one.channels, one.step)}) for one in self._segments]
@@ -120,7 +119,7 @@ class _Trial:
         return log_gain(self.residual_sums(), self.residual_sums(repair))
 
     def repairs(self, units: Mapping[str, str]) -> Iterator[Repair]:
-        """Yield the repairs that are possible for channels whose numbers have the right size."""
+        """Yield the repairs that are possible for channels with values of plausible magnitude."""
         here = set.intersection(*(set(segment.channels) for segment in self._segments))
         bench = self._problem.bench
         for name in ("valve_current", "hydraulic_force", "load_force"):
@@ -139,14 +138,14 @@ class _Trial:
                 yield advance(name, late)
 
     def delay(self, field: str) -> float:
-        """Return about the delay [s] of the smallest residuals: downhill by parabolas through three delays."""
+        """Return an estimate of the delay [s] that minimises the residuals, by successive parabolic interpolation."""
 
         def squares(delay: float) -> float:
             found, before = self.residual_sums(advance(field, delay)), self.residual_sums()
             there = found[1] > 0.0
             return float(np.sum(found[0, there] / found[1, there] / before[0, there]))
 
-        step, reach = 0.02, 0.15  # s by which a channel is moved to see which way it is late; the longest delay
+        step, reach = 0.02, 0.15  # s: half-width of the interval of a parabola; largest delay
         at = 0.0
         for _ in range(ITERATIONS):
             low, middle, high = (squares(at + by) for by in (-step, 0.0, step))
@@ -159,7 +158,7 @@ class _Trial:
         return at
 
     def refine_delay(self, repair: Repair) -> Repair:
-        """Return the repair with the delay of the smallest residuals; with whole rows, if they leave no more."""
+        """Return the repair with the delay that minimises the residuals, rounded to whole rows if these tie."""
         row = max(one.step * one.spacing for one in self._segments)
         width = max(0.3 * abs(repair.delay), 2.0 * row)
         found = minimize_scalar(
@@ -171,7 +170,7 @@ class _Trial:
 
 
 def advance(field: str, delay: float) -> Repair:
-    """A field that was recorded late by `delay` [s]."""
+    """Repair of a field that was recorded late by `delay` [s] (negative: early)."""
     said = f"{abs(delay) * 1e3:.3g} ms {'late' if delay > 0.0 else 'early'}"
     return Repair(field, f"{field} was recorded about {said}", delay=delay)
 
@@ -186,13 +185,13 @@ class SearchResult:
     """`residual_sums` of the held-out recordings."""
     claims: tuple[Claim, ...]
     numbers: int
-    """Parameters of the causes."""
+    """Number of parameters of the causes."""
 
 
 def read_repaired(question: Question, progress: Progress) -> Case:
-    """The recordings as they are, or repaired where that explains them better; `Case.wiring` tells which and why.
+    """Read the recordings as they are, or repaired if that explains them better; `Case.wiring` states which and why.
 
-    Raises InputError if they cannot be diagnosed, neither as they are nor repaired.
+    Raises InputError if they can be diagnosed neither as they are nor repaired.
     """
     inspection = Inspection()
     case: Case | None = None
@@ -211,7 +210,7 @@ def read_repaired(question: Question, progress: Progress) -> Case:
     if case is None or inspection.doubts:
         readings = _plausible(question, inspection, progress)
     for k, (repairs, one) in enumerate(readings):
-        if further := suspected_repairs(one.problem, (), one.held, one.units):  # beside the mistakes that numbers show
+        if further := suspected_repairs(one.problem, (), one.held, one.units):  # besides implausible values
             repairs = (*repairs, *further)
             with suppress(InputError):
                 readings[k] = repairs, read(_repaired(question, repairs, inspection.units), progress)
@@ -233,11 +232,11 @@ def read_repaired(question: Question, progress: Progress) -> Case:
 
 
 def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Case:
-    """The same case, or it repaired: what causes leave, or what several say together, may be a mistake of wiring."""
+    """Return the case, or its repaired version if the residual or a pair of claims is explained by a wiring mistake."""
     claims = found.outcome.fit.claims
     left_over = found.assessment.remainder or found.holdout.noticeable(found.holdout.residual(claims))
     if case.question.as_wired or found.by_curve is not None:
-        return case  # what rough recordings leave says nothing of their wiring
+        return case  # the residual of rough recordings is no evidence of their wiring
     repairs = suspected_repairs(found.problem, claims, case.held, case.units) if left_over else ()
     values = {claim.effect.id: claim.values for claim in claims}
     if not repairs and values.keys() >= {"spring_rest", "dead_volume"}:
@@ -254,9 +253,9 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
 
 
 def _plausible(question: Question, inspection: Inspection, progress: Progress) -> list[Repaired]:
-    """Of the repairs that numbers ask for which cannot be what they are named, those that leave least.
+    """Repairs of the fields with implausible values, with the smallest residuals for each set of remaining channels.
 
-    One for each choice of channels that is left; eight are tried.
+    At most eight combinations are tried.
     """
     best: dict[frozenset[str], Repaired] = {}
     units = inspection.units
@@ -276,7 +275,7 @@ def _plausible(question: Question, inspection: Inspection, progress: Progress) -
 
 
 def _one_per_field(doubted: Iterable[Doubt]) -> list[Doubt]:
-    """One doubt of each field: of those of several recordings the one with the middle number."""
+    """One doubt per field; of those of several recordings, the median."""
     groups: list[tuple[set[str], list[Doubt]]] = []
     for doubt in doubted:
         fields, found = {one.field for one in doubt}, [doubt]
@@ -288,7 +287,7 @@ def _one_per_field(doubted: Iterable[Doubt]) -> list[Doubt]:
 
 
 def _repaired(question: Question, repairs: Sequence[Repair], units: Mapping[str, str]) -> Question:
-    """The same question with the column map that repairs the recordings; `units` as the columns were taken."""
+    """Question with the column map that repairs the recordings; `units`: of the fields' columns, if not SI."""
     given = ColumnMap.load(question.columns) or ColumnMap({})
     fields = [name for one in repairs for name in (one.field, one.exchanged) if name]
     whole = "time" in given.sources
@@ -302,7 +301,7 @@ def _repaired(question: Question, repairs: Sequence[Repair], units: Mapping[str,
 
 
 def _searched(case: Case, progress: Progress) -> SearchResult:
-    """Return the residuals after a small search for causes."""
+    """Residuals after a small search for causes."""
     with threadpool_limits(1, "blas"):
         found = Search(case.problem, case.candidates, TRIAL, progress).run()
     holdout = found.problem.for_segments(case.held).reweighted(found.fit.claims)
@@ -315,9 +314,9 @@ def _search_result(problem: Problem, holdout: Problem, claims: Sequence[Claim]) 
 
 
 def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
-    """The better of the two, with a note on both."""
+    """The better explained case of the two, with a note on both."""
     there = _searched(other, progress)
-    lags = ("sensor_lag", "transport_delay", "valve_lag")  # for which a delay found too short or long would pass
+    lags = ("sensor_lag", "transport_delay", "valve_lag")  # these would absorb the error of an estimated delay
     claims = [claim for claim in there.claims if claim.effect.id not in lags]
     trial = _Trial(other.problem, claims, [replace(model.segment, thinner=None) for model in other.problem.models])
     again = [

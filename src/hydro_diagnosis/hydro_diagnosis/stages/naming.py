@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names for what is missing: by the shapes of its curves where recordings are rough, else by the search; then laws.
+"""Naming of the mismatch: by the shape of the force curve for rough recordings, else by the search; then by closures.
 
-Rough recordings hold more in the force than any curve of their motion shows: there the evidence of samples is that of
-what is not modelled, and names are shapes of the curve (`shapes`). What the search left in the oil's equations stands.
+In rough recordings (`curves.ROUGH_RATIO`) the force contains more than any curve of the motion explains, so that the
+evidence of samples is that of unmodelled physics; effects are then identified by the curve's shape (`shapes`). Claims
+of the search in the other equations are retained.
 """
 
 from __future__ import annotations
@@ -42,21 +43,21 @@ class StageResult:
     outcome: SearchOutcome
     assessment: Assessment
     bounds: list[Interval]
-    """Intervals of the claims' parameters."""
+    """Confidence intervals of the claims' parameters."""
     holdout: Problem
-    """What was held out, weighed for the claims."""
+    """Held-out recordings, reweighted for the claims."""
     simulated: Known
-    """Simulations of it so far."""
+    """Simulations of the held-out recordings so far."""
     proof: dict[str, Any]
-    """`fit` of report.json."""
+    """Held-out errors: `fit` of report.json."""
     accounted: Accounted
     curve: ForceCurve | None = None
-    """Of the force; None without the equation of motion."""
+    """Curve of the missing force; None without the equation of motion."""
     by_curve: CurveClaims | None = None
-    """Claims that are shapes of it, where recordings are rough."""
+    """Claims identified by the curve's shape, for rough recordings."""
     closures: list[ClosureReport] = field(default_factory=list)
     next_recording: dict[str, Any] | None = None
-    """The recording that separates the closest rivals among the claims."""
+    """Proposed recording that separates a claim from its closest rival."""
 
     @property
     def names(self) -> set[str]:
@@ -65,7 +66,7 @@ class StageResult:
 
 
 def name_causes(case: Case, search: Search) -> StageResult:
-    """Return the retained names and their validation."""
+    """Name the causes, by the search or by the force curve of rough recordings; return them with their validation."""
     problem, progress = search.problem, search.progress
     progress(stage_bar.CURVES)
     moving = moving_motions(problem) if MOTION in problem.blocks else []
@@ -84,7 +85,7 @@ def name_causes(case: Case, search: Search) -> StageResult:
     proof = holdout_errors(problem, holdout, kept.claims, simulated)
     accounted = accounted_shares(proof["equations"], proof["equations"])
     assessment = assess(problem, outcome.fit, kept, outcome.nothing, holdout, accounted)
-    known = can_simulate(problem.bench)  # well enough to rehearse a recording
+    known = can_simulate(problem.bench)  # needed to simulate a proposed recording
     return StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated=simulated,
         proof=proof, accounted=accounted, curve=curve,
@@ -93,15 +94,15 @@ def name_causes(case: Case, search: Search) -> StageResult:
 
 
 def moving_motions(problem: Problem) -> list[Motion]:
-    """The motions of its recordings in which the piston moves at all."""
+    """Motions of the problem's segments in which the piston moves."""
     return [one for one in motions(problem.models, problem.baseline) if float(np.ptp(one.position)) > 0.0]
 
 
 def model_remainder(found: StageResult, case: Case, search: Search) -> StageResult:
-    """Names and laws together; the names alone where nothing remains, or no law is admitted.
+    """Return the result extended by closures; unchanged if no mismatch remains or no closure is admitted.
 
-    Nor is any sought where what remains may be a ringing that the rows are too slow to show. Where none is admitted in
-    the motion of rough recordings, names are read off its curve.
+    None is sought if the remainder may be a resonance aliased by the logger (`Problem.unseen_ringing`), or the budget
+    is spent. If none is admitted in the motion equation of rough recordings, effects are named by the force curve.
     """
     problem, curve = found.problem, found.curve
     if found.by_curve is not None or not found.assessment.remainder:
@@ -123,7 +124,7 @@ def _by_curve(
     problem: Problem, outcome: SearchOutcome, held: Sequence[Segment], curve: ForceCurve, search: Search,
     others: Sequence[Claim],
 ) -> StageResult:  # fmt: skip
-    """Return names read off the curve of the force, together with claims of other equations."""
+    """Result with effects named by the force curve, jointly with claims of other equations."""
     search.progress(stage_bar.SELECTING)
     holdout = problem.for_segments(held)
     read = claims_from_curve(curve, moving_motions(holdout), problem, search.library)
@@ -141,7 +142,7 @@ def _by_curve(
 
 
 def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult | None:
-    """Names and the first model without a name that is admitted; None where none is."""
+    """Result with the first admitted closure, fitted jointly with the claims; None if none is admitted."""
     problem, holdout = names.problem, names.holdout
     candidates = closures(problem, names.assessment.fit, library)
     found = admit(problem, holdout, candidates, names.proof, names.simulated)
@@ -159,7 +160,7 @@ def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress
         accounted=accounted, assessment=assess(problem, names.outcome.fit, joint_fit, nothing, holdout, accounted),
         proof={**found.holdout_report, "equations": everything},
     )  # fmt: skip
-    ahead = names.next_recording if result.names == names.names else None  # it would tell apart what is not claimed
+    ahead = names.next_recording if result.names == names.names else None  # else it would separate a dropped claim
     if ahead is None and can_simulate(problem.bench):
         ahead = next_for_law(problem, joint_fit, found.closure_fit.screen)
     return replace(result, next_recording=ahead)

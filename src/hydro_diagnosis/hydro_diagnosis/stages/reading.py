@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First stage: recordings and the baseline bench become a problem, and the candidates that can act on it.
+"""First stage: the estimation problem and its candidate effects, from recordings and the baseline bench.
 
 The baseline is the assumed bench, as a `Bench` whose `effects` are known and are not claimed again. It comes from a
 bench.yaml, from a diagnosis' corrected.yaml, or from `ros2 run hydro_sim learn`.
@@ -45,7 +45,7 @@ from hydro_sim.model.bench import Bench
 
 
 def recording_entries(paths: Sequence[str | Path]) -> list[dict[str, Any]]:
-    """Name of each recording, and `begin` [s since 1970] of a bag with /hydro/state; None for other loggers' files."""
+    """Entry of each recording: `name`, and `begin` [s since 1970] of a bag with /hydro/state, None for other files."""
     in_full, entries = named_in_full(paths), []
     for path in map(Path, paths):
         name, begin = path.stem, None
@@ -62,10 +62,10 @@ def baseline(
     model: str | Path | None = None,
     estimated: Collection[str] = (),
 ) -> tuple[Bench, str]:
-    """The baseline of a bench, of a bench's file or its content (None: the nominal one), or of a learned bench.
+    """Baseline bench and its origin, from a bench, a bench file or its content (None: nominal), or a learned bench.
 
-    Its origin with it: `analytic`, or `learned` and the file's name.
-    Of a bench whose file lacks numbers it is a `PartialBench`; `estimated`: those that will be estimated.
+    The origin is `analytic`, or `learned` and the file's name. If the file lacks parameters, the baseline is a
+    `PartialBench`; `estimated`: parameters to be estimated.
 
     Raises InputError if a file cannot be read, or if both are given.
     """
@@ -107,29 +107,29 @@ class Question:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A question, read."""
+    """Input of a diagnosis after reading: estimation problem, candidate effects and held-out segments."""
 
     question: Question
     problem: Problem
     candidates: list[Effect]
     held: list[Segment]
-    """Recordings on which nothing is fitted."""
+    """Held-out segments."""
     facts: dict[str, Any]
-    """Fields of the report that are known already."""
+    """Fields of the report that are known before the search."""
     numbers: dict[str, float | None]
-    """Numbers to be estimated, as they were given."""
+    """Bench parameters to be estimated, with the bench file's values; None if it holds none."""
     units: Mapping[str, str]
-    """By field, the unit in which its column was taken; none for SI."""
+    """Unit of a field's column before conversion to SI, if stated."""
     wiring: str = ""
-    """Note on how the recordings were taken, as they are or repaired, where both can be meant; else empty."""
+    """Note on the wiring hypothesis taken, as recorded or repaired, if a mistake is suspected; else empty."""
 
 
 def read(question: Question, progress: Progress, inspection: Inspection | None = None) -> Case:
-    """Read the recordings, check them against the bench file, begin the estimated numbers.
+    """Read the recordings, check them against the bench file, initialise the parameters to be estimated.
 
     `inspection`: as of `load_dataset`.
 
-    Raises InputError if a recording cannot be diagnosed, or numbers are missing that it needs, in one sentence.
+    Raises InputError if no recording can be diagnosed, or the bench file lacks parameters that they require.
     """
     estimate = tuple(dict.fromkeys(question.estimate))
     refuse_inestimable(estimate)
@@ -171,7 +171,7 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
             "is sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is given no "
             f"law; record at {math.ceil(2.0 * rings)} Hz or more"
         )
-    if HYDRAULIC not in problem.blocks:  # without pressures nothing tells the force cell's errors from forces
+    if HYDRAULIC not in problem.blocks:  # without pressures the force cell's errors are not identifiable
         cell = {"load_cell_gain:hydraulic_force", "load_cell_bias:hydraulic_force"}
         candidates = [one for one in candidates if one.label not in cell]
     try:
@@ -194,11 +194,11 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
 
 
 RINGING = frozenset({"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"})
-"""Causes that change how the mass rings on the oil, or how its ringing is read."""
+"""Causes that change the resonance of the mass on the oil, or its measurement."""
 
 
 def _machine(problem: Problem) -> Machine | None:
-    """How large the machine is; None where its force or its motion is not recorded."""
+    """Scales of the machine: force, speed and stroke; None without a recorded force or motion."""
     moving = [one for one in problem.models if one.has_position and MOTION in problem.blocks]
     if not moving:
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Last stage: the report of what is claimed, and of what may still be wrong with it."""
+"""Last stage: the report of the claims, of the remaining mismatch, and of the limits of both."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Line:
-    """A line in the spectrum of what remains, the same in all recordings."""
+    """Spectral line of the residuals, at the same frequency in all recordings."""
 
     frequency: float
     """Hz."""
     share: float
-    """Share of the squared remainder in that channel, in the recording with the least of it."""
+    """Share of a channel's squared residuals beyond the noise: the smallest over the recordings."""
 
     @property
     def sentence(self) -> str:
-        """Typical origin of a line at that frequency."""
+        """Sentence on the line's share and period, with typical origins."""
         return (
             f"{100.0 * self.share:.0f} % of what remains repeats every {1e3 / self.frequency:.3g} ms "
             f"({self.frequency:.3g} Hz), unless the reference does: typical of the mains, a pump's strokes, a dither "
@@ -51,9 +51,9 @@ class Line:
 
 
 def line_of(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> Line | None:
-    """Return the line that holds most of what remains in a channel of the residuals in every recording, or None.
+    """Return the spectral line common to a channel's residuals in all segments, or None.
 
-    `parts`: layouts, and residuals [noise] in their order: of the fitted recordings, of the held-out ones.
+    `parts`: layout and residuals [noise standard deviations] of the fitted, and of the held-out recordings.
     """
     lines, finest = [], 0.0
     for layout, residual in parts:
@@ -69,10 +69,10 @@ def line_of(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> Line | 
 
 
 def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
-    """The line of one recording: 30 % of the residual's power beyond the noise (1 a sample) or more within two bins.
+    """Spectral line of one segment: over 30 % of the residual's power beyond the noise (1 per sample) within two bins.
 
-    It stands out 40 times of the median of 40 bins on either side, which 5000 bins of white noise do once in 10^8.
-    What repeats less often than at 5 Hz may be the reference's doing.
+    Its peak is at least 40 times the median of 40 bins on either side: for white noise once in 10^8, with 5000 bins.
+    Lines below 5 Hz are ignored, since the reference may cause them.
     """
     around, slowest = 40, 5.0
     if len(time) < 8 * around:
@@ -90,7 +90,7 @@ def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
 
 
 def describe(findings: StageResult) -> list[EffectReport]:
-    """One entry per name that stands, the strongest evidence first."""
+    """Report entries of the retained named effects, sorted by decreasing evidence."""
     problem, found, read = findings.problem, findings.assessment.fit, findings.by_curve
     reports = []
     for claim, bounds in by_claim(found.claims, findings.bounds):
@@ -125,7 +125,7 @@ def describe(findings: StageResult) -> list[EffectReport]:
 
 
 def _rivals(outcome: SearchOutcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
-    """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
+    """Rivals of a claim, the closest first, and separately those without an id in the table of effects."""
     rivals, look_alikes = [], []
     if any(is_closure(one.effect) for one in found.claims):
         return [], []  # rivals were fitted without the closure: no fair comparison
@@ -152,7 +152,7 @@ def _rivals(outcome: SearchOutcome, found: Fit, claim: Claim) -> tuple[list[Riva
 
 
 def location_of(place: Place, problem: Problem) -> Location:
-    """A place as it stands in the report: windows by recording."""
+    """Report entry of a location of the mismatch, with its windows by recording."""
     windows: dict[str, list[list[float]]] = {}
     for model, stretches in zip(problem.models, place.windows, strict=True):
         windows.setdefault(model.segment.recording, []).extend([list(stretch) for stretch in stretches])
@@ -161,7 +161,7 @@ def location_of(place: Place, problem: Problem) -> Location:
 
 
 def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
-    """The report and the data behind it; `begun`: monotonic time [s] at which the diagnosis began."""
+    """Build the report, with its underlying data; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
     searched = found.by_curve is None
     hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
@@ -193,7 +193,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
 
 
 def interrupted_report(case: Case, search: Search, begun: float) -> Report:
-    """Return the report after Ctrl-C: the equations that can be checked, and the steps so far, which prove nothing."""
+    """Return the report after Ctrl-C, without a verdict: equations that can be checked, and search steps so far."""
     return Report(
         verdict=INTERRUPTED, location=[], effects=[], remainder=None, fit={}, next_recording=None,
         seconds=time.monotonic() - begun, steps=_steps(search), **case.facts,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What recordings say of numbers and causes that are not claimed: estimated, confirmed, or hidden by missing rows."""
+"""Parameters and causes that are not claimed: estimated, confirmed, or undetectable because of missing rows."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def number_estimates(
     problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect],
     numbers: Mapping[str, float | None],
 ) -> list[NumberEstimate]:  # fmt: skip
-    """One entry per estimated number, in their order.
+    """Report entries of the estimated bench parameters, in their order.
 
-    `bounds`: of the parameters of all claims; `numbers`: by name, the bench file's value if it holds one.
+    `bounds`: intervals of the parameters of all claims; `numbers`: the bench file's values by name, None if absent.
     """
     weight = problem.weight(found.residual)
     columns = found.jacobian * weight[:, None]
@@ -59,7 +59,7 @@ def number_estimates(
 
 
 def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
-    """Return the other terms of the fit that explain 99 % of a number's signature; itself if it has none."""
+    """Return the other terms of the fit that explain 99 % of a parameter's signature; itself if it has none."""
     column = columns[:, k]
     if not np.linalg.norm(column) > 1e-9 * np.sqrt(len(column)):
         return [names[k]]
@@ -77,7 +77,7 @@ def _mixed(columns: FloatArray, k: int, names: Sequence[str]) -> list[str]:
 def _alike(
     problem: Problem, found: Fit, columns: FloatArray, k: int, weight: FloatArray, library: Sequence[Effect]
 ) -> list[str]:
-    """Causes that are not claimed and would change the residuals as the number does, beside all that is fitted."""
+    """Unclaimed causes whose signature is collinear with the parameter's, given all other terms of the fit."""
     others = np.delete(columns, k, axis=1)
     own = orthogonal(others, columns[:, k])
     alike = []
@@ -95,16 +95,16 @@ def _alike(
 NUMBERS = (
     "piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure", "valve_gain",
 )  # fmt: skip
-"""Causes that are a number of the bench file times a ratio."""
+"""Effects that scale a parameter of the bench file by a ratio."""
 
 
 def confirmed(
     problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect], hidden: str = ""
 ) -> str:
-    """Note on the numbers of the bench file that the recordings show to be right, to first order; empty for none.
+    """Note on the bench file's parameters that are confirmed to within 5 %, to first order; empty for none.
 
-    Each is judged beside what was found, as if the others were exact, and never closer than the search would claim.
-    `hidden`: of `undetectable_causes`; none of these is confirmed.
+    Each is tested jointly with the claims, as if the others were exact, and to no closer than the smallest claimable
+    change. `hidden`: result of `undetectable_causes`, of which none is confirmed.
     """
     weight = problem.weight(found.residual)
     columns, left = found.jacobian * weight[:, None], found.residual * weight
@@ -124,9 +124,9 @@ def confirmed(
 
 
 def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str:
-    """Causes that could hide in missing rows, with the size from which they would show; empty if none are missing.
+    """Note on causes undetectable because of missing rows, with their detection limits; empty if no row is missing.
 
-    `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
+    `threshold`: evidence in units of BIC that a claim needs beyond the penalty of its parameters.
     """
     if problem.thinner is None:
         return ""
@@ -154,7 +154,7 @@ def _plain(effect: Effect) -> str:
 def _least(
     problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray, price: float
 ) -> tuple[float, str]:
-    """Multiple of a probe from which it shows, and in words if that is much: ` under 0.4 kg`, or alone if never."""
+    """Detection limit as a multiple of a probe, and in words if it is large: ` under 0.4 kg`, ` at any size`."""
     start = {one.name: one.probes[min(probe, len(one.probes) - 1)] for one in effect.parameters}
     signature = (problem.residual((*found.claims, Claim(effect, start))) - found.residual) * weight
     power = float(signature @ signature)
@@ -165,7 +165,7 @@ def _least(
     if main is None:
         return share, " at any size" if share > 1.0 else ""
     size = share * abs(start[main.name] - main.neutral)
-    if size <= 10.0 * main.smallest:  # so much may hide without being listed
+    if size <= 10.0 * main.smallest:  # smaller limits are not listed
         return share, ""
     unit, factor = ("%", 100.0) if main.unit == "-" else display_unit(main.unit)
     return share, f" {'under' if main.neutral == 0.0 else 'within'} {size * factor:.2g} {unit}"

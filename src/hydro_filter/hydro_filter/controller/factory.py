@@ -30,12 +30,12 @@ LEARNED = "learned"
 
 @dataclass(frozen=True, kw_only=True)
 class FilterChoice:
-    """Filter selected by the options."""
+    """Selection of a filter: its metric, model and bench files."""
 
     bench: Bench
     """Bench assumed by the box."""
     bench_file: Path | None = None
-    """Path of its file; None: the bench.yaml of hydro_sim."""
+    """Path of the bench's file; None: the bench.yaml of hydro_sim."""
     metric: str = LEARNED
     """`learned` (the shipped one), or a file."""
     model: Path | None = None
@@ -127,9 +127,9 @@ class FilterChoice:
 
     @cached_property
     def _statements(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
-        """Statements stored with the metric, True: of the compensated law; and file names of those of another bench.
+        """Statements stored with the metric, True: of the compensated law; and names of files for another bench.
 
-        Raises ValueError: a file is no statement.
+        Raises ValueError: a file is not a region's statement.
         """
         believed, proved, foreign = (self._model_digest, self.bench.digest), {}, []
         for compensated in (False, True):
@@ -146,14 +146,14 @@ class FilterChoice:
     def make_region_monitor(self, filtering: LoopFilter) -> RegionMonitor | None:
         """Return a monitor of the regions stored with the metric; None: none is certified for this model and bench.
 
-        Raises ValueError: a file is no statement.
+        Raises ValueError: a file is not a region's statement.
         """
         proved, _ = self._statements
         return RegionMonitor(proved, float(filtering.parts["closing"][0])) if proved else None
 
 
 NUMERIC_OPTIONS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "state_age_max")
-"""Settings that are options, too."""
+"""Settings that are also command-line options."""
 
 
 def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:

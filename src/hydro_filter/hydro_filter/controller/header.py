@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_filter export_c --bench bench.yaml --out loop_filter_config.h: a filter's numbers for a box in C.
+"""ros2 run hydro_filter export_c --bench bench.yaml --out loop_filter_config.h: a filter's C configuration for a box.
 
 For firmware/hydro/loop_filter.h, the decision that the filter node runs as a library: the bench file's two models, as
 generated C with their coefficients, and the metric's table.

@@ -7,8 +7,8 @@
     contraction_filter.correct(sample)                    Sample in, Result out, one bench, as the node runs it
     records.decide(address, parts, memory, ...)           the same for a compiled loop
 
-The law is known by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.law_inputs`). v is from f_r whatever the law
-follows: a loop that decays does so whatever it follows.
+The law is represented by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.law_inputs`). v is relative to f_r even
+if the law follows f_c: the loop's contraction does not depend on the reference.
 
 Samples must be consecutive: the memory simulates the spool from their currents. A correction acts one sample after its
 own. Certified gains and limits: safety.md.
@@ -42,7 +42,7 @@ from hydro_sim.model.bench import NOMINAL, Bench
 C1_TOLERANCE = 1e-3
 """HYDRO_SAME: largest difference at which two values of C_1 count as equal."""
 EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
-"""Of the model monitor."""
+"""Equations of the model monitor."""
 SUSPECTED_CAUSES = (
     "the spring or its load cell",
     "mass, friction or spring",
@@ -52,7 +52,7 @@ SUSPECTED_CAUSES = (
 )
 """Suspected causes of a violation of each equation."""
 FORCE, RATE, PRESSURE, POSITION, SPEED, CURRENT, GAIN = 1e5, 1e9, 1e8, 1.0, 20.0, 1e4, 1e4
-"""N, N/s, Pa, m, m/s, A, 1/s: magnitudes beyond which a sample is none of the nominal bench, far beyond its sensors."""
+"""Plausibility limits of a sample on the nominal bench [N, N/s, Pa, m, m/s, A, 1/s], far beyond its sensors' ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class Result(NamedTuple):
     before: float
     """M_c [1/s] without the correction; NaN if it was not evaluated or not finite."""
     after: float
-    """M_c [1/s] with it."""
+    """M_c [1/s] with the correction."""
     status: CorrectionStatus
 
     @classmethod
@@ -98,7 +98,7 @@ NO_CERTIFICATE = {
     True: "its metric is not made for the compensated law; one of a bench file is (`learn_metric --model FILE.yaml`)",
     False: "its metric is not made for the paper's law, whose loop decays at no gain on this bench",
 }
-"""Message that there is none, by whether the compensated law acts."""
+"""Reason for a missing certificate; key: whether the compensated law is active."""
 
 
 class LoopFilter:
@@ -109,7 +109,7 @@ class LoopFilter:
     parts
         Record of `loop_parts` for the metric's C_1.
     settings
-        Only age, bypass and `innovation_limit` are used here; the others are part of `parts`.
+        Only age, bypass and `innovation_limit` are read here; the others are part of `parts`.
     others
         Records for other C_1.
     """
@@ -121,7 +121,7 @@ class LoopFilter:
         self.settings = settings or LoopFilterSettings()
         self.memory, self.monitor = new_memories(), new_monitors()
         self.decision = np.zeros(1, DECISION)
-        """Of the last sample, with a, b, low, high of its QP."""
+        """Decision on the last sample, with a, b, low, high of its QP."""
         self._sample = np.zeros(1, SAMPLE)
         self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
         self._parts = (parts, *others)  # have to live as long as their addresses
@@ -186,7 +186,7 @@ class LoopFilter:
 
 
 _PACK = struct.Struct("17d?").pack_into
-"""Into a record of SAMPLE: thrice as fast as by its fields' names."""
+"""Writes a record of SAMPLE, three times as fast as by its fields' names."""
 
 
 def loop_filter(
@@ -200,7 +200,7 @@ def loop_filter(
 def loop_parts(
     metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> Records:
-    """Return a record of FILTER, shape (1,): of a metric, its training model, and the bench that the box believes.
+    """Return a record of FILTER, shape (1,): of a metric, its training model, and the bench assumed by the box.
 
     Raises ValueError: the metric's coordinates are not those of the model's loop, or as `make_loop`.
     """
@@ -230,5 +230,5 @@ def loop_parts(
 
 
 def default_filter(bench: Bench | None = None) -> LoopFilter:
-    """Return the shipped metric on the shipped learned bench, for a box configured for `bench` (default: nominal)."""
+    """Return the shipped metric's filter on the shipped learned bench, for a box of `bench` (default: nominal)."""
     return loop_filter(ScheduledMetric.load(), learned_bench.load_model(), bench or Bench.nominal())

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loop of a bench file for the certificate, and the check whether a bench has one.
+"""Force-loop model of a bench file for the certificate, and the check that its coordinates can represent the bench.
 
-Two models stand behind it, both compiled from the bench file::
+The loop has two models, both compiled from the bench file::
 
     whole   all effects: for predictions, hidden states and the monitor
     loop    without `DISTURBANCES`: linearized, by its exact Jacobian
 
 Dry friction, as an effect or a closure, overlap and gaps are bounded disturbances to the metric: within them nothing
-moves, and a derivative there does not describe the loop. The certificate counts what of the current passes an overlap
-(`terms.valve_overlap`).
+moves, and a derivative there does not describe the loop. The certificate counts the part of the current that passes an
+overlap (`terms.valve_overlap`).
 
 The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
-(`terms`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
+(`terms`). Effects without a coordinate are refused: a second lag of the valve or of one sensor. Other
 hidden states (bristles, a drooping supply) are held fixed in derivatives by x.
 """
 
@@ -40,18 +40,18 @@ from hydro_sim.model.grammar import depends_on_direction, has_hidden_states, sig
 from hydro_sim.model.sensors import Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", terms.OVERLAP, "backlash")
-"""Effects that the linearized loop leaves out."""
+"""Effects left out of the linearized loop, as bounded disturbances."""
 REFERENCE_ACCELERATION_MAX = 2000.0 / 3.0
-"""1/s^2, limit of f_r'' over the bench's force: that at 4 Hz."""
+"""1/s^2, limit of f_r'' over the bench's force: about that of a sine of this amplitude at 4 Hz."""
 VELOCITY_NOISE_FLOOR = 0.025
-"""1/s, Velocity [m/s] over the stroke below which its sign is noise."""
+"""1/s, velocity over the stroke below which the velocity's sign is noise."""
 FORCES_ALLOWED, PRESSURES_ALLOWED = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
-"""What the monitor's equations may be off, whatever moves, over the bench's force: 2.5 %; dry friction; a cell's drift;
-of pressures in `UNCERTAINTY`."""
+"""Residuals that the monitor's equations allow at any motion, shape (5,). Over the bench's force: model error of the
+load, dry friction, a load cell's drift; over `UNCERTAINTY` of the bench's pressure: the chambers."""
 
 MASS_FACTOR = 1e6
-"""Mass within a sample over the bench's: hidden states follow the measured velocity, not what bristles make of it
-within the sample, whose bend is unknown at first."""
+"""Mass within a sample over the bench's: hidden states follow the measured velocity, not the one that bristles of
+initially unknown deflection would cause within the sample."""
 
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
@@ -62,9 +62,9 @@ SINGLE_LAG_EFFECTS = {
     "the pressure sensor of a": terms.PRESSURE_LAGS[0],
     "the pressure sensor of b": terms.PRESSURE_LAGS[1],
 }
-"""Labels of effects of which a bench has one at most."""
+"""Labels of the lags of which a representable bench has at most one, by component."""
 WHOLE_SAMPLE = 1e-9
-"""Of a sample: a dead time this close to whole samples is one of them."""
+"""Fraction of a sample within which a dead time counts as a whole number of samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +74,20 @@ class Loop:
     truth: Bench
     """The bench file."""
     believed: Bench
-    """What the box's force law believes."""
+    """Bench that the box's force law is configured for."""
     values: dict[str, Any]
     """Fields of `record`, by name."""
     arrays: dict[str, npt.NDArray[Any]]
-    """What its pointers point to, by name: `k`, `rest`, `forces`, `scale` and others."""
+    """Arrays behind the record's pointers, by field name: `k`, `rest`, `forces`, `scale` and others."""
     record: Records
-    """Of `records.LOOP`, shape (1,)."""
+    """Record of `records.LOOP`, shape (1,)."""
 
     def __getitem__(self, name: str) -> Any:
         return self.values[name]
 
     @property
     def scale(self) -> FloatArray:
-        """Scale of each coordinate, shape (n,): the eight common ones, then those added."""
+        """Scale of each coordinate, shape (n,): the eight common ones, then those that the bench file adds."""
         return self.arrays["scale"]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -100,7 +100,7 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
     Raises ValueError: the certificate's coordinates cannot represent this bench; the message is one sentence.
     """
     check_representable(truth)
-    # both models, and where the states of the loop's are in the whole one
+    # both models, and the indices of the linear model's states in the whole one
     linear_bench = without_disturbances(truth)
     whole, linear = BenchModel(truth, substeps=SUBSTEPS), BenchModel(linear_bench, substeps=SUBSTEPS)
     states, linear_states = terms.hidden_state_indices(truth), terms.hidden_state_indices(linear_bench)
@@ -231,7 +231,7 @@ def make_samples(x: FloatArray, **signals: Any) -> Records:
 
 
 def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> Records:
-    """Return records of `SAMPLE` from a recorded run under a law with this C_1 and neutral coefficients."""
+    """Return records of `SAMPLE`, shape (n,), from a recorded run under a law with this C_1, C_2 = 1 and f_c = f_r."""
     names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
     fields = ("nominal", "current", "reference", "reference_rate", "k_p")
     signals = {field: states[name] for field, name in zip(fields, names, strict=True)}
@@ -239,7 +239,7 @@ def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> 
 
 
 def without_disturbances(truth: Bench) -> Bench:
-    """Return the bench without `DISTURBANCES` and closures, which the linearization leaves out."""
+    """Return the bench without `DISTURBANCES` and without motion closures that depend on the direction of motion."""
     return replace(
         truth,
         effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES),

@@ -7,8 +7,8 @@
     linearize(loop, samples)                                   F, G, K, v of successive samples
     decide(decide_address(), parts, memory, sample, made)      one decision, in a loop that numba compiles
 
-A record and what it points to are one piece of memory (`make_record`): pointers live as long as the record, and a copy
-of the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
+A record and the arrays that it points to share one block of memory (`make_record`): pointers are valid as long as the
+record, and a copy of the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ READINGS, EQUATIONS = 5, 5
 
 
 def _structure(*groups: tuple[Any, str]) -> np.dtype[np.void]:
-    """Kinds, each with the names of its fields."""
+    """Return the aligned dtype of fields, given as kinds with the names of their fields."""
     return np.dtype([(name, kind) for kind, names in groups for name in names.split()], align=True)
 
 
@@ -53,7 +53,7 @@ LOOP = _structure(
     (_REAL, "area ratio mass dead_a dead_b stroke least_gain least_opening bend_max creep gain_floor velocity_memory"),
     (DOUBLE.config["bench"], "bench"),
 )  # fmt: skip
-"""hydro_loop of firmware/hydro/loop.h, as are those around it."""
+"""Structure hydro_loop of firmware/hydro/loop.h; MODEL, LAGGING, SAMPLE and MEMORY are of the same file."""
 SAMPLE = _structure(
     ((_REAL, (8,)), "x"),
     (_REAL, "nominal current reference reference_rate k_p followed followed_rate c_1 c_2"), (_FLAG, "armed"),
@@ -64,13 +64,13 @@ FILTER = _structure(
     (_REAL, "gain_low gain_high gain_step floor kept foreign_kept noise_size foreign_noise_size integral_allowance"),
     (_REAL, "velocity_compensation closing back out"), (SAMPLE, "most"),
 )  # fmt: skip
-"""hydro_loop_filter of loop_filter.h."""
+"""Structure hydro_loop_filter of firmware/hydro/loop_filter.h, as DECISION is."""
 DECISION = _structure((_REAL, "delta_u before after a b low high"), (np.uint32, "status"), (_FLAG, "restorable"))
 MONITOR = _structure(
     (_EACH, "last middle"), (_HIDDEN, "hidden"), (_REAL, "opening cell"), ((_REAL, (EQUATIONS, 2)), "sums"),
     ((_INT, (EQUATIONS, 2)), "runs"), (_INT, "seen broken held"), (_REAL, "ratio effort"),
 )  # fmt: skip
-"""hydro_monitor of monitor.h."""
+"""Structure hydro_monitor of firmware/hydro/monitor.h."""
 
 
 def make_record(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Records:
@@ -109,7 +109,7 @@ def new_monitors(count: int = 1) -> Records:
 def library() -> ctypes.PyDLL:
     """Load the filter's C library. Calls keep the GIL, as they take some microseconds.
 
-    Raises SettingsError: it is not built, or of another version.
+    Raises SettingsError: the library is not built, or of another version.
     """
     code = ctypes.PyDLL(str(library_path("double")))
     pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_size_t
@@ -153,7 +153,7 @@ class Linearization(NamedTuple):
     """Linearization of n samples of a loop with c coordinates and m states."""
 
     transition: FloatArray
-    """F, shape (n, c, c); of the linearized samples, as G and K are."""
+    """F, shape (n, c, c). F, G and K have only the samples selected for linearization."""
     push: FloatArray
     """G [1/A], shape (n, c)."""
     feedback: FloatArray
@@ -161,9 +161,9 @@ class Linearization(NamedTuple):
     displacement: FloatArray
     """v, shape (n, c)."""
     states: FloatArray
-    """Of the whole model, measured and simulated, shape (n, m)."""
+    """States of the whole model, measured and simulated, shape (n, m)."""
     opening: FloatArray
-    """Of the valve [A], and its rate [A/s], shape (n, 2)."""
+    """Opening of the valve [A] and its rate [A/s], shape (n, 2)."""
     integral: FloatArray
     """I [N/s] of the force law, shape (n,)."""
 
@@ -182,7 +182,7 @@ def linearize(
     memory
         Filter state, a record of MEMORY, shape (1,), updated in place; None: a new one.
     linearized
-        Which samples are linearized, shape (n,); None: all of them.
+        Mask of the samples to linearize, shape (n,); None: all.
     """
     n, width, states = len(samples), int(loop["coordinates"][0]), int(loop["whole"]["states"][0])
     rows = n if linearized is None else int(linearized.sum())
@@ -197,7 +197,7 @@ def linearize(
 
 
 def run_monitor(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
-    """Run the model monitor on successive samples; returns its sums after each, shape (n, 5, 2)."""
+    """Run the model monitor on successive samples; return its CUSUM statistics after each, shape (n, 5, 2)."""
     sums = np.empty((len(samples), EQUATIONS, 2))
     at = map(address_of, (memory, monitor))
     library().hydro_c_filter_watch(address_of(loop), limit, *at, len(samples), *map(address_of, (samples, sums)))

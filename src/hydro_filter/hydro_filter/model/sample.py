@@ -31,13 +31,13 @@ class Sample(NamedTuple):
     proportional_gain: float
     """K_p + delta K_p [1/s]."""
     valve_current: float = 0.0
-    """What the valve got [A]: nominal, plus the last correction, within the valve's limit."""
+    """Applied valve current [A]: nominal plus the last correction, saturated."""
     reference_rate: float = 0.0
     """f_r' [N/s]."""
     armed: bool = True
-    """Whether the valve follows the law at all."""
+    """Whether the valve follows the law."""
     law: LawState | None = None
-    """Force law as it acted; None: the paper's."""
+    """State of the force law; None: the paper's law."""
 
     @property
     def compensated(self) -> bool:

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the certificate reads off a bench file's effects: hidden states, load, sensors, valve, and added coordinates.
+"""Terms of the certificate from a bench file's effects: hidden states, load, sensors, valve, added coordinates.
 
-The loop has coordinates beside the eight of `coordinates` for readings that lag and commands on their way::
+The loop has coordinates in addition to the eight of `coordinates` for lagging readings and delayed currents::
 
-    a pressure sensor's lag    what it shows, and its rate       Pa, Pa/s     the force law reads this, not the pressure
-    a dead time                the currents still on their way   N/s          T = 1 ms: the last ceil(time / T) of them
+    a pressure sensor's lag    its output, and the output's rate  Pa, Pa/s    the force law reads this, not the pressure
+    a dead time                the currents still on their way    N/s         T = 1 ms: the last ceil(time / T) of them
 
-What a sensor shows is counted from the pressure that belongs to f_h: the sum of the pressures has no coordinate. Both
-are states of the bench file's model, so that their rows of F and G are of its exact Jacobian. A current counts by the
-force rate that it will drive, as the spool does. Without these effects there are none.
+A sensor's output is taken relative to the pressure that belongs to f_h: the sum of the pressures has no coordinate.
+Both are states of the bench file's model, so that their rows of F and G are of its exact Jacobian. A current is in
+units of the force rate that it will drive, as the spool is. Without these effects there are no added coordinates.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from hydro_sim.model.equations import LOAD_CELL_DAMPING, READINGS
 from hydro_sim.model.sensors import Sensors
 
 StateName = tuple[str, int, str]
-"""Of a hidden state: its effect's label, which one of several with that label, the state."""
+"""Key of a hidden state: its effect's label, index among the effects with this label, name of the state."""
 VALVE_LAG, LOAD_CELL_LAG, FORCE_CELL_LAG = (
     "valve_lag", "sensor_lag sensor=load_force", "sensor_lag sensor=hydraulic_force",
 )  # fmt: skip
 PRESSURE_LAGS = "sensor_lag sensor=pressure_a", "sensor_lag sensor=pressure_b"
-"""Labels of effects."""
+"""Labels of the lags of chamber A's and chamber B's pressure sensor."""
 OVERLAP = "valve_deadband"
-"""Effect within which no current moves anything."""
+"""Id of the valve's overlap, a range of currents that gives no flow."""
 POSITION_STATE, VELOCITY_STATE, LOAD_STATE, LOAD_RATE_STATE = 2, 3, 4, 5
-"""Of the textbook's states; the load is what an amplifier of the bench itself shows."""
+"""Indices of the textbook model's states; load force and its rate are behind the bench's own amplifier."""
 UNCERTAINTY = 1.875e-4
-"""Standard deviation of the model's pressure after one sample, over the supply's: what the monitor allows."""
+"""Standard deviation of the model's pressure after one sample, over the bench's pressure; the monitor's allowance."""
 
 
 def parameters_of(effect: Mapping[str, Any]) -> dict[str, float]:
@@ -59,7 +59,7 @@ def find_parameters(bench: Bench, label: str) -> dict[str, float]:
 
 
 def lag_delay(lag: Mapping[str, float]) -> float:
-    """Return the delay [s] of a lag at low frequency: 2 d/w, 1/w if it is of first order, 0 of no parameters."""
+    """Return the delay [s] of a lag at low frequency: 2 d/w, 1/w if it is of first order, 0 without parameters."""
     return (2.0 * lag["damping"] if "damping" in lag else 1.0) / (2.0 * pi * lag["bandwidth"]) if lag else 0.0
 
 
@@ -103,7 +103,7 @@ def load_curve(record: Any, effects: Sequence[Mapping[str, Any]], positions: Flo
 
 
 def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
-    """Return whether an effect of the load without states depends on the velocity."""
+    """Return whether the load force of an effect without hidden states depends on the velocity."""
     positions = np.linspace(0.0, bench.stroke, 9)
     still, *moving = (_evaluable(effect, bench, v).load(0.0 * positions, positions) for v in (0.0, 0.1, -0.1))
     return not all(np.array_equal(still, one) for one in moving)
@@ -158,15 +158,15 @@ class LaggingSensor(NamedTuple):
     chamber: int
     """0: p_a, 1: p_b."""
     signal_index: int
-    """Index of what it shows, in the whole model."""
+    """Index of its output in the whole model."""
     rate_index: int
     linear_signal_index: int
-    """The same, in the loop's model."""
+    """Index of its output in the loop's model."""
     linear_rate_index: int
     omega: float
-    """rad/s."""
+    """Natural frequency [rad/s]."""
     delay: float
-    """s, 2 d/w."""
+    """Delay [s] at low frequency, as `lag_delay`."""
 
 
 def lagging_sensors(
@@ -187,19 +187,19 @@ def lagging_sensors(
 def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size: Size) -> FloatArray:
     """Return the gains of the observer of pressures behind lagging sensors.
 
-    It corrects pressure, sensor output and its rate, of each lagging sensor, twice a sample. The position's error
-    counts because the box's velocity is late: a velocity error changes these states in proportion to the position. The
-    readings' errors enter by the steady Kalman gain of the bench at rest. Both by the model's exact Jacobian;
-    the model's pressure is uncertain by `UNCERTAINTY` a sample, a reading by its noise.
+    The observer corrects pressure, sensor output and its rate, of each lagging sensor, twice a sample. The position's
+    error counts because the box's velocity is late: a velocity error changes these states in proportion to the
+    position. The readings' errors enter by the steady Kalman gain of the bench at rest. Both gains are by the model's
+    exact Jacobian; process noise of the pressure is `UNCERTAINTY` a sample, measurement noise that of the reading.
 
     Parameters
     ----------
     model
-        The loop's model.
+        The loop's model, without disturbances.
     sensors
-        One or two.
+        One or two lagging sensors.
     size
-        Of the bench.
+        Size of the bench.
 
     Returns
     -------

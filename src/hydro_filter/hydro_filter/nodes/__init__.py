@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes of this package: they move messages and hold no mathematics."""
+"""ROS nodes, which transport messages and contain no mathematics."""

@@ -4,28 +4,28 @@
 ros2 run hydro_filter filter [--metric FILE] [--model FILE] [--bench FILE] [--bypass]
 
 States are answered in order, each once, with the epoch of the session (/hydro/authority). States of two plants are not
-answered, and beside another filter none. After a hold-up those older than `state_age_max` are answered STALE without
-being acted upon. The filter follows the valve's spool from sample to sample: where samples are missing it begins
-again.
+answered, and none while another filter publishes. After a delay, states older than `state_age_max` are answered STALE
+without being acted upon. The filter simulates the valve's spool from sample to sample, and restarts after missing
+samples.
 
-Where the model is not this bench's every answer is MISMATCH: nothing is corrected, and the plant narrows the gains.
-Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
-the filter was started for (/hydro/box).
+If the model does not fit this bench, every answer is MISMATCH: nothing is corrected, and the plant narrows the gains.
+The filter finds that by its own predictions, or by the box's description (/hydro/box), if that assumes another bench
+than the filter was started for.
 
-New files of metric, model and bench take the place of the old ones while the plant is disarmed, once they belong
-together; until they are compiled the old ones answer.
+New files of metric, model and bench replace the old ones while the plant is disarmed, if they match one another; until
+they are compiled the old ones answer.
 
-Where a region is proved beside the metric (METRIC.region.json), a correction of an armed sample outside of it carries
-OUTSIDE besides its status, judged each policy step, and the log says what left.
+If a region is stored with the metric (METRIC.region.json), a correction of an armed sample outside of it carries
+OUTSIDE besides its status, judged each policy step, and the log names the quantity.
 
 While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
-without. Where the metric is not made for the law that runs, every answer is BYPASSED.
+without. If the metric has no certificate for the active law, every answer is BYPASSED.
 
 In the process of a plant (`filtered_plant`) the filter subscribes to no samples: the plant hands them over, with their
 law and the session's epoch, and gets the correction back.
 
 Ages are by the machine's clock. A state of a plant that goes by its own clock (PACED) has none: that plant waits for
-this filter, or counts the age itself. One that it sends again is answered as before.
+this filter, or counts the age itself. A repeated state gets the same answer again.
 """
 
 from __future__ import annotations
@@ -104,13 +104,13 @@ class FilterStatistics:
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)
     outside: int = 0
-    """Samples outside of the region that is proved."""
+    """Samples outside of the certified region."""
     missing: int = 0
-    """Samples that never came, by gaps in the sequence."""
+    """Missing samples, by gaps in the sequence."""
     work: Latency = field(default_factory=Latency)
-    """From the callback's begin to the correction's publication."""
+    """Time from the callback's begin to the correction's publication."""
     age: Latency = field(default_factory=Latency)
-    """From a sample's stamp to the publication of its correction."""
+    """Time from a sample's stamp to the publication of its correction."""
 
 
 class LoadedFilter(NamedTuple):
@@ -118,13 +118,13 @@ class LoadedFilter(NamedTuple):
 
     choice: FilterChoice
     description: dict[str, str]
-    """Of the files, for logs and /diagnostics."""
+    """Description of the files, for logs and /diagnostics."""
     filter: LoopFilter
     region: RegionMonitor | None
 
     @classmethod
     def load(cls, choice: FilterChoice, settings: LoopFilterSettings) -> LoadedFilter:
-        """Make the filter of a choice, which compiles its models at first use; raises as `FilterChoice.make`."""
+        """Create the filter of a choice and compile its models at first use; raises as `FilterChoice.make`."""
         made = choice.make(settings)
         return cls(choice, choice.describe(), made, choice.make_region_monitor(made))
 
@@ -133,16 +133,16 @@ class LoadedFilter(NamedTuple):
 
 
 class FileWatch:
-    """Reads a choice's files again, in a thread, once they have changed and then stayed unchanged for a poll."""
+    """Reloads a choice's files in a thread, once they have changed and then stayed unchanged for a poll."""
 
     def __init__(self, choice: FilterChoice, settings: LoopFilterSettings) -> None:
         self._choice, self._settings = choice, settings
         self._read = self._seen = choice.modification_times
-        """When the files were written: those that were read, or refused, and those of the last poll."""
+        """Modification times of the files at their last reading, and at the last poll."""
         self._reading: concurrent.futures.Future[LoadedFilter] | None = None
 
     def poll(self, *, armed: bool) -> LoadedFilter | None:
-        """Return new files once they are read; None: there are none, or the plant is armed.
+        """Return the reloaded filter once it is ready; None: no new files, or the plant is armed.
 
         Raises ValueError, OSError, UserError: one cannot be read, or they do not belong together (PairingError).
         """
@@ -169,7 +169,7 @@ class FileWatch:
 
 
 class FilterNode(Node):
-    """Runs the filter on each BenchState and publishes a Correction for it.
+    """Node that runs the filter on each BenchState and publishes a Correction for it.
 
     `choice`: filter to run. `settings`: defaults of the ROS parameters. `realtime`: request SCHED_FIFO. `handed`: a
     plant in this process hands over its samples (`hydro_bridge.nodes.plant_node.Corrector`), and decides on scheduling.
@@ -272,7 +272,7 @@ class FilterNode(Node):
         self.get_logger().info(f"new files are taken over: {loaded}")
 
     def correct(self, state: Any, law: Any, epoch: int) -> Any:
-        """See `hydro_bridge.nodes.plant_node.Corrector`."""
+        """Correct a sample handed over by a plant; see `hydro_bridge.nodes.plant_node.Corrector`."""
         self._epoch = epoch
         if law is not None:
             self._on_law_state(law)
@@ -280,7 +280,7 @@ class FilterNode(Node):
         return self._last
 
     def publish(self) -> None:
-        """See `hydro_bridge.nodes.plant_node.Corrector`."""
+        """Publish the last correction; see `hydro_bridge.nodes.plant_node.Corrector`."""
         if self._publisher is not None and self._last is not None:
             self._publisher.publish(CORRECTIONS.pack(*self._last))
 

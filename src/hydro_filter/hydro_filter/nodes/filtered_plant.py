@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plant node with the filter in its process: the plant hands each sample over and has its correction at once.
+"""A plant node with the filter in its process: the plant hands over each sample and gets its correction at once.
 
 ros2 run hydro_filter filtered_plant bridge|sim [options of that node] [--filter "WORDS"]
 
-Nodes, topics and parameters are those of `bridge` or `sim` and `filter` side by side. Between the two nothing crosses
-the middleware (docs/decisions/0084-bridge-and-filter-in-one-process.md).
+Nodes, topics and parameters are those of `bridge` or `sim` and of `filter` as separate processes. Between the two
+nothing crosses the middleware (docs/decisions/0084-bridge-and-filter-in-one-process.md).
 """
 
 from __future__ import annotations

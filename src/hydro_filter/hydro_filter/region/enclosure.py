@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Enclosure of one sample of the closed loop over a box: F + G K, and the directions of the disturbances.
 
-The Jacobian depends on states and bench through few numbers. With P_a = A p_a, P_b = alpha A p_b, f_h = P_a - P_b and
-z = g s, s the valve's opening and g the force rate per ampere at the sample's begin::
+The Jacobian depends on states and bench through few quantities. With P_a = A p_a, P_b = alpha A p_b, f_h = P_a - P_b
+and z = g s, s the valve's opening and g the force rate per ampere at the sample's begin::
 
     f_h' = -c x' + (1 + m) z - nu f_h - eta x + ...           c     stiffness of the oil, beta A^2/V_a + ...
-    z''  = w^2 (g u - z) - 2 d w z'                           nu    what pressures take of the flows, by |s|, and leaks
-    x''  = (f_h - b x' - k x) / M                             eta   what the position does to beta/V, by p_a', p_b'
+    z''  = w^2 (g u - z) - 2 d w z'                           nu    pressures' effect on the flows, by |s|, and leaks
+    x''  = (f_h - b x' - k x) / M                             eta   position's effect on beta/V, by p_a', p_b'
     f_l''= w_c^2 (k x - f_l) - 2 d_c w_c f_l'                 m     mean change of g within the sample
 
     g u  = a nu^ f_h - a K_p f_l + a eta^ x + C_1 chi c x'_box        a = g/g^ = chi zeta, zeta = c/c^; ^: the law's
 
-chi is 1 for a bench that the law knows: its velocity compensation is right to that ratio. Both ratios are weighted
-means of the chambers' ratios, so that their bounds are those at the ends. Each number but the smallest is a symbol of
+chi is the law's velocity compensation over the bench's own, 1 for a bench known to the law. Both ratios are weighted
+means of the chambers' ratios, so that their bounds are those at the ends. Each quantity but the smallest is a symbol of
 an affine set; the sample is the Taylor series of the state's transition, entries may vary within it.
 """
 
@@ -31,7 +31,7 @@ from hydro_filter.region.statement import Bounds, CertifiedRegion
 
 PERIOD = SAMPLE_PERIOD
 SERIES_TERMS = 34
-"""Of the Taylor series: T A is some 6 in units of the coordinates, and 6^35/35! is 2e-13."""
+"""Terms of the Taylor series: T A is some 6 in units of the coordinates, and 6^35/35! is 2e-13."""
 
 SYMBOLS = (
     "c_law", "zeta", "chi", "gain", "flow", "flow_error", "eta", "eta_law", "mean", "drift", "spring", "spool",
@@ -51,26 +51,26 @@ class JacobianBounds:
     flow: Interval
     """nu without leaks [1/s]."""
     flow_error: Interval
-    """Further part of a nu^ by u_nom - s [1/s]."""
+    """Part of a nu^ by u_nom - s [1/s]."""
     flow_apart: float
-    """How far nu may be from its mean within a sample."""
+    """Largest deviation of nu from its mean within a sample [1/s]."""
     flow_ratio: Interval
-    """a nu^ over nu of the same opening."""
+    """a nu^ over nu at the same opening."""
     leak: Interval
     eta: Interval
     eta_law: Interval
     """a eta^ [N/s/m]."""
     mean: Interval
     drift: Interval
-    """Change of g over a sample, over g."""
+    """Relative change of g over a sample."""
     spring: Interval
     spool: Interval
-    """rad/s."""
+    """Natural frequency of the spool [rad/s]."""
     dead_time: Interval
     share: Interval
     """C_1."""
     c_apart: float
-    """How far c may be from its mean within a sample."""
+    """Largest deviation of c from its mean within a sample [N/m]."""
     gain_ratio: Interval
     """a."""
     g: Interval
@@ -100,7 +100,7 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     sigma_law = 1.0 / (1.0 + alpha**2 * (law_a / law_b))
     stiffer = 1.0 + (1.0 - sigma_law) * (mu - 1.0)
 
-    # pressure drops of the open edges: the bench's, and what the law takes them for
+    # pressure drops of the open edges: the bench's and the law's
     if side > 0:
         drop_a, drop_b = supply - p_a, p_b - tank
         known_a, known_b = law["supply_pressure"] - p_a, drop_b
@@ -118,7 +118,7 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     swept = PERIOD * v.size * max((area / volume_a).high, (area_b / volume_b).high)
     gain_ratio = kappa * modulus * core
 
-    # nu, what the pressures take of the flows, and the law's, times a: of valve gain and modulus nothing is left in it
+    # nu, the pressures' effect on the flows, and a nu^ of the law, in which valve gain and modulus cancel
     opening, error = state["opening"], state["opening_error"].size
     largest = max(opening.high, 0.0) if side > 0 else max(-opening.low, 0.0)
     stiff_a, stiff_b = (ratio["bulk_modulus"] * bench["bulk_modulus"] / volume for volume in (volume_a, volume_b))
@@ -132,7 +132,7 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     leak_a, leak_b = stiff_a * bench["leakage"], stiff_b * bench["leakage"]
     leak = leak_a * sigma + leak_b * (1.0 - sigma) + leak_a / alpha * (1.0 - sigma) + alpha * leak_b * sigma
 
-    # eta, what the position does, and what the law takes P_a', P_b' for: the bench's flow, wrong by its ratio, by
+    # eta, the position's effect, and the law's estimates of P_a', P_b': the bench's flow, wrong by its ratio, by
     # u_nom's share and by x'_box
     rate_a, rate_b = area * state["pressure_a_rate"], area_b * state["pressure_b_rate"]
     eta = area / volume_a * rate_a + area_b / volume_b * rate_b
@@ -192,7 +192,7 @@ def zeros(rows: int, columns: int) -> AffineSet:
 
 
 def set_block(into: AffineSet, row: int, column: int, number: AffineSet) -> None:
-    """Write a block into a matrix set, at `row` and `column`."""
+    """Write a block into a larger affine set of matrices, at `row` and `column`."""
     rows, columns = number.center.shape
     at = slice(row, row + rows), slice(column, column + columns)
     into.center[at], into.radius[at] = number.center, number.radius
@@ -200,7 +200,7 @@ def set_block(into: AffineSet, row: int, column: int, number: AffineSet) -> None
 
 
 DISTURBANCE_NAMES = ("friction", "current", "velocity", "overlap")
-"""Columns of the disturbances."""
+"""Disturbances by column of D."""
 
 
 def enclose_closed_loop(
@@ -252,7 +252,7 @@ def enclose_closed_loop(
     )
     set_block(law, 0, count + 1, affine_radius(noise.high / scale[Z]))
 
-    # rows of the states: their own, the current's, and what disturbs them
+    # rows of the states: by themselves, by the current, by the disturbances
     by_current = pushed.submatrix(within, [0])
     if ways:
         late = affine_symbol("dead_time", ((ways - 1.0) * PERIOD + PERIOD - n.dead_time) / PERIOD)
@@ -268,7 +268,7 @@ def enclose_closed_loop(
     set_block(out, 0, count, pushed.submatrix(within, [1]) * wrong["friction"])
     set_block(out, 0, count + 3, pushed.submatrix(within, [2]) * (n.g.high * wrong["overlap"] / scale[Z]))
 
-    # the box's velocity, of what x moves by; then what counts by g, at its value a sample later
+    # the box's velocity, from the change of x; then the coordinates in units of g, with g at the next sample
     memory, still, own = bench["velocity_memory"], zeros(1, width), zeros(1, width)
     set_block(still, 0, X, one * -1.0)
     shown = (out.submatrix([X], every) + still) * ((1.0 - memory) / PERIOD * scale[X] / scale[BOX_VELOCITY])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a bench file, and of the bench that its force law believes, for a statement."""
+"""Parameters of a bench file and of the force law's bench, and the region's states, for a statement."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SUPPORTED_EFFECTS = (
     "friction_coulomb", "friction_coulomb form=directional", "friction_stribeck", "friction_presliding",
     "valve_deadband", "valve_deadband form=lopsided", "force_offset", *(effect.id for effect in numbers.EFFECTS),
 )  # fmt: skip
-"""Effects that the proof has a place for: disturbances, null shifts, and wrong numbers of the bench file."""
+"""Effects that the proof supports: lags, leakage, disturbances, null shifts, corrections of the bench's parameters."""
 
 
 def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict[str, float]]:
@@ -47,7 +47,7 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
         raise ValueError("the proof needs the load cell's bandwidth in the bench file")
     record = model.constants()[0]
     facts = {name: float(record[name]) for name in record.dtype.names}
-    for name in ("bulk_modulus", "valve_gain"):  # these two are terms of the model, not numbers of the bench
+    for name in ("bulk_modulus", "valve_gain"):  # their corrections are terms of the model, not in `constants`
         facts[name] *= found.get(name, {}).get("ratio", 1.0)
     overlap = valve_overlap(model)
     ours = {
@@ -89,7 +89,7 @@ def region_states(bench: Mapping[str, float], x: FloatArray, valve: FloatArray) 
     Parameters
     ----------
     bench
-        Numbers of the bench file (`bench_numbers`).
+        Parameters of the bench file (`bench_numbers`).
     x
         Measured states, shape (n, 8).
     valve

@@ -6,8 +6,8 @@
     Interval    [low, high]                         every operation rounds outward by `math.nextafter`
     Affine      C + sum_i s_i G_i + E               |s_i| <= 1, |E| <= R entry by entry
 
-An affine set keeps its first-order dependence on each symbol s_i: it is their vertices that a convex condition is asked
-at. What is of second order, and rounding, goes into R. Source: de Figueiredo and Stolfi 2004; Rump 2010, section 9.
+An affine set keeps its first-order dependence on each symbol s_i: a convex condition is checked at the symbols'
+vertices. Second-order terms and rounding go into R. Source: de Figueiredo and Stolfi 2004; Rump 2010, section 9.
 """
 
 from __future__ import annotations

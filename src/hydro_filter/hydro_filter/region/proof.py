@@ -26,9 +26,9 @@ from hydro_filter.region.interval import EPS, AffineSet, Interval
 from hydro_filter.region.statement import CertifiedRegion, ToleranceCell
 
 SLOPE_MIN = 1e-7
-"""Slopes below this, of all entries together, count as radius."""
+"""Sum of a symbol's slopes below which the symbol becomes radius."""
 ROUNDING_ALLOWANCE = 1e-8
-"""For rounding of numbers that are computed outside of intervals, 1e-15 of them, times the metric's condition."""
+"""Allowance for rounding outside of interval arithmetic: 1e-15 times the metric's condition number."""
 PROMOTED_ENTRIES = 2
 """Entries of the radius that become symbols: the largest, by which f_h follows the spool."""
 

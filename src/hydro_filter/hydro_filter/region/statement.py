@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A certified region: box of states, gains and benches over which a metric is proved to contract, and its file.
 
-The file stands beside the metric, METRIC.region.json; `benchmarks.verify_region` proves it again from its numbers.
+The file is stored next to the metric, METRIC.region.json; `benchmarks.verify_region` repeats its proof.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TOLERANCES = (
     "valve_gain", "bulk_modulus", "dead_volume_a", "dead_volume_b", "spring_stiffness", "supply_pressure",
     "spool_bandwidth",
 )  # fmt: skip
-"""Numbers of a bench that have a tolerance, as ratios to those of the bench file; `dead_time` has one in s."""
+"""Parameters of a bench with a tolerance, as ratios to those of the bench file; `dead_time` has one in s."""
 
 ASSUMPTIONS = (
     "The bench has the structure of the bench file: two chambers of constant bulk modulus with laminar leakage, sharp "
@@ -64,14 +64,14 @@ class ToleranceCell:
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedRegion:
-    """Certified region with its metric: F' M(K_p+) F <= exp(-2 lambda T) M(K_p) everywhere in it."""
+    """Certified region with its metric: (F + G K)' M(K_p+) (F + G K) <= exp(-2 lambda T) M(K_p) everywhere in it."""
 
     believed: dict[str, float]
-    """Numbers of the force law's bench."""
+    """Parameters of the force law's bench."""
     bench: dict[str, float]
-    """Numbers of the bench file."""
+    """Parameters of the bench file."""
     tolerances: dict[str, Bounds]
-    """Ratios of the bench's numbers to those of the file; of `dead_time` [s]."""
+    """Ratios of the bench's parameters to those of the file; `dead_time` [s]."""
     states: dict[str, Bounds]
     """Ranges of the states."""
     velocity_compensation: Bounds
@@ -93,7 +93,7 @@ class CertifiedRegion:
     """Units of the coordinates."""
     cells: tuple[ToleranceCell, ...] = ()
     facts: dict[str, Any] = field(default_factory=dict)
-    """Digests, command, seconds of the proof."""
+    """Force of the run, seconds of the proof, tubes, share of the run's states inside, digests."""
 
     @property
     def coordinates(self) -> int:
@@ -102,7 +102,7 @@ class CertifiedRegion:
 
     @property
     def directions(self) -> list[int]:
-        """Directions of the disturbance that have a weight."""
+        """Indices of the disturbances with a weight."""
         return [i for i, weight in enumerate(self.weights) if weight > 0.0]
 
     @property
@@ -119,7 +119,7 @@ class CertifiedRegion:
 
     @classmethod
     def load(cls, path: Path) -> CertifiedRegion:
-        """Read a region's file. Raises ValueError: it is not one."""
+        """Read a region's file. Raises ValueError: it is not a region's statement."""
         try:
             return cls.from_mapping(json.loads(path.read_text(encoding="utf-8")))
         except (OSError, KeyError, TypeError, ValueError) as error:

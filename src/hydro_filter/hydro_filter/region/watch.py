@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Monitor of the certified region of the active force law.
 
-It is judged once a policy step, 10 ms: in that time the states of a region hardly move, and the gains change once.
+The region is checked once a policy step, 10 ms: in that time its states hardly move, and the gains change once.
 """
 
 from __future__ import annotations

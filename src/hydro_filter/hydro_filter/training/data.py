@@ -6,16 +6,15 @@ the distance between the twins, largest |difference of f_l| in a window, early a
 
     stable      late < 0.6 early         unstable    late > early, or the box tripped       else: neither, not used
 
-An overlap of the valve holds twins apart at small gains, by less the higher the gain, and at high ones it holds still
-what the loop would not. Where a bench has one, twins of the bench without it (`free`) are asked too: `combine_labels`.
+An overlap of the valve keeps the twins apart at small gains, by less the higher the gain, and at high gains it hides
+instability. Where a bench has one, the bench without it (`free`) is labelled, too: `combine_labels`.
 
-Gains are drawn from all that the box takes; references are those of `hydro_sim.excitation`. Every rollout gives
-windows of successive samples (paper: horizon H_m = 10) with what the certificate needs of each: x, x', v as the
-filter sees it, noise and all, and the exact F, G, K. None of these depends on the metric: they are computed once, not
-once per epoch.
+Gains are drawn from the whole range of the box; references are those of `hydro_sim.excitation`. Every rollout gives
+windows of successive samples (paper: horizon H_m = 10), each with the exact F, G, K at the measured state, noise
+included. None of these depends on the metric: they are computed once.
 
 Thresholds are measured: v'Mv of sensor noise, and the integral action of stable loops. Noise: the bench at rest with a
-closed valve, once with sensor noise and once without; the difference of both v, moved by one sample as in the
+closed valve, once with sensor noise and once without; the difference of both v, advanced by one sample as in the
 certificate. Integral: runs of an episode's length under stable gains; the value of I, with friction, leakage and lags.
 A run's gains are constant, so that both forms of the integral agree.
 """
@@ -43,11 +42,11 @@ from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 PULSE_CURRENT = 0.06
-"""Pulse of 10 ms in the twin run over the valve's limit: some 15 N on the nominal bench."""
+"""Current of the twin run's pulse of 10 ms over the valve's limit: some 15 N on the nominal bench."""
 PULSE_SAMPLE = 1000
 EARLY, LATE = slice(1050, 1350), slice(-300, None)
 STOP_DISTANCE = 0.00625
-"""Distance of windows from the end stops over the stroke."""
+"""Smallest distance of windows from the end stops over the stroke."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
 DECAY_RATIO = 0.6
 
@@ -117,18 +116,18 @@ class Rollout:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
-    """Windows of rollouts: n windows of H samples in scaled loop coordinates."""
+    """Windows of rollouts: n windows of H samples in c scaled loop coordinates."""
 
     transition: FloatArray
-    """F, shape (n, H, 8, 8)."""
+    """F, shape (n, H, c, c)."""
     push: FloatArray
-    """G [1/A], shape (n, H, 8)."""
+    """G [1/A], shape (n, H, c)."""
     feedback: FloatArray
-    """K [A], shape (n, H, 8)."""
+    """K [A], shape (n, H, c)."""
     gain: FloatArray
     """K_p [1/s], shape (n,)."""
     label: npt.NDArray[np.int64]
-    """Shape (n,)."""
+    """Stability labels, shape (n,)."""
 
     def __len__(self) -> int:
         return len(self.gain)
@@ -139,7 +138,7 @@ class Windows:
 
     @classmethod
     def concatenate(cls, windows: Sequence[Windows]) -> Windows:
-        """Return all windows as one."""
+        """Return the concatenation of several sets of windows."""
         return cls(
             **{name: np.concatenate([getattr(one, name) for one in windows]) for name in cls.__dataclass_fields__}
         )
@@ -192,7 +191,7 @@ def combine_labels(own: int, free: int) -> int:
 
 
 def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
-    """Return windows at random times after the first 0.1 s; None if the rollout is too short."""
+    """Return windows at random times after the first 0.1 s, away from the end stops; None if there are none."""
     count, span = len(rollout.states), settings.horizon
     if count < 100 + 2 * span:
         return None
@@ -218,8 +217,8 @@ def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int
 def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0) -> tuple[float, float]:
     """Return the range of K_p [1/s] in which the loop is stable without the filter.
 
-    From `low_reserve` above the highest small gain that is not stable to 0.8 of the lowest large one that is not.
-    Raises ValueError: nothing is left between them.
+    From `low_reserve` above the highest small gain without a stable rollout to 0.8 of the lowest large one, but not
+    beyond the largest stable gain. Raises ValueError: no rollout is stable, or the range is empty.
     """
     stable = np.array([r.gains[0] for r in rollouts if r.label == STABLE])
     others = np.array([r.gains[0] for r in rollouts if r.label != STABLE])
@@ -235,13 +234,13 @@ def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0) -> tuple[
 
 SAMPLES_AT_REST = 4000
 NOISE_QUANTILE = 0.99
-"""Quantile of the noise's v'Mv that is treated as noise."""
+"""Quantile of the noise's v'Mv that is the noise threshold."""
 
 
 def rest_displacements(
     loop: Loop, plant: Plant, gain: float, seed: int, velocity_compensation: float = 1.0
 ) -> FloatArray:
-    """Return the displacements v of a bench at rest with a closed valve, shape (samples, coordinates)."""
+    """Return the displacements v of a bench at rest with a closed valve, advanced by one sample; shape (samples, c)."""
     closing = closing_current(loop)
     x = np.array([plant.reset(seed), *(plant.step(closing) for _ in range(SAMPLES_AT_REST - 1))])
     signals = {"nominal": 1e-9, "current": closing, "k_p": gain, "c_1": velocity_compensation}
@@ -264,16 +263,16 @@ def noise_levels(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant
 
 
 INTEGRAL_TEST_GAINS = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
-"""K_p [1/s], K_i [1/s^2] of the runs that measure the integral."""
+"""K_p [1/s], K_i [1/s^2] of the runs that measure the integral under the paper's law."""
 INTEGRAL_TEST_REFERENCES = (
     (Waveform.SINE, 2.0 / 3.0, 0.0, 1.0),
     (Waveform.SINE, 2.0 / 3.0, 0.5, 0.5),
     (Waveform.SINE, 2.0 / 3.0, -0.5, 0.5),
     (Waveform.MULTISINE, 1.0, 0.0, 1.0),
 )
-"""Their references: waveform, amplitude and offset over the bench's force, frequency [Hz]."""
+"""References of these runs: waveform, amplitude and offset over the bench's force, frequency [Hz]."""
 INTEGRAL_TEST_TIME = 18.0
-"""s: the integral takes some K_p / K_i = 6 s to settle."""
+"""s, length of these runs: the integral takes some K_p / K_i = 6 s to settle."""
 
 
 def measure_integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: DataSettings) -> float:

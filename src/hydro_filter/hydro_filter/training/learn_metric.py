@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ros2 run hydro_filter learn_metric --out METRIC: solve the contraction metric of a learned bench.
 
-Rolls out, labels, solves a metric for each gain, and judges on rollouts that it was not solved on. The result depends
-on nothing but the words of the command.
+Rolls out, labels, solves a metric for each gain, and evaluates it on held-out rollouts. The result depends on the
+command's arguments alone.
 """
 
 from __future__ import annotations

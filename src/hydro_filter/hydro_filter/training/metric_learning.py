@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metric learning: roll out, label, solve a metric for each gain, evaluate by the empirical certificate.
 
-**Refinement.** That the solution P of Lyapunov's equation for one state decays at all of some hundred states of the
-rollouts is a linear matrix inequality in P: descent on P = L_0 (I + X) (I + X)' L_0' from the equation's L_0 L_0', X
-lower triangular, on the mean and the largest violation.
+**Refinement.** The solution P of Lyapunov's equation for one state has to decay at some hundred states of the rollouts,
+a linear matrix inequality in P: descent on P = L_0 (I + X) (I + X)' L_0' from the equation's L_0 L_0', X lower
+triangular, on the mean and the largest violation.
 
 **Empirical certificate**, on held-out windows; no proof over a set of states (safety.md)::
 
     ((F + G K)' M (F + G K) - exp(-2 lambda T) M) / T        its largest eigenvalue relative to M; 0 or less: M decays
 
 For gains of the certified range K is the force law's. All others are not to be certified, and K is that of the best
-correction, so every sample asks twice: of the metric for its own gain if that is in the range, and of that for all
-other gains. Eigenvalues are of C^-1 ... C^-T with M = C C', so that a small M does not pass for a good one.
+correction, so every sample is evaluated twice: in the metric for its own gain if that is in the range, and in that for
+all other gains. Eigenvalues are of C^-1 ... C^-T with M = C C', so that they do not depend on the size of M.
 """
 
 from __future__ import annotations
@@ -81,19 +81,18 @@ COLUMNS = {
 RATE, FOREIGN_RATE = LoopFilterSettings().contraction_rate, LoopFilterSettings().foreign_rate
 """lambda [1/s] of the certified range, and of all other gains."""
 MARGIN = 0.3
-"""1/s on top of both where metrics are solved: what a state between the samples, or a bench that is not quite the
-model, may take of the decay."""
+"""1/s, margin on both rates where metrics are solved, for states between the samples and for errors of the model."""
 
 
 class RiccatiCorrection(NamedTuple):
     """Optimal linear correction about the bench at rest."""
 
     feedback: FloatArray
-    """K [A], of each coordinate."""
+    """K [A], shape (c,)."""
     driven: int
-    """Coordinate whose entry of G follows g everywhere."""
+    """Index of the coordinate through which the current enters: its entry of G is proportional to g."""
     push: float
-    """G's entry of it about the still bench."""
+    """Entry of G [1/A] at `driven` for the bench at rest."""
 
     @classmethod
     def from_design(cls, loop: Loop, design: MetricDesign) -> RiccatiCorrection:
@@ -103,17 +102,17 @@ class RiccatiCorrection(NamedTuple):
         return cls(solve_riccati(loop, design)[1], driven, float(push[driven]))
 
     def feedback_at(self, push: FloatArray) -> FloatArray:
-        """Return K [A] at samples with these G, shape (..., 8), scaled by g as the force law is."""
+        """Return K [A] at samples with these G, shape (..., c), scaled by g as the force law is."""
         return (self.push / push[..., self.driven])[..., np.newaxis] * self.feedback
 
 
 def close_loop(transition: FloatArray, push: FloatArray, feedback: FloatArray) -> FloatArray:
-    """Return F + G K, shape (..., 8, 8)."""
+    """Return F + G K, shape (..., c, c)."""
     return transition + push[..., np.newaxis] * feedback[..., np.newaxis, :]
 
 
 def certified_loops(windows: Windows, metric: ScheduledMetric) -> tuple[FloatArray, FloatArray]:
-    """Return K_p, shape (n,), and F + G K, shape (n, H, 8, 8), of stable windows with certified gains."""
+    """Return K_p, shape (n,), and F + G K, shape (n, H, c, c), of stable windows with certified gains."""
     inside = (windows.gain >= metric.gains[0]) & (windows.gain <= metric.gains[-1])
     wanted = windows.subset(inside & (windows.label == STABLE))
     return wanted.gain, close_loop(wanted.transition, wanted.push, wanted.feedback)
@@ -162,7 +161,7 @@ def contraction_eigenvalues(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the largest eigenvalue [1/s] of the contraction matrix relative to M, and cond(M), shape (n H,) each.
 
-    `gain`: K_p [1/s], shape (n,); infinite: of the metric for all other gains. `closed`: F + G K, shape (n, H, 8, 8).
+    `gain`: K_p [1/s], shape (n,); infinite: the metric for all other gains. `closed`: F + G K, shape (n, H, c, c).
     """
     gains, which = np.unique(np.repeat(gain, closed.shape[1]), return_inverse=True)
     matrices, closed = np.array([metric.matrix(one) for one in gains]), closed.reshape(-1, *closed.shape[2:])
@@ -178,14 +177,14 @@ SAMPLES = 120
 STEPS = 250
 STEP = 2e-2
 DISCARDED_SHARE = 0.02
-"""Share of the samples with the largest growth that is not asked for: the spool passes zero there, and the law divides
-by one side's g while the valve has the other's."""
+"""Share of the samples, those of largest growth, left out of the descent: the spool passes zero there, and the law
+divides by one side's g while the valve has the other's."""
 
 
 def refine(metric: ScheduledMetric, windows: Windows, correction: RiccatiCorrection, seed: int) -> ScheduledMetric:
     """Return the metric with its factors refined so that the loop contracts at the required rate on drawn windows.
 
-    Each factor for one gain of the force law; the last for any other gains, under the Riccati correction.
+    Each factor is for one gain of the force law; the last is for all other gains, under the Riccati correction.
     """
     rng, stable = np.random.default_rng(seed), windows.subset(windows.label == STABLE)
     chosen = rng.choice(len(stable), min(SAMPLES, len(stable)), replace=False)
@@ -204,7 +203,7 @@ def refine(metric: ScheduledMetric, windows: Windows, correction: RiccatiCorrect
 
 
 def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
-    """Return a factor's entries, shape (36,), refined by descent on closed loops F + G K, shape (n, 8, 8).
+    """Return a factor's entries, shape (c (c + 1)/2,), refined by descent on closed loops F + G K, shape (n, c, c).
 
     Adam (Kingma & Ba 2015) on X of L = L_0 (I + X). With H = L^-1 (F + G K)' L the growth is g, the largest eigenvalue
     of H H', at its unit eigenvector u; v = H'u. As dH = H E - E H for E = L^-1 dL, dg = 2 tr((v v' - g u u') E').
@@ -241,7 +240,7 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
 
 
 HELD_OUT_EVERY = 5
-"""Every fifth rollout is held out."""
+"""Interval of the held-out rollouts: every fifth."""
 SLOW_RESERVE = 0.005
 """Reserve above the highest small K_p whose rollouts do not decay, over the compensated law's base K_p: with C_1 below
 1 these are slow, not unstable."""
@@ -249,7 +248,7 @@ OVERLAP_WARNING = (
     "the bench file has a valve_deadband, within which no current moves the piston: the metric is of the loop without "
     "it, and corrections leap over it; reduce the overlap, or expect leaps of the current by both half widths"
 )
-"""Told of a bench with an overlap."""
+"""Warning for a bench with an overlap."""
 
 
 def learn_metric(options: argparse.Namespace) -> None:
@@ -359,7 +358,7 @@ def _certify(
 
 
 def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDesign:
-    """Return the gains for which metrics are solved: of stable rollouts, and those that a compensated law admits."""
+    """Return the design for the gains of stable rollouts that the law admits."""
     law, design = data.compensated, MetricDesign(velocity_compensation=data.velocity_compensation)
     low, high = certified_range(rollouts) if law is None else certified_range(rollouts, SLOW_RESERVE * law.base_kp)
     low, high = round(low), round(high)
@@ -376,7 +375,7 @@ def plant_without_overlap(model: Bench) -> AnalyticPlant | None:
 
 
 def require_held_out(held_out: Windows, design: MetricDesign) -> None:
-    """Raise ValueError if no held-out rollout is within the certified range."""
+    """Raise ValueError if no stable held-out window has a gain of the certified range."""
     inside = (held_out.gain >= design.gain_low) & (held_out.gain <= design.gain_high)
     if not (inside & (held_out.label == STABLE)).any():
         raise ValueError(
@@ -388,7 +387,7 @@ def require_held_out(held_out: Windows, design: MetricDesign) -> None:
 def collect_rollouts(
     plant: AnalyticPlant, bench: Bench, loop: Loop, data: DataSettings, free: AnalyticPlant | None = None
 ) -> tuple[Windows, Windows, list[Rollout]]:
-    """Return windows to train on, those of every fifth rollout, held out, and all rollouts; `free`: see `roll_out`."""
+    """Return training windows, held-out windows (every fifth rollout), and all rollouts; `free`: as in `roll_out`."""
     kept: list[Windows] = []
     held_out: list[Windows] = []
     rollouts: list[Rollout] = []

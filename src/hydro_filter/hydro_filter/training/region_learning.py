@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certified region of a bench file: the box that a run fills, the metric that is proved on it, and its statement.
+"""Certified region of a bench file: the box of a run's states, the metric proved to contract over it, its statement.
 
 The box is the range of every state in a run that follows a sine of 1 Hz at the law's largest gains of the region,
-widened by a tenth at either end. The largest force of `AMPLITUDES` whose box has a proof gives the region. A statement
-that is not proved is not written.
+widened by a tenth at either end. The largest force of `AMPLITUDES` whose box has a proof gives the region. Unproved
+statements are not written.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ SECONDS, SETTLED = 6.0, 1000
 RANGE_MARGIN = 0.1
 """Margin at either end of a range, over its width."""
 SPLIT_TOLERANCES = (*TOLERANCES, "dead_time")
-"""Tolerances that are split: a bench has one value, so that parts may have metrics of their own."""
+"""Tolerances that may be split: a bench has one value of each, so that every part may have a metric of its own."""
 RESERVES, FAST_RESERVES = (0.9, 0.6, 1.3, 2.5), (3.0, 5.0, 8.0, 1.5)
-"""1/s on top of lambda for what the vertices do not have, tried in turn: of C_1 = 1, whose loop is slow, and below."""
+"""1/s, margins on lambda for the radius that the vertices leave out, tried in turn: for C_1 = 1, a slow loop, and
+for smaller C_1."""
 SEGMENT_PARTS = 6
 """Intervals per segment of the gain table in the proof."""
 
@@ -65,24 +66,24 @@ class RegionTarget:
     integral_gain: float = 15.0
     """K_i [1/s^2] of the run."""
     gain_rate: float = 0.0
-    """1/s^2."""
+    """Fastest change of K_p [1/s^2]."""
     rate: float = 0.1
     """lambda [1/s]."""
     tolerance: float = 0.0
-    """Of each of `names`, to either side, as a share."""
+    """Tolerance of each of `names`, to either side, as a share."""
     names: tuple[str, ...] = TOLERANCES
-    """Numbers that have the tolerance."""
+    """Parameters of the bench that have the tolerance."""
     split: int = 1
-    """Parts of the tolerances of `SPLIT_TOLERANCES`, each with a metric of its own."""
+    """Parts of each tolerance of `SPLIT_TOLERANCES`; every combination of parts has a metric of its own."""
     dead_time: float = 0.0
-    """s, the bench has up to so much of it."""
+    """s, tolerance of the dead time, above that of the bench file."""
     forces: tuple[float, ...] = AMPLITUDES
 
 
 def simulate_states(
     model: Bench, bench: Bench, wanted: RegionTarget, force: float, gain: float, seed: int = 0
 ) -> FloatArray:
-    """Return the region's states, shape (n, 10), of a run with a sine of `force` [N], 1 Hz, at K_p = `gain` [1/s]."""
+    """Return the states `facts.STATES`, shape (n, 10), of a run with a sine of `force` [N], 1 Hz, at K_p = `gain`."""
     loop = make_loop(model, bench)
     plant = AnalyticPlant(model, settings=Sensors.of_size(model.size))
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=force, offset=0.0, frequency=1.0)
@@ -104,7 +105,7 @@ def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
     for name in ("velocity", "opening_rate", "opening_error", "pressure_a_rate", "pressure_b_rate"):
         size = max(map(abs, ranges[name]))
         ranges[name] = (-size, size)
-    # x'_box is a millisecond late; the piston's acceleration is what friction and the loop give it
+    # x'_box is a millisecond late; friction and the loop bound the piston's acceleration
     late = 1.5 * SAMPLE_PERIOD * max(dry / mass, 0.05 * ranges["velocity"][1] / SAMPLE_PERIOD)
     return ranges | {"velocity_error": (-late, late)}
 
@@ -182,13 +183,13 @@ PAPER_GAINS = (
     (15.0, 25.0, 35.0, 45.0, 55.0, 60.0),
     (15.0, 22.5, 30.0),
 )
-"""K_p [1/s], tried in turn: those that the guard passes by default, and smaller ones."""
+"""Tables of K_p [1/s] for the paper's law, tried in turn: up to the guard's default limit, and smaller ones."""
 GAIN_SHARES = (0.15, 0.2, 0.25, 0.325, 0.4, 0.5, 0.625, 0.75, 0.875, 1.0)
-"""K_p over the compensated law's base K_p: below, its loop decays slower than what the proof gives away."""
+"""K_p over the compensated law's base K_p; at smaller gains the loop decays slower than the proof's conservatism."""
 
 
 def write_regions(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw | None]) -> None:
-    """Prove a region for each law (None: the paper's), write it beside the metric file `out`, and print a summary."""
+    """Prove a region for each law (None: the paper's), write it next to the metric file `out`, print a summary."""
     for law in laws:
         name = "paper's law" if law is None else "compensated law"
         tables = PAPER_GAINS if law is None else (tuple(share * law.base_kp for share in GAIN_SHARES),)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metric of a region: the semidefinite program whose constraints are the vertices that matter, found in rounds.
+"""Metric of a region by semidefinite programming, with constraints at vertices that are added in rounds.
 
 Largest t with M(K_p) >= t e e' for all K_p, e along f_l, under the inequality of `region.proof`: t = (f/tube)^2 for the
 force's unit f, so that the tube is the smallest that a quadratic form can prove. A program of some vertices is solved,
@@ -25,7 +25,7 @@ from hydro_filter.region.statement import Bounds, CertifiedRegion, ToleranceCell
 
 ROUNDS_MAX = 12
 FIRST, ADDED = 2, 2
-"""Vertices of each inequality in the first program, and how many are added to it at most in a round."""
+"""Vertices of each inequality in the first program; largest number of vertices added to it in a round."""
 
 
 class Inequality(NamedTuple):
@@ -49,7 +49,7 @@ def make_inequalities(region: CertifiedRegion, tolerances: dict[str, Bounds], ga
             sample, signs = reduce_symbols(
                 enclose_closed_loop(region, tolerances, side, Interval(float(gain), float(gain)))
             )
-            sample = replace(sample, radius=0.0 * sample.radius)  # it is the reserve's
+            sample = replace(sample, radius=0.0 * sample.radius)  # the reserve covers it
             for change in (reach, -reach) if reach else (0.0,):
                 found.append(Inequality(shares(gain), shares(gain + change), sample, signs))
     return found

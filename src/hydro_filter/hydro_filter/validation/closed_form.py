@@ -2,7 +2,7 @@
 """The filter's quadratic program of one sample: min |du| such that a du <= b, low <= du <= high.
 
 Its algebraic solution is `hydro_closed_form` of firmware/hydro/loop_filter.h, which never divides by a slope `a` that
-vanishes. `validate` holds it against OSQP (`validation.osqp_solver`).
+vanishes. `validate` compares it with OSQP (`validation.osqp_solver`).
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter's QP by OSQP, an answer that is independent of its closed form."""
+"""The filter's QP solved by OSQP, independently of its closed form."""
 
 from __future__ import annotations
 

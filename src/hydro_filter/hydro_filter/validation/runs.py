@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table val_cont: cases, their runs on a bench under a filter, and statistics of these.
+"""Table val_cont: cases, their runs on a bench under a filter, and the runs' statistics.
 
 A case is gains over time and a reference, by seed (paper, Learned Metric Validation). The emulator's plant is
 identical, sample for sample, to the one behind the serial line, except for its clock. Nothing else in this package
@@ -10,8 +10,8 @@ Plant, box and filter run sample by sample without a graph, with the graph's del
     k:   tick(x_k) -> BenchState_k -> filter -> delta_u_k          plant holds u_k -> x_{k+1}
     k+1: receive(delta_u_k)  tick(x_{k+1})                         a correction acts one sample after its state
 
-The plant's guard stands between, opened to what the box takes: what a filter that says MISMATCH costs in gains is
-part of the run. Gains change at 100 Hz. A run ends where the box trips (700 N, sensor ranges): that is not bounded.
+The plant's guard is in this loop, opened to the box's limits: the gains that a MISMATCH costs are part of the run.
+Gains change at 100 Hz. A run ends if the box trips (700 N, sensor ranges), and is then not bounded.
 """
 
 from __future__ import annotations
@@ -181,7 +181,7 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
 
 
 class Gammas(NamedTuple):
-    """The paper's Table val_cont, with the shares named by what they count (physics.md, decisions)."""
+    """The paper's Table val_cont, with each share named after the samples it counts (physics.md, decisions)."""
 
     correction: float
     """gamma_1: mean |delta_u| over u_max."""
@@ -283,7 +283,7 @@ def make_filter(
 
 
 def simulate(task: Task) -> Run:
-    """Run a task."""
+    """Return the recorded run of a task."""
     case, bench = CASES[task.case], task.believed
     amplitude = case.reference.amplitude * bench.size.force / NOMINAL.force
     trial = Trial(

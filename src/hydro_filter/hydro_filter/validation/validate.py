@@ -64,7 +64,7 @@ def main() -> None:
         if len(whole) > len(table.rows):
             table.rows = [table_row(*line, [done[one] for one in runs[line]]) for line in whole]
             if options.json:
-                table.write_json(options.json)  # what is done stays, whatever comes
+                table.write_json(options.json)  # finished rows are saved in case of an interruption
     table.show(options.json)
     print("\n" + "\n".join(f"{name}: {CASES[name].about}" for name in options.cases))
     for plant, case in product(options.plants, options.cases) if options.plots else ():

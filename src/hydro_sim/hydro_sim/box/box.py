@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box: calls the compiled C firmware (firmware/hydro), which does each millisecond what the MicroLabBox does.
+"""The box: wrapper of the compiled C firmware (firmware/hydro), one step of the MicroLabBox each millisecond.
 
 Sim node, emulator and offline simulation share it.
 
@@ -43,12 +43,12 @@ Integral = Literal["bumpless", "paper"]
 NAME = "hydro firmware"
 """Name of a box on the line."""
 EMULATED_BOX = "hydro emulator"
-"""Name of the emulator's box on the line: no person stands beside that one."""
+"""Name of the emulator's box on the line, which `collect` may arm again without a person."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxConfig:
-    """Settings of the box. Its gain limits are wider than what the guard allows a policy."""
+    """Settings of the box. Its gain limits are wider than those of the guard for a policy."""
 
     base_kp: Annotated[float, quantity("1/s", 0.0, 500.0)] = 15.0
     """K_p (Table training_agent)."""
@@ -108,12 +108,12 @@ class BoxConfig:
     ) -> Records:
         """Return the firmware's configuration hydro_config: one record, shape (1,).
 
-        `bench`: what its force law believes. `sensors`: ages of its rates; absent: the defaults. `name`: what it calls
-        itself on the line. `precision`: of its numbers.
+        `bench`: bench that the force law assumes. `sensors`: ages of its rates; absent: the defaults. `name`: name of
+        the box on the line. `precision`: of the floating-point numbers.
         """
         kinds, believed, ages = firmware.STRUCTURES[precision], bench.constants()[0], sensors or Sensors()
         gains = {entry: getattr(self, entry) for entry in GAIN_FIELDS}
-        # What HELLO, DETAILS and LAW tell as float32 is so inside, too: a host that keeps to it never exceeds it.
+        # HELLO, DETAILS and LAW report limits as float32: rounded here, too, so that a host within them exceeds none
         compensated = np.array(_law(self.compensated), firmware.SINGLE.law)
         force = float(np.float32(self.force_range))
         pressure_a, pressure_b, middle, *_ = hydraulics.rest_state(believed)
@@ -159,10 +159,10 @@ _NOMINAL_RATIO = stiffness_ratio(Bench.nominal())
 
 
 class Box:
-    """One box: the C firmware with its memory. Times are seconds of the box's clock, which never goes back.
+    """One box: the C firmware with its memory. Times are seconds of the box's clock, which is monotonic.
 
     `bench`, `config`, `sensors`: bench that its force law assumes, its settings, and the filters of its rates. `name`,
-    `epoch`: name in HELLO, and number of the power-on. `precision`: of its numbers.
+    `epoch`: name in HELLO, and number of the power-on. `precision`: of the floating-point numbers.
 
     Raises SettingsError: the firmware is not built.
     """
@@ -186,7 +186,7 @@ class Box:
         self._call("power_on", self.state, self.settings, self.epoch)
 
     def receive(self, command: Command, time: float) -> None:
-        """Receive a command at box time [s] without the serial line; its numbers stay float64."""
+        """Receive a command at box time [s] without the serial line and its rounding to float32."""
         fill_command(self._command, command)
         self._call("receive", self.state, self.settings, self._command, time)
 
@@ -197,7 +197,7 @@ class Box:
     def tick(self, measurement: FloatArray, time: float) -> np.void:
         """Run one sample at box time [s] on a measurement x, shape (8,); return a record of `STATE_DTYPE`.
 
-        Its `valve_current` is what to hold until the next sample; always finite and within the valve's limit.
+        Its `valve_current` is to be held until the next sample; it is always finite and within the valve's limit.
         """
         output: StateArray = np.zeros(1, STATE_DTYPE)
         self._call("tick", self.state, self.settings, np.ascontiguousarray(measurement, np.float64), time, output)

@@ -4,7 +4,7 @@
 ::
 
     code = function_addresses()                     in this process, for compiled loops
-    receive(code.receive, box, config, command, t)  take a command in at box time t [s]
+    receive(code.receive, box, config, command, t)  receive a command at box time t [s]
     tick(code.tick, box, config, x, t, sample)      run one sample on the measurement x, shape (8,)
 
 The four records have shape (1,): `DOUBLE.box`, `DOUBLE.config`, `DOUBLE.command` and `signals.STATE_DTYPE`. The caller
@@ -36,11 +36,11 @@ Records = npt.NDArray[np.void]
 Pointer = ctypes.c_void_p
 
 BURST_MAX = 516
-"""HYDRO_BURST_MAX: bytes that a box sends after one sample at most."""
+"""HYDRO_BURST_MAX: largest number of bytes that a box sends after one sample."""
 COEFFICIENTS = 4
 """Coefficients a_0 to a_3 at the beginning of a law's shaping."""
 VELOCITY_COMPENSATION, VALVE_GAIN_SCALE = 4, 5
-"""Places of C_1 and C_2 in it."""
+"""Indices of C_1 and C_2 in a law's shaping."""
 
 BENCH_FIELDS = (
     "bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure", "dead_volume_a",
@@ -111,7 +111,7 @@ STRUCTURES: dict[Precision, Structures] = {"double": DOUBLE, "single": SINGLE}
 
 
 def library_path(precision: Precision) -> Path:
-    """Return the path of the library that set-up built. Raises SettingsError: it is not there."""
+    """Return the path of the library that set-up built. Raises SettingsError: it is not built."""
     name = f"libhydro_box_{precision}.so"
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         if (path := Path(prefix, "lib", name)).is_file():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration of a box (firmware/hydro/config.h) as a C header, and what other generated headers need."""
+"""The configuration of a box (firmware/hydro/config.h) as a C header, and helpers for other generated headers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hydro_sim.box.firmware import Records
 
 
 def initializer(value: Any, indent: str = "") -> str:
-    """Return a C initializer: a structure of a mapping, an array of other iterables, `hydro_real` of floats.
+    """Return a C initializer: a structure for a mapping, an array for other iterables, `hydro_real` for floats.
 
     Decimals reproduce the doubles exactly; text is taken as it is.
     """
@@ -47,7 +47,7 @@ def header_file(guard: str, origin: str, body: str) -> str:
 def render_header(config: Records) -> str:
     """Return a C header that defines `HYDRO_BOX_CONFIG` from a record of hydro_config in double precision, shape (1,).
 
-    Decimals give the same doubles back.
+    Decimals reproduce the doubles exactly.
     """
     members = record_members(config[0])
     members |= {name: repr(float(config[name][0])) for name in ("hold_timeout", "trip_timeout")}  # of type hydro_time

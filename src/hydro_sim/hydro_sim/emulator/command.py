@@ -90,7 +90,7 @@ def _record(options: argparse.Namespace) -> None:
 
 
 def _serve(options: argparse.Namespace) -> None:
-    """Run the bench on a serial line until it is stopped; prints where, and what came of it."""
+    """Run the bench on a serial line until it is stopped; print the port, and statistics at the end."""
     if options.out or options.schedule or options.noise_free:
         raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
     bench, pace = Bench.load(options.bench) if options.bench else Bench.nominal(), parse_pace(options.pace)

@@ -24,8 +24,8 @@ _NO_COMMAND = np.array([-1])
 class Machine:
     """An emulated bench with its box.
 
-    `config`: the truth. `bench`: what the box believes; absent: the nominal bench. `box`: its settings. `seed`: of
-    noise and random force. `precision`, `epoch`: of the box's numbers, and of its power-on.
+    `config`: the truth. `bench`: bench that the box's force law assumes; absent: the nominal one. `box`: its settings.
+    `seed`: of noise and random force. `precision`: of the box's floating-point numbers. `epoch`: of its power-on.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Machine:
 
     @property
     def time(self) -> float:
-        """Box time [s] of the coming sample."""
+        """Box time [s] of the next sample."""
         return self.samples * SAMPLE_PERIOD
 
     def warm_up(self) -> None:
@@ -73,7 +73,7 @@ class Machine:
     def run(
         self, commands: npt.NDArray[np.void], which: npt.NDArray[np.int64]
     ) -> tuple[StateArray, FloatArray, FloatArray]:
-        """Run many samples in one compiled loop, with a command before each.
+        """Run many samples in one compiled loop, with at most one command before each.
 
         `commands`: records of hydro_command in the box's precision, shape (m,). `which`: index into them for each
         sample, shape (n,); negative: none.

@@ -51,7 +51,7 @@ def record_offline(
     """Record the emulated bench while it tracks one segment after the other.
 
     `config`: the truth. `segments`: references and gains, in order; the first sample is still disarmed, and arming then
-    fades the first reference in. `bench`: what the box's force law believes; absent: the nominal bench. `box`: its
+    fades the first reference in. `bench`: bench that the box's force law assumes; absent: the nominal bench. `box`: its
     settings; absent: the defaults with gain limits wide enough for the segments. `seed`: of noise and random force.
     """
     settings = box or with_gain_limits_for(segments)
@@ -96,7 +96,7 @@ DEFAULT_SCHEDULE = (
 
 
 def default_schedule(bench: Bench) -> list[Segment]:
-    """Return the default excitation, 20 s, with forces and frequencies rescaled to a bench of this size."""
+    """Return the default excitation, 20 s, with forces rescaled to a bench of this size."""
     return [rescale(segment, NOMINAL, bench.size) for segment in DEFAULT_SCHEDULE]
 
 
@@ -124,9 +124,9 @@ def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:
 
 
 def load_truth_config(path: str | None, bench: Bench) -> TruthConfig:
-    """Load the truth of a YAML file (None: the default profile), with numbers of `bench` where the file has none.
+    """Load the truth of a YAML file (None: the default profile), with parameters of `bench` where the file has none.
 
-    Raises SettingsError: as `truth_from_mapping`, or a number of `bench` is outside of what can be emulated.
+    Raises SettingsError: as `truth_from_mapping`, or a parameter of `bench` is out of the emulator's range.
     """
     numbers = {each.name: getattr(bench, each.name) for each in fields(TruthBench) if hasattr(bench, each.name)}
     own = from_mapping(TruthBench, numbers, "bench")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated bench on its line, at the pace of its host or of the wall clock; orders by a pipe."""
+"""The emulated bench on its line, at the pace of its host or of the wall clock; commands by a pipe."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ COMMANDS = (*FAULT_NAMES, "stall", "unplug", "clear", "reboot")
 
 
 class ControlPipe:
-    """Commands, one per line: a probability (`corrupt 0.01`), `stall 0.3`, `unplug 2`, `clear`, `reboot`."""
+    """Pipe of commands, one per line: a probability (`corrupt 0.01`), `stall 0.3`, `unplug 2`, `clear`, `reboot`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -57,7 +57,7 @@ class ControlPipe:
 
 
 def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> None:
-    """Execute one command at time `now` [s]. Raises SettingsError if it is not an order."""
+    """Execute one command at time `now` [s]. Raises SettingsError if it is invalid."""
     word, *rest = order.split() or [""]
     if word not in COMMANDS or len(rest) != (0 if word in ("clear", "reboot") else 1):
         raise SettingsError(
@@ -84,9 +84,9 @@ def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> 
 
 
 _LOAD_FORCE = TRUTH_FIELDS.index("load_force")
-_CONTROL_EVERY = 20  # samples between looks at the control pipe
+_CONTROL_EVERY = 20  # samples between polls of the control pipe
 _GREETED_WITHIN = 2.0  # s of wall clock from a port's opening
-_PATIENCE = 0.05  # s of wall clock between looks at the control pipe while the host is awaited
+_PATIENCE = 0.05  # s of wall clock between polls of the control pipe while the host is awaited
 _LOST_AFTER = 0.02  # s of wall clock after which an answer counts as lost, on a line that loses some
 SILENCE_MAX = 90.0
 """s of wall clock without a frame after which a host counts as dead; while its graph works it sends one a second."""
@@ -104,8 +104,8 @@ class RealtimeEmulator:
     number   that many times as fast as real time
     ======== ======================================================================================================
 
-    `machine`, `link`: bench and line. `pace`: see above. `control`: pipe of orders. `load_force`: where forces on the
-    load are kept.
+    `machine`, `link`: bench and line. `pace`: see above. `control`: pipe of commands. `load_force`: ring file of the
+    true load forces.
     """
 
     def __init__(

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench for other programs: FMU, MuJoCo, Simulink, C."""
+"""Export of a bench to other programs: FMU, MuJoCo, Simulink, C."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_sim export --fmu bench.fmu --bench corrected.yaml: the bench in other simulators."""
+"""ros2 run hydro_sim export --fmu bench.fmu --bench corrected.yaml: export a bench to other simulators."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def main() -> None:
 
 
 def read_intervals(bench: Path) -> Iterator[tuple[str, float, float, float]]:
-    """Yield name, value and 95 % interval of each estimate, from the report.json beside a corrected.yaml."""
+    """Yield name, value and 95 % interval of each estimate, from the report.json next to a corrected.yaml."""
     try:
         report = json.loads((bench.parent / "report.json").read_text(encoding="utf-8"))
         estimates: list[tuple[str, Any]] = [(one["name"], one) for one in report["estimated"]]
@@ -91,4 +91,4 @@ def read_intervals(bench: Path) -> Iterator[tuple[str, float, float, float]]:
             if estimate["ci95"]:
                 yield name, estimate["value"], *estimate["ci95"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return  # no report of ours
+        return  # not a report of `diagnose`

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bench as text for other programs: the generated C with its parameters, and the templates around it.
+"""Export formats of a bench model: generated C with its parameters, in a template for each program.
 
-All of them run the same functions of one integration step as the simulation (`model.assembly`), without anything else
-of hydro.
+All of them run the same functions of one integration step as the simulation (`model.assembly`), without any other
+part of hydro.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from hydro_sim.model.equations import READINGS
 from hydro_sim.model.source import exported_source
 
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
-"""Of the FMU's binary, which is for any processor of this kind: no -march."""
+"""Compiler flags of the FMU's binary, which is portable among processors of this architecture: no -march."""
 OUTPUTS = dict(zip(READINGS, ("N", "N", "Pa", "Pa", "m"), strict=True))
 """Outputs with their units."""
 FIRST_PARAMETER_REFERENCE = 2 + len(OUTPUTS)
-"""First value reference of an FMU's parameters, behind time, current and outputs."""
+"""First value reference of an FMU's parameters, after time, current and outputs."""
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("hydro_sim.export"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
 )
@@ -45,7 +45,7 @@ _TEMPLATES.filters["quoted"] = json.dumps  # a string of C and of Python
 class ExportedModel:
     """Bench model for export to other programs.
 
-    `intervals`: name, value and 95 % interval of estimated numbers, SI units.
+    `intervals`: name, value and 95 % interval of estimated parameters, SI units.
     """
 
     def __init__(self, bench: Bench, intervals: Iterable[tuple[str, float, float, float]] = ()) -> None:

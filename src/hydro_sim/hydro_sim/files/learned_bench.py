@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learned benches: bench files that `learn` or `diagnose` made, and the one that comes with this package.
+"""Learned benches: bench files of `learn` or `diagnose`, and the one shipped with this package.
 
-A bench file states its own numbers; the metric or the policy made for both states the box that belongs to it
-(`files.pairing`). The shipped one belongs to the nominal box.
+A bench file does not state its box: the metric or the policy made for both does (`files.pairing`). The shipped one
+belongs to the nominal box.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ def make_plant(path: str | Path | None = None, *, noise: float = 1.0) -> Analyti
 
 
 def digest(path: str | Path | None = None) -> str:
-    """Return the digest of a learned bench's keys and numbers."""
+    """Return the digest of a learned bench's keys and values."""
     return read(path).digest
 
 
 def box_mismatch(path: str | Path | None, box: BoxIdentity, remedy: str) -> str:
-    """Return an error message if a learned bench was made for another box; empty if not, and for user files."""
+    """Return an error message if the shipped bench, if used, is for another box; empty if not, and for other files."""
     if path is not None and Path(path) != shipped_bench():
         return ""
     made = MadeFor(box=Bench.nominal().digest)
@@ -64,5 +64,5 @@ def box_mismatch(path: str | Path | None, box: BoxIdentity, remedy: str) -> str:
 
 
 def require_match(path: str | Path | None, box: BoxIdentity, remedy: str) -> None:
-    """Raise PairingError if a learned bench was made for another box."""
+    """Raise PairingError if the shipped learned bench, if used, was made for another box."""
     raise_if_mismatched(box_mismatch(path, box, remedy))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from hydro_core.signals import FloatArray
 
 RING_SIZE = 1 << 17
-"""Number of samples that are kept, 131 s."""
+"""Number of samples in the ring, 131 s."""
 
 _DTYPE = np.dtype([("force", np.float64), ("sequence", np.uint32), ("known", np.uint32)])
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairing of learned files with boxes: the bench file and gains that a file was made for, and mismatches.
 
-Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_for` of the JSON `hydro`::
+Metric, policy and agent carry a `MadeFor` in their header, entry `made_for` of the JSON `hydro`::
 
-    box        digest of the bench.yaml that the box believed: what the force law assumes, not what was simulated
+    box        digest of the bench.yaml that the box's force law assumed, not of the simulated bench
     model      digest of the learned bench that a metric or a policy was made on; empty: none was used
     base gains of the box, of policies and agents: their actions are changes to these
     integral   form of the law's integral, where it is known
@@ -39,20 +39,20 @@ class PairingError(UserError):
 
 @dataclass(frozen=True, kw_only=True)
 class MadeFor:
-    """The box that a file was made for."""
+    """Provenance of a file: the box, and the learned bench, that it was made for."""
 
     box: str
-    """`Bench.digest` of what the box believed."""
+    """`Bench.digest` of the bench that the box's force law assumed."""
     model: str = ""
     """`Bench.digest` of the learned bench that was used."""
     base_kp: float | None = None
-    """1/s, of the box; None: it does not matter."""
+    """Base K_p of the box [1/s]; None: irrelevant."""
     base_ki: float | None = None
-    """1/s^2."""
+    """Base K_i of the box [1/s^2]; None: irrelevant."""
     integral: str = ""
-    """`bumpless` or `paper`; empty: not known, or it does not matter."""
+    """`bumpless` or `paper`; empty: unknown or irrelevant."""
     any_bench: bool = False
-    """Trained on many drawn benches: for any of them whose box has these base gains."""
+    """Whether it was trained on many drawn benches, and matches any of them whose box has these base gains."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,18 +60,18 @@ class BoxIdentity:
     """Identity of a box, as far as known: its bench file, base gains and integral form."""
 
     digest: str
-    """Empty: not known."""
+    """`Bench.digest` of its bench; empty: unknown."""
     source: str
-    """Source of that information, for people."""
+    """Source of the digest, for messages."""
     base_gains: tuple[float, float] | None = None
-    """K_p [1/s], K_i [1/s^2]; None: not known."""
+    """K_p [1/s], K_i [1/s^2]; None: unknown."""
     integral: str = ""
     size: Size | None = None
-    """Of its bench; None: not known."""
+    """Size of its bench; None: unknown."""
 
     @classmethod
     def of_file(cls, path: str | Path | None, base_gains: tuple[float, float] | None = None) -> BoxIdentity:
-        """Return the identity of a box that believes this bench.yaml; None: the nominal one."""
+        """Return the identity of a box configured by this bench.yaml; None: the nominal one."""
         bench = Bench.load(path) if path else Bench.nominal()
         source = str(path or "bench.yaml of hydro_sim")
         return cls(digest=bench.digest, source=source, base_gains=base_gains, size=bench.size)
@@ -100,9 +100,9 @@ def parse_provenance(header: Mapping[str, Any]) -> MadeFor | None:
 def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *, model: str | None = None) -> str:
     """Return an error message with remedy if `thing` was made for another box; empty if it matches.
 
-    `thing`: object to be paired, by kind and file: "the metric own.safetensors". `made`: what it was made for. `box`:
-    identity of the box, whose unknown parts are not compared. `remedy`: what to do instead. `model`: digest of the
-    learned bench that is used with it; None: it is used with none.
+    `thing`: object to be paired, by kind and file: "the metric own.safetensors". `made`: its provenance. `box`:
+    identity of the box, whose unknown parts are not compared. `remedy`: instruction that ends the message. `model`:
+    digest of the learned bench that is used with it; None: none is used.
     """
     if made is None:
         return f"{thing} does not say which bench it was made for: {remedy}"
@@ -148,7 +148,7 @@ def read_provenance(path: Path) -> MadeFor | None:
 def with_provenance(blob: bytes, made: MadeFor | None) -> bytes:
     """Return a safetensors blob with its provenance replaced; None: removed.
 
-    Raises ValueError: see `header_of`, or the file is not whole.
+    Raises ValueError: see `header_of`, or the file is incomplete.
     """
     header = {key: value for key, value in header_of(blob).items() if key != HEADER_KEY}
     if made is not None:

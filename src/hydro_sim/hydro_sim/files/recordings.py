@@ -27,7 +27,7 @@ MIN_SAMPLES = 2000
 MIN_VALIDATION_SAMPLES = 1000
 """Smallest number of validation samples of a run: room for a few predictions after an observer has settled."""
 READING_COLUMNS = tuple(map(PLANT_FIELDS.index, READINGS))
-"""Columns of x that sensors give; the box computes the others from them."""
+"""Columns of x that are readings of sensors; the box computes the others from them."""
 
 
 class DataError(ValueError):
@@ -41,9 +41,9 @@ class Run:
     name: str
     """Name of the recording."""
     x: FloatArray
-    """Shape (n, 8), measured, SI units."""
+    """Measurements x, SI units, shape (n, 8)."""
     u: FloatArray
-    """Shape (n,), A."""
+    """Valve currents [A], shape (n,)."""
     first: int = 0
     """Index of x[0] in the recording."""
 
@@ -88,7 +88,7 @@ def load_states(paths: Sequence[str | Path]) -> dict[str, StateArray]:
 def box_law(path: str | Path) -> BoxLaw | None:
     """Return the last compensated law in a recording; None: its box has none.
 
-    Raises hydro_bridge.bags.recording.RecordingError: damaged, or no box told its law.
+    Raises hydro_bridge.bags.recording.RecordingError: damaged, or without the box's law.
     """
     *_, (_, message) = read_messages(path, LAW_TOPIC)
     return BoxLaw.of_message(message)
@@ -96,7 +96,7 @@ def box_law(path: str | Path) -> BoxLaw | None:
 
 def require_box(path: str | Path, bench: BoxIdentity) -> None:
     """Raise PairingError if a recording is of a box with another bench file."""
-    with suppress(RecordingError):  # it tells none
+    with suppress(RecordingError):  # without a box's description
         *_, (_, box) = read_messages(path, BOX_TOPIC)
         if box.bench_digest not in ("", bench.digest):
             told = f"the box of the recording {Path(path).name} believes bench {box.bench_digest}"
@@ -107,10 +107,10 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
     """Return training and validation runs, which share no sample.
 
     With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, at least
-    `MIN_VALIDATION_SAMPLES` samples, `gap` samples after where training ends; a run that is too short for that is
-    trained on whole. What a model is judged by in the end is another recording: `validate`.
+    `MIN_VALIDATION_SAMPLES` samples, `gap` samples after the training part; a run that is too short for that is
+    used for training as a whole. The final evaluation of a model is on another recording: `validate`.
 
-    Raises DataError if no run is long enough to be trained on, or none to hold a part back.
+    Raises DataError if no run is long enough for training, or for a validation part.
     """
     digests = dict[str, str]()
     for name, states in recordings.items():  # of sequence, x and u

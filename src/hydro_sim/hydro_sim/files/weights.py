@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Weights on disk: a safetensors file of a few kB with a JSON header. Never pickle.
 
-The header's one entry `hydro` holds: format, structure, what the structure needs, `made_for` (`files.pairing`), and
+The header's one entry `hydro` holds: format, structure, fields of the structure, `made_for` (`files.pairing`), and
 `training`: command, seed, settings, errors reached.
 """
 
@@ -26,7 +26,7 @@ Tensors = dict[str, npt.NDArray[Any]]
 
 
 class WeightsError(ValueError):
-    """A file that holds no weights; the message is one sentence."""
+    """Invalid weights file; the message is one sentence."""
 
 
 def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
@@ -42,7 +42,7 @@ def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeF
 def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
     """Load tensors and header of a weights file.
 
-    Raises WeightsError if the file is missing, is no safetensors file, is not of this format, or holds unsound numbers.
+    Raises WeightsError if the file is missing, is no safetensors file, is not of this format, or has invalid values.
     """
     try:
         with safe_open(str(path), framework="numpy") as file:

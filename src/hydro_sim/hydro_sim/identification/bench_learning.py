@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learns the parameters of a bench file's effects and closures from recordings.
+"""Identification of the parameters of a bench file's effects and closures from recordings.
 
-Each round has two halves: the filter follows the recordings with the present parameters and gives the start states of
-windows (`bench_states`), then parameters and starts are fitted to the windows together by Levenberg-Marquardt. At first
-the filter trusts the model little, so that a poor bench file does not mislead the starts. A reading whose error exceeds
-the noise is weighted by that error: the likelihood of five unknown variances.
+Each round has two steps: a Kalman filter with the present parameters gives initial states of windows of the recordings
+(`bench_states`), then parameters and initial states are fitted to the windows jointly by Levenberg-Marquardt. In the
+first rounds the filter assumes a large model error, so that a poor bench file does not mislead the initial states. A
+reading whose error exceeds the noise is weighted by that error: the likelihood of five unknown variances.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from hydro_sim.model.quality import HORIZON, Quality
 PRIOR_WIDTH = 10.0
 """Prior standard deviation of a parameter about its value in the bench file: typical sizes, or factors of e."""
 START_MAX = 4.0
-"""Largest step of s in one iteration."""
+"""Largest change of an initial state in one iteration, in standard deviations."""
 COST_TOLERANCE = 1e-3
 """Share by which the cost must fall for another iteration."""
 SUBSTEPS = 10
 """Integration steps per sample: 100 us, a 110th of a period of the 90 Hz mass-on-oil mode."""
 TRUST_SCHEDULE = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
-"""Model error that the filter assumes, by round."""
+"""Scale of the model error that the filter assumes, by round."""
 ITERATIONS = 5
 """Largest number of iterations in a round."""
 FINAL_TRUSTS = (0.03, 0.3, 3.0)
-"""Trusts of the final choice: the one that predicts the validation runs best."""
+"""Scales of the model error for validation, of which the one with the lowest prediction error is chosen."""
 DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
-"""Upper bound of a dead time: at least so many s, and so many times that of the bench file."""
+"""Upper bound of a dead time: its smallest value [s], and its factor on the bench file's dead time."""
 QUANTILE = 1.96
-"""Standard deviations from the middle of a 95 % interval to its end."""
+"""Half width of a 95 % interval in standard deviations."""
 
 
 _USUAL = {
@@ -56,17 +56,17 @@ COMMON_EFFECTS: tuple[dict[str, Any], ...] = (
     *({"id": name, "parameters": parameters} for name, parameters in _USUAL.items()),
     {"id": "sensor_lag", "parameters": {"bandwidth": 30.0, "damping": 0.7}, "sensor": "load_force"},
 )
-"""Effects that a bench is likely to have, at typical values: what is learned where a bench file names none."""
+"""Usual effects at typical values, which are identified if a bench file has none."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedParameter:
-    """A learned parameter."""
+    """Estimate of a parameter, with its 95 % interval."""
 
     name: str
     unit: str
     before: float
-    """In the bench file."""
+    """Value in the bench file."""
     value: float
     low: float
     """Lower end of the 95 % interval, as far as windows are independent and the model holds."""
@@ -77,12 +77,12 @@ class IdentifiedParameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A learned bench."""
+    """Result of an identification: the learned bench, its parameters' estimates and its prediction error."""
 
     bench: Bench
     parameters: list[IdentifiedParameter]
     noise: FloatArray
-    """Noise of the readings, measured in the recordings, shape (5,)."""
+    """Noise of the readings, estimated from the recordings, shape (5,)."""
     rmse: FloatArray
     """RMSE of 70-sample predictions of the validation runs against the readings, shape (5,)."""
 
@@ -143,9 +143,9 @@ def learn(
 
 
 class Coordinates:
-    """The free parameters of a bench's model as scaled or logarithmic coordinates q.
+    """Parametrisation of a bench's model by scaled or logarithmic coordinates q of its free parameters.
 
-    Free are those of effects and closures, but where a closure's table begins and ends.
+    Free are the parameters of effects and closures except the bounds of a closure's table.
     """
 
     def __init__(self, bench: Bench, model: BenchModel) -> None:
@@ -183,11 +183,11 @@ class Coordinates:
 
 
 class WindowFit:
-    """Least squares of parameters and start states on windows of H samples, by Levenberg-Marquardt.
+    """Least squares of parameters and initial states on windows of H samples, by Levenberg-Marquardt.
 
-    The state is q, shape (free,), and s, shape (n, held): a window starts s of its standard deviations beside the
-    filter's estimate. `follower`: that filter, whose noise weights the readings. `q`: first guess. `chosen`: samples at
-    which windows begin, of each run.
+    The unknowns are q, shape (free,), and s, shape (n, held): deviations of the windows' initial states from the
+    filter's estimates, in its standard deviations. `follower`: that filter, whose noise weights the readings. `q`:
+    initial value. `chosen`: first sample of each window, by run.
     """
 
     def __init__(
@@ -269,7 +269,7 @@ def _window_begins(run: Run, stride: int) -> Sequence[int]:
 def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
 ) -> tuple[FloatArray, StateEstimator]:
-    """Return the lowest RMSE of 70-sample predictions, shape (5,), over the filter's trusts, and that filter."""
+    """Return the lowest RMSE of 70-sample predictions, shape (5,), over `FINAL_TRUSTS`, and the filter with it."""
     found: list[tuple[FloatArray, StateEstimator]] = []
     for trust in FINAL_TRUSTS:
         follower = StateEstimator(exact, theta, noise, trust)
@@ -295,7 +295,7 @@ def with_longer_dead_times(bench: Bench) -> Bench:
 
 
 def with_parameters(bench: Bench, theta: FloatArray) -> Bench:
-    """Return the bench with the last of a model's parameters, rounded, in its effects and closures."""
+    """Return the bench with its effects' and closures' parameters set, rounded, to the last ones of theta."""
     kinds = [catalogue.parse_entry(effect)[0] for effect in bench.terms]
     rest = iter(theta[len(theta) - sum(len(kind.parameters) for kind in kinds) :])
     terms = [

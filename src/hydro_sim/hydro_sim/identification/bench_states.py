@@ -15,8 +15,8 @@ and a multiplication for each of them and each direction.
 Past currents (of a dead time) are known exactly: directions and covariances leave them out. `held` is the number of the
 other states.
 
-`StateEstimator` follows a run by the filter. Its estimate where a window begins is the window's first guess, and its
-covariance gives the directions in which the start may be wrong: the columns of `root`, each one standard deviation.
+`StateEstimator` runs the filter on a recorded run. Its estimate at the begin of a window is the initial state's first
+guess, and its covariance gives the directions of the estimate's error: columns of `root`, each one standard deviation.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SETTLING_SAMPLES = 600
 Indices = npt.NDArray[np.int64]
 
 SERIES_ORDER = 6
-"""Order of the differences by which noise is measured: they reduce motion below 100 Hz to a thirtieth."""
+"""Order of the differences by which noise is estimated: they reduce motion below 100 Hz to a thirtieth."""
 MODEL_ERROR_PRESSURE, MODEL_ERROR_VELOCITY, MODEL_ERROR_HIDDEN = 6e-6, 2.5e-4, 1e-4
 """Model error per sample at a trust of 1, standard deviations: of the supply pressure, of the stroke per
 second, and of a hidden state's typical size."""
@@ -71,8 +71,8 @@ class Sensitivities:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the readings of a prediction, shape (n, 5), their derivatives, shape (n, 5, p), and the final states.
 
-        `k`, `y`, `currents`: coefficients, states where it begins (not changed), and currents [A], shape (n,). `dy`,
-        `dk`: directions: of the held states where it begins, shape (held, a), and of the coefficients, shape (m, b). p
+        `k`, `y`, `currents`: coefficients, initial states (not changed), and currents [A], shape (n,). `dy`,
+        `dk`: directions: of the held initial states, shape (held, a), and of the coefficients, shape (m, b). p
         = a + b, in this order.
         """
         first, y = dy.shape[1], y.copy()
@@ -93,8 +93,8 @@ class Sensitivities:
         """Return filtered states, shape (n, states).
 
         `y`, `covariance`: states, and covariance of their error, shape (held, held); both are updated in place.
-        `currents`, `readings`: currents [A], shape (n,), and the readings after each, shape (n, 5). `q`: variance that
-        a sample adds to each held state for what the model misses, shape (held,). `r`: variance of the readings' noise,
+        `currents`, `readings`: currents [A], shape (n,), and the readings after each, shape (n, 5). `q`: process noise,
+        the variance added to each held state per sample, shape (held,). `r`: variance of the readings' noise,
         shape (5,).
         """
         n, held = len(currents), self.held
@@ -108,7 +108,7 @@ class Sensitivities:
 
 
 def estimate_noise(runs: list[Run]) -> FloatArray:
-    """Return the noise's standard deviation of the five readings, shape (5,), from differences of samples."""
+    """Return the standard deviation of the five readings' noise, shape (5,), from differences of samples."""
     squares = [np.mean(np.diff(run.readings, SERIES_ORDER, axis=0) ** 2, axis=0) for run in runs]
     spread = np.sqrt(np.mean(squares, axis=0) / comb(2 * SERIES_ORDER, SERIES_ORDER))
     moved = np.std(np.concatenate([run.readings for run in runs]), axis=0)
@@ -116,7 +116,7 @@ def estimate_noise(runs: list[Run]) -> FloatArray:
 
 
 class StateEstimator:
-    """The extended Kalman filter with parameters `theta` of a model.
+    """Extended Kalman filter of a bench model with parameters `theta`.
 
     `noise`: standard deviation of the readings, shape (5,). `trust`: scale of the model error, in `MODEL_ERROR_*`.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_sim learn BAG... --out BENCH.yaml: fit a bench file's effects to recordings and write it again."""
+"""ros2 run hydro_sim learn BAG... --out BENCH.yaml: fit a bench file's effects to recordings and write the result."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_sim validate BAG...: the paper's Table rmse_model for a learned bench, beside the analytic one.
+"""ros2 run hydro_sim validate BAG...: the paper's Table rmse_model for a learned bench and the analytic model.
 
-Every prediction starts from the model's own estimate of the state, which looks only back, and runs under the recorded
+Every prediction starts from the model's own estimate of the state, by past samples alone, and runs under the recorded
 current. Errors are normalized per state either by the standard deviation of the recording or by its range (largest
 minus smallest, of the noise-free log where there is one): the paper does not say which it used, so both are given.
 """
@@ -32,13 +32,13 @@ from hydro_sim.model.sensors import Sensors
 
 
 class Predictor(Protocol):
-    """A model under evaluation."""
+    """Interface of a model under evaluation."""
 
     def estimate(self, run: Run) -> FloatArray:
         """Return the states at the samples of a run."""
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
-        """x, shape (n, H, 8)."""
+        """Return x, shape (n, H, 8), from initial states, shape (n, ...), under currents [A], shape (n, H)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class Errors:
     """Errors of one predictor on one recording, SI units."""
 
     by_time: FloatArray
-    """RMS over all windows, shape (H, 8)."""
+    """RMS of the errors over all windows, by sample of the horizon, shape (H, 8)."""
     windows: int
 
     @property
@@ -93,9 +93,9 @@ RATES, DIFFERENTIATED = (1, 3, 7), (0, 2, 6)
 
 
 class ModelPrediction:
-    """Predictions of a bench model with coefficients `k`, and of the box's rates behind it.
+    """Predictions of a bench model with coefficients `k`, with the box's rates of its readings.
 
-    `states`: estimate of the model's states at the samples of a run.
+    `states`: estimator of the model's states at the samples of a run.
     """
 
     def __init__(self, model: BenchModel, k: FloatArray, states: Callable[[Run], FloatArray]) -> None:
@@ -109,7 +109,7 @@ class ModelPrediction:
         return np.concatenate([self.states(run), run.x[:, RATES], run.x[:, DIFFERENTIATED]], axis=1)
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
-        """x, shape (n, H, 8), under currents [A], shape (n, H)."""
+        """Return x, shape (n, H, 8), under currents [A], shape (n, H)."""
         x = np.empty((*currents.shape, 8))
         states, rates, last = np.split(starts, (len(self.model.states), -3), axis=1)
         for i, y in enumerate(states):
@@ -122,7 +122,7 @@ class ModelPrediction:
 
 
 class AnalyticModel(ModelPrediction):
-    """Analytic model without effects that have states; predictions start at the measurements."""
+    """Analytic model without effects, except corrections of parameters; predictions start at the measurements."""
 
     def __init__(self, bench: Bench) -> None:
         model = BenchModel(bench.without_effects(), substeps=SUBSTEPS)
@@ -131,9 +131,9 @@ class AnalyticModel(ModelPrediction):
 
 
 class BenchPrediction(ModelPrediction):
-    """Predictions of a bench file from the filter's states.
+    """Predictions of a bench file from the Kalman filter's states.
 
-    `runs`: of its evaluation; their noise is measured, and the filter's trust with the lowest error is taken.
+    `runs`: for evaluation; the noise is estimated from them, and the filter's model error with the lowest RMSE chosen.
     """
 
     def __init__(self, bench: Bench, runs: list[Run]) -> None:
@@ -170,7 +170,7 @@ def main() -> None:
     model = learned_bench.read(options.model)
     scored = _scored(options.bags, options.noise_free)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    if names := ", ".join(map(label, bench.terms)):  # what has a memory cannot start from a measurement
+    if names := ", ".join(map(label, bench.terms)):  # hidden states cannot start from a measurement
         print(f"of the bench file's effects the analytic model's predictions leave out {names}", file=sys.stderr)
     runs = [item.run for item in scored]
     learned, analytic = BenchPrediction(model, runs), AnalyticModel(bench)

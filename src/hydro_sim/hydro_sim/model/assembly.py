@@ -3,19 +3,19 @@
 
 ::
 
-    theta ── once ──> k         what depends on parameters alone
-    k, y ─── begin ──> y        hidden states of a still bench, from the six of the textbook
-    y, u ─── enter ──> y        a sample begins: past currents move on
-    y, u ─── step ───> y        one integration step: spool, edges | Runge-Kutta 4 | what remembers | amplifiers
+    theta ── once ──> k         coefficients: expressions of parameters alone
+    k, y ─── begin ──> y        hidden states of a bench at rest, from the six of the textbook
+    y, u ─── enter ──> y        begin of a sample: past currents are shifted
+    y, u ─── step ───> y        one integration step: spool, edges | Runge-Kutta 4 | discrete states | amplifiers
     y ────── read ───> z        the five readings, without noise
-    y, u ─ motion ───> F, y'    forces, and rates for solvers without our steps (`hydro_sim.export`)
+    y, u ─ motion ───> F, y'    forces and rates, for external solvers (`hydro_sim.export`)
 
     y = [ p_a  p_b  x_p  x_p'  F  F' | hidden states of the effects | past currents ]
           Pa   Pa   m    m/s   N  N/s                                 A, latest first
 
 F is f_l behind the load cell's amplifier; of an ideal cell it is an output, on which no step depends. Edges are held
-over a step at their mean. Pressures are kept from falling below zero: the oil cavitates there, and the volume it then
-lacks is not accounted for.
+over a step at their mean. Pressures are limited to zero and above: the oil cavitates there, and the vapour's volume is
+not modelled.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbol
 
 TEXTBOOK = ("pressure_a", "pressure_b", "piston_position", "piston_velocity", "load_force", "load_force_rate")
 FORCES = ("holding", "level_out", "level_back", "thrust", "level", "cell")
-"""N: that would hold the mass at rest; level of dry friction at rest, for either direction; force of the piston on its
-load but for dry friction, and the level of that; force on an ideal load cell."""
+"""Forces [N]: friction that would hold the mass at rest; level of dry friction at rest, for either direction; force of
+the piston on its load without dry friction; level of dry friction; force on an ideal load cell."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Functions:
     y: SX
     current: SX
     share: SX
-    """Share of the sample at which a step begins."""
+    """Fraction of the sample at which a step begins."""
     once: SX
     begin: SX
     enter: SX
@@ -63,22 +63,22 @@ class Functions:
     rates: SX
     """y' of the textbook's states and the integrated hidden ones."""
     past: int
-    """Past currents at the end of y."""
+    """Number of past currents at the end of y."""
     rest: SX
-    """The textbook's states of a still bench (`equations.rest_state`)."""
+    """The textbook's states of a bench at rest (`equations.rest_state`)."""
     slide: SX
     """Direction of motion, -1 or 1, against which dry friction acts; 0: it holds the mass."""
     dry_friction: bool
     """Whether dry friction can hold the mass."""
     ideal_cell: bool
     motion: SX
-    """For solvers without our steps: the forces `FORCES`; y' for `slide`, unless steps alone move a state on."""
+    """For external solvers: the forces `FORCES`, then y' for `slide`, unless states are discrete or currents late."""
 
 
 class Assembly:
-    """Assembly of a model from its bench's numbers and effects.
+    """Assembly of a model from its bench's parameters and effects.
 
-    `numbers`: names of the bench's numbers, with the range of each. `effects`: in the order of the bench file.
+    `numbers`: names of the bench's parameters, with the range of each. `effects`: in the order of the bench file.
     `ideal_cell`: whether the load cell is ideal. `past`: past currents that are kept for dead times; 0: none.
     `substeps`: integration steps per sample.
     """
@@ -104,13 +104,13 @@ class Assembly:
         self.commanding = sorted((one for one in effects if one.acts_in("command")), key=lambda effect: effect.late)
         bristles = any(effect.id == "friction_presliding" for effect in effects)
         self.holds = not bristles and any(effect.acts_in("dry_level") for effect in effects)
-        """Whether dry friction can hold the mass: with bristles it bends instead."""
+        """Whether dry friction can hold the mass: with bristles it deflects instead."""
         self.level: Callable[[Symbol], Symbol] = self.at.dry_level if self.holds else _nothing
         self.sliding: Callable[[Symbol], Symbol] = (
             (lambda velocity: np.sign(velocity) * self.level(velocity)) if self.holds else _nothing
         )
         n = self.numbers
-        for effect in effects:  # wrong numbers of the bench file
+        for effect in effects:  # corrections of the bench file's parameters
             before = dict(vars(n))
             effect.correct(n)
             for name, (low, high) in numbers.items():
@@ -129,7 +129,7 @@ class Assembly:
         # begin, enter
         self._bind([0.0] * len(self.hidden))
         signals, spool = self._truth(y), 0.0
-        for effect in self.commanding:  # a lag begins where the shifts before it have put the spool
+        for effect in self.commanding:  # a lag begins at the spool's position after the null shifts before it
             effect.next = effect.begin(signals | {"spool": spool})
             spool = spool + effect.current if effect.id == "valve_offset" else spool
         values: list[Symbol] = []

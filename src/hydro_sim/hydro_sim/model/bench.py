@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nominal bench: `bench.yaml` as a validated, immutable value.
+"""Bench files: `bench.yaml` as a validated, immutable value, and the nominal bench.
 
-Names, units and ranges stand once, in the fields of `Bench`; everything else (loading, checking, the record that
+Names, units and ranges are defined once, in the fields of `Bench`; everything else (loading, checking, the record that
 compiled code reads) is derived from them. Values: physics.md, "The nominal bench".
 """
 
@@ -27,7 +27,7 @@ from hydro_sim.model.quality import Quality
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """The nominal bench, SI units. Raises ValueError: a value is not within its range."""
+    """Parameters, effects and closures of a bench, SI units. Raises ValueError: a value is not within its range."""
 
     bulk_modulus: Annotated[float, quantity("Pa", 1e7, 1e10)]
     """beta, of oil and hoses together."""
@@ -82,12 +82,12 @@ class Bench:
 
     @classmethod
     def quantities(cls) -> dict[str, Setting]:
-        """Return the declarations of the bench's numbers by name: unit, range, meaning."""
+        """Return the declarations of the bench's parameters by name: unit, range, meaning."""
         return {name: setting for name, setting in describe(cls).items() if isfinite(setting.low)}
 
     @classmethod
     def ranges(cls) -> dict[str, tuple[float, float]]:
-        """Return the range of each of the bench's numbers by name."""
+        """Return the range of each of the bench's parameters by name."""
         return {name: (float(one.low), float(one.high)) for name, one in cls.quantities().items()}
 
     @property
@@ -102,14 +102,14 @@ class Bench:
 
     @property
     def terms(self) -> tuple[Mapping[str, Any], ...]:
-        """Effects and closures, in the form that the model takes."""
+        """Effects and closures as entries of one list; closures have the id `closure`."""
         return (*self.effects, *({"id": "closure", **closure} for closure in self.closures))
 
     @property
     def rejection_reason(self) -> str:
         """Error message if this bench's predictions are too poor to rely on; empty otherwise.
 
-        The finding of `learn` holds as long as no number was changed since.
+        The quality measured by `learn` is valid as long as no value was changed since.
         """
         if self.learned is None or self.learned.get("bench") != self.digest:
             return ""
@@ -177,7 +177,7 @@ class Bench:
         return record
 
     def without_effects(self) -> Bench:
-        """Return the bench without effects; those that correct its numbers are applied in order, within the ranges."""
+        """Return the bench without effects; corrections of parameters are applied in order, within the ranges."""
         ranges = self.ranges()
         n = SimpleNamespace(**{name: getattr(self, name) for name in ranges})
         for effect in self.effects:
@@ -195,7 +195,7 @@ BENCH_DTYPE = np.dtype(
     + [("valve_gain", np.float64), ("load_cell_omega", np.float64)]
 )
 """The bench for compiled code, SI units; `valve_gain` is K_v, `load_cell_omega` [rad/s] is 0 for an ideal load cell.
-Effects that are wrong numbers of the bench file are in the numbers; the others are the model's (`bench_model`)."""
+Effects that correct parameters are applied to them; the others are part of the model (`bench_model`)."""
 
 
 NOMINAL = Bench.nominal().size

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The textbook equations within compiled code: `from hydro_sim.model.compiled_equations import equations as eq`.
 
-`model.equations` itself does without numba, whose import takes a second: what only reads a bench need not wait for it.
+`model.equations` itself does without numba, whose import takes a second that other uses of a bench need not wait for.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The textbook equations of the bench, written once: servo valve, two oil chambers, mass, spring, load-cell amplifier.
 
-They hold for numbers, arrays of samples, torch's tensors and CasADi's symbols alike, and within numba's compiled code
-(`model.compiled_equations`): numpy's functions act on all but tensors, and `choose` does what `np.where` does. What is
-symbolic becomes C, with exact derivatives (`model.assembly`)::
+They accept numbers, arrays of samples, torch's tensors and CasADi's symbols alike, and compile with numba
+(`model.compiled_equations`): numpy's functions act on all but tensors, and `choose` does what `np.where` does.
+Symbolic results become C, with exact derivatives (`model.assembly`)::
 
     p_a' = beta/V_a (q_a - A_p x_p')           V_a = V_dead_a + A_p x_p
     p_b' = beta/V_b (alpha A_p x_p' - q_b)     V_b = V_dead_b + alpha A_p (L_c - x_p)
     m x_p'' = f_h - b x_p' - f_l - f_stop      f_h = A_p p_a - alpha A_p p_b,  f_l = k_s (x_p - x_rest)
 
-`n` is everywhere what has the bench's numbers, by their names in bench.yaml: a `Bench`, a record, a tuple with names.
+`n` is everywhere an object with the bench's parameters, named as in bench.yaml: a `Bench`, a record, a named tuple.
 Flows count into chamber A and into chamber B, -q_b. Source: paper eq. q13-q15 and q4, physics.md.
 """
 
@@ -23,11 +23,11 @@ import numpy as np
 Symbol = Any
 """A number, an array or a CasADi expression; in a model that is being assembled, an expression."""
 Pair = tuple[Symbol, Symbol]
-"""Chamber A's and chamber B's."""
+"""Values for chamber A and for chamber B."""
 READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """Names of the sensors' readings, in the order of every array of readings."""
 LOAD_CELL_DAMPING = math.sqrt(0.5)
-"""Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
+"""Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is its -3 dB frequency."""
 TRANSITION_DROP = 100.0
 """Pressure drop [Pa] below which flow through an edge is proportional to the pressure drop, so that its slope is
 finite. With this little, p_a = p_s of a blocked cylinder is reached as by the square root, except the last 100 Pa."""
@@ -48,7 +48,7 @@ def choose(condition: Symbol, first: Symbol, second: Symbol) -> Symbol:
 
 
 def clip(value: Symbol, low: Symbol, high: Symbol) -> Symbol:
-    """The value, held within its bounds."""
+    """The value, clipped to its bounds."""
     return np.fmin(np.fmax(value, low), high)
 
 
@@ -106,13 +106,13 @@ def hydraulic_force(n: Symbol, pressure_a: Symbol, pressure_b: Symbol) -> Symbol
 
 
 def force_rate(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Symbol:
-    """f_h' [N/s] (eq. q13): without flows its velocity term h, without velocity and with flows per ampere, its g."""
+    """f_h' [N/s] (eq. q13): the velocity term h for zero flows, the input gain g for flows per ampere at velocity 0."""
     rate_a, rate_b = pressure_rates(n, stiff, flows, velocity)
     return hydraulic_force(n, rate_a, rate_b)
 
 
 def rest_state(n: Symbol) -> tuple[Symbol, ...]:
-    """p_a, p_b, x_p, x_p', f_l and f_l' of a still bench with a relaxed spring and p_a + p_b = p_s."""
+    """p_a, p_b, x_p, x_p', f_l and f_l' of a bench at rest with a relaxed spring and p_a + p_b = p_s."""
     pressure_b = n.supply_pressure / (1.0 + n.area_ratio)
     return n.area_ratio * pressure_b, pressure_b, n.spring_rest_position, 0.0, 0.0, 0.0
 

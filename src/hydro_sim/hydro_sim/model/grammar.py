@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terms without a name: smooth functions of one signal, the textbook shapes that these may have, and memory.
+"""Candidate terms of closures: smooth functions of one signal with their textbook shapes, and laws with memory.
 
-A term of an equation is a smooth function of an argument (`model.tables`), alone or times a factor. `CURVES` says which
-of them are looked for in which equation, and which formulas are read off each: a law is a factor times one of `SHAPES`.
-`LAWS` has besides what is no function of one signal at an instant: terms with memory, the valve's edges, what a sensor
-picks up of other signals.
+A term of an equation is a smooth function of an argument (`model.tables`), alone or times a factor. `CURVES` lists the
+functions that are searched for in each equation and the laws that may be derived from each: a factor times one of
+`SHAPES`. `LAWS` also has terms that are no static function of one signal: laws with memory, of the valve's edges, and
+crosstalk of other signals into a sensor.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ class _Argument:
     formula: str
     unit: str
     scale: float
-    """A usual size."""
+    """Typical magnitude."""
     words: str
     centred: str = ""
-    """From the signal's rest, if that is not 0: of the position, from that of the load's spring."""
+    """Formula relative to the signal's rest, if that is not 0: for the position, the rest of the load's spring."""
     sign: str = ""
-    """A formula of its sign, rounded where it reverses."""
+    """Formula of its sign, rounded at the reversal."""
     root: str = ""
 
 
@@ -59,17 +59,17 @@ _ARGUMENTS = {
 
 @dataclass(frozen=True)
 class Shape:
-    """A textbook shape of a smooth function."""
+    """Textbook shape of a smooth function."""
 
     text: str
-    """With {s} in place of the argument, {c} of the argument from its rest."""
+    """Text of the formula; {s}: the argument, {c}: the argument relative to its rest."""
     formula: str
     degree: float
-    """Power of the argument in it."""
+    """Power of the argument in the formula."""
     words: str
-    """With {s} in place of the argument's name."""
+    """Description; {s}: the argument's name."""
     numbers: tuple[str, ...] = ()
-    """Beside its coefficient: see `_number`."""
+    """Shape parameters besides the coefficient: see `_number`."""
 
 
 SHAPES = {
@@ -95,7 +95,7 @@ SHAPES = {
     "positive": Shape("where {s} > 0", "max({sign}, 0.0)", 0.0, "only while {s} is positive"),
     "negative": Shape("where {s} < 0", "max(-({sign}), 0.0)", 0.0, "only while {s} is negative"),
 }  # fmt: skip
-"""By the adjective of their laws; that of a straight line is left out."""
+"""Shapes by the adjective in their laws' names; a straight line has none."""
 _ODD = ("root", "quadratic", "cubic", "beyond", "saturating")
 _ALONG = ("", "absolute", "even quadratic", "rising", "falling", "local")
 _SIDED = ("positive", "negative")
@@ -119,14 +119,14 @@ _HINTS = {
 
 @dataclass(frozen=True)
 class Curve:
-    """A smooth function and the laws that may be read off it."""
+    """Smooth function in an equation, and the laws that may be derived from it."""
 
     table: Table
     laws: tuple[Law, ...]
 
 
 def _number(name: str, variable: str) -> Number:
-    """A threshold or a place, which lies where its signal was recorded, or a level or width of its usual size."""
+    """A threshold or centre, within its signal's recorded range, or a level or width of its typical size."""
     unit, scale = _ARGUMENTS[variable].unit, _ARGUMENTS[variable].scale
     sizes = tuple(share * scale for share in (0.2, 0.5, 1.0, 2.0, 5.0))
     if name == "size":
@@ -234,9 +234,9 @@ CURVES: tuple[Curve, ...] = (
             for cell in ("hydraulic_force", "load_force")),
           *((gauge, ("", "even quadratic", "rising", "falling")) for gauge in ("pressure_a", "pressure_b")))),
 )  # fmt: skip
-"""What is looked for in each equation."""
+"""Smooth functions that are searched for in each equation."""
 
-# --- terms with memory, of the valve's edges, and of sensors beside their own signal ----------------------------------
+# --- terms with memory, of the valve's edges, and of sensors by other signals -----------------------------------------
 
 _LAG = Number("time", "s", (0.03, 0.1, 0.3, 1.0, 3.0))
 
@@ -349,11 +349,11 @@ MEMORY_LAWS: tuple[Law, ...] = (*_MEMORY, *_OTHER)
 """Laws with memory or of several signals."""
 LAWS: tuple[Law, ...] = (*(law for curve in CURVES for law in curve.laws), *MEMORY_LAWS)
 ROUNDED = tuple(with_reversal_velocity(law) for law in LAWS if law.depends_on_direction)
-"""Laws that follow the sign of the velocity, with that over which they reverse as a number."""
+"""Laws that depend on the sign of the velocity, with the reversal velocity as a parameter."""
 TABLES = tuple(curve.table for curve in CURVES)
 _EVERY: tuple[Law | Table, ...] = (*LAWS, *ROUNDED, *TABLES)
 FORMS: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
-"""By equation and form."""
+"""Laws and tables by equation and form."""
 
 
 def _of(closure: Mapping[str, Any]) -> Law | Table | None:

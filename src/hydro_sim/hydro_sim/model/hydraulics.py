@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The textbook bench without effects, compiled by numba: `model.equations` on plain numbers.
 
-Everywhere here `bench` is one record of `model.bench.BENCH_DTYPE` (`Bench.constants()[0]`), the physical state is::
+`bench` is one record of `model.bench.BENCH_DTYPE` (`Bench.constants()[0]`) everywhere here; the physical state is::
 
     y = [ p_a   p_b   x_p   x_p'   f_l behind the load cell's amplifier   its rate ]
           Pa    Pa    m     m/s    N                                      N/s
@@ -56,5 +56,5 @@ def input_gain(bench, position, pressure_a, pressure_b, opening):
 
 
 def rest_state(bench: np.void) -> FloatArray:
-    """The physical state y, shape (6,), of a still bench (`equations.rest_state`)."""
+    """The physical state y, shape (6,), of a bench at rest (`equations.rest_state`)."""
     return np.array(eq.rest_state(SimpleNamespace(**{name: bench[name] for name in bench.dtype.names or ()})))

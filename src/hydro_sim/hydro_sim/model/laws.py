@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws: terms of one equation as data, written once for arrays and symbols.
+"""Laws: terms of one equation as data, for arrays and symbols alike.
 
-Terms are linear in their amplitudes. What one gives acts in its equation::
+Terms are linear in their amplitudes. A term's value acts in its equation::
 
     motion      force [N] against the motion
     pressure    flow [m3/s] out of chamber A into chamber B
     pressure_a  flow [m3/s] out of chamber A to the tank; pressure_b likewise
-    actuation   spool position [A] that the edges see more than the current says;
-                of the edges: share of their flow that does not pass [-]; `across`: by the pressures across
-                the valve and what moves it, at the edges alone [A]
+    actuation   spool position [A] at the edges in addition to the current's;
+                of the edges: share of their flow that is blocked [-]; `across`: shift by the pressures across
+                the valve and by its drive, at the edges alone [A]
     load        force [N] of the load
-    sensor      what a sensor shows more than its signal [N, Pa or m]
+    sensor      error of a sensor's output [N, Pa or m]
 
-None depends on time but by what settles: another would grow for ever. Beside its amplitude a law may have further
-numbers: where a threshold lies, or over what a state `w` follows a signal `s`; a piston at rest or a still current
-moves no path::
+No term depends on time except by a state that settles: any other would grow without bound. Besides its amplitude a law
+may have shape parameters: a threshold, or the time or path over which a state `w` follows a signal `s`; a path's state
+stays while its signal is constant::
 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
-    slow  w' = (s - w) / T             0 at first: a size that is followed, or time alone (s = 1)
+    slow  w' = (s - w) / T             0 at first: of a signal's magnitude, or of time alone (s = 1)
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ import numpy as np
 from hydro_sim.model.equations import TRANSITION_DROP, Symbol, edge_drops, orifice
 
 SIGN_VELOCITY = 1e-3
-"""Velocity [m/s] over which a term reverses that follows the velocity's sign, unless its law has it as a number."""
+"""Velocity [m/s] over which terms with the velocity's sign reverse, unless their law has it as a parameter."""
 
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals of which laws are made, SI units; those unknown to an equation are 0."""
+    """Signals in the formulas of laws, SI units; those unknown to an equation are 0."""
 
     position: Symbol = 0.0
     velocity: Symbol = 0.0
@@ -52,7 +52,7 @@ class Signals:
     drop: Symbol = 0.0
     """Pressure drop [Pa] across an edge of the valve."""
     both: Symbol = 0.0
-    """Pressure drop [Pa] across that edge and the other that is open with it."""
+    """Pressure drop [Pa] across that edge and the other one that is open at the same time."""
     opened: Symbol = 0.0
     """Conductance [m3/s/sqrt(Pa)] of that edge."""
     feeds: Symbol = 0.0
@@ -60,9 +60,9 @@ class Signals:
     memory: Symbol = 0.0
     """State `w` of the law."""
     number: Symbol = 0.0
-    """First of the law's further numbers, such as its threshold."""
+    """First of the law's shape parameters, such as its threshold."""
     second: Symbol = 0.0
-    """Second of them."""
+    """Second of the law's shape parameters."""
     acceleration: Symbol = 0.0
     """x''."""
     turn: Symbol = SIGN_VELOCITY
@@ -96,13 +96,13 @@ class Signals:
 
 
 def sensor_signals(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | None = None) -> Signals:
-    """Return the signals of a sensor's law: its own measurement and, from `beside`, others."""
+    """Return the signals of a sensor's law: its own measurement and, from `beside`, those of others."""
     own = {"hydraulic_force": "force", "load_force": "force", "piston_position": "position"}.get(channel, channel)
     return Signals(**{**(beside or {}), own: signal})
 
 
 BOUND_MAX = 1e9
-"""SI unit, of where a table or a threshold may lie."""
+"""Largest magnitude, in the SI unit, of a table's bounds and a law's threshold."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +114,12 @@ class Number:
     probes: tuple[float, ...]
     """Start values of a search, ascending."""
     over: str = ""
-    """Signal whose recorded range a threshold lies in, its start values at quantiles; empty: they are as they stand."""
+    """Signal in whose recorded range a threshold lies, with start values at its quantiles; empty: start at `probes`."""
 
 
 @dataclass(frozen=True)
 class MemoryElement:
-    """Memory element of a law: a state driven by one of `Signals`; its time or path is among the law's numbers."""
+    """Memory element of a law: a state driven by one of `Signals`; its time or path is a shape parameter of the law."""
 
     kind: Literal["lag", "path", "slow"]
     signal: str
@@ -135,7 +135,7 @@ _SIGNALS = {
     "alpha": "n.area_ratio", "p_s": "n.supply_pressure", "p_t": "n.tank_pressure", "laminar": repr(TRANSITION_DROP),
     "one": "(1.0 + 0.0 * (at.position + at.pressure_a + at.pressure_b + at.current + at.force))",
 }  # fmt: skip
-"""Signals of a formula (`Signals`) and the bench's numbers; `one`: 1 of their shape."""
+"""Signals of a formula (`Signals`) and the bench's parameters; `one`: 1 of their shape."""
 _FUNCTIONS = {
     "abs": np.abs, "exp": np.exp, "sqrt": np.sqrt, "tanh": np.tanh, "max": np.fmax,
     "root": lambda pressure: pressure / np.sqrt(np.abs(pressure) + 100.0),
@@ -154,20 +154,20 @@ class Law:
     text: str
     """The formula as it is written in a report, with its memory."""
     formula: str
-    """Expression of signals, bench numbers (`_SIGNALS`) and the law's further numbers, by their names."""
+    """Expression of signals, bench parameters (`_SIGNALS`) and the law's shape parameters, by their names."""
     typical: float
-    """A coefficient at which it is noticeable."""
+    """Coefficient at which the term is noticeable."""
     sentence: str
     """Usual physical meaning of such a term."""
     memory_element: MemoryElement | None = None
     numbers: tuple[Number, ...] = ()
-    """Its further numbers."""
+    """Shape parameters."""
     where: str = ""
-    """Channel of a sensor; of the valve, `edges`, if it is not its spool that the law moves."""
+    """Channel of a sensor; for the valve `edges`, `across`, or empty for a shift of the spool."""
     uses: frozenset[str] = frozenset()
-    """Signals that it is made of, and `time`."""
+    """Signals that the term depends on, and `time`."""
     degree: float = 0.0
-    """Total power of the signals in it; those of signs, bumps and states count nothing."""
+    """Total power of the signals in the formula; signs, bumps and states count 0."""
 
     @property
     def depends_on_current(self) -> bool:
@@ -196,7 +196,7 @@ class Law:
 
     @cached_property
     def shape(self) -> Any:
-        """Formula as a function of `Signals` and the bench's numbers."""
+        """Formula as a function of `Signals` and the bench's parameters."""
         places = zip((one.name for one in self.numbers), ("at.number", "at.second"), strict=False)
         names = {**_SIGNALS, **{name: place for name, place in places if name != "turn"}}
         python = re.sub(r"[A-Za-z_]\w*", lambda found: names.get(found[0], found[0]), self.formula)
@@ -212,13 +212,13 @@ class Law:
 
 
 REVERSAL_VELOCITY = Number("turn", "m/s", (SIGN_VELOCITY,))
-"""Velocity over which a law reverses."""
+"""Shape parameter of laws that reverse: the velocity over which they do."""
 REVERSING = "reversing over turn"
-"""Text of a law that has it as a number."""
+"""Text of laws with that parameter."""
 
 
 def with_reversal_velocity(law: Law) -> Law:
-    """Return the law with the reversal velocity [m/s] as an additional number."""
+    """Return the law with the reversal velocity [m/s] as an additional shape parameter."""
     text = f"{law.text}, {REVERSING}"
     return replace(law, form=f"{law.form}, {REVERSING}", text=text, numbers=(*law.numbers, REVERSAL_VELOCITY))
 
@@ -228,8 +228,8 @@ def edge_losses(
 ) -> tuple[Symbol, Symbol]:
     """Return the flows [m3/s] lost to chambers A and B if a share [-] of each edge's flow is blocked.
 
-    `n`: the bench's numbers. `openings`: conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
-    `pressures`: p_a, p_b [Pa]. `share`: of an edge's flow, by its pressure drop, its conductance and whether it feeds.
+    `n`: the bench's parameters. `openings`: conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and
+    back. `pressures`: p_a, p_b [Pa]. `share`: of an edge's flow, by `Signals` of the edge.
     """
     out, back = openings
     drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, *pressures)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled C libraries, cached by the digest of their source, and calls to them from numba.
 
-Libraries are kept as numba keeps its own: beside the sources, or in NUMBA_CACHE_DIR; where neither can be written,
-below ~/.cache. What `make setup` compiles is found there; any other set of effects is compiled where it first comes,
-and a sentence says so.
+Libraries are cached as numba's are: next to the sources, or in NUMBA_CACHE_DIR; where neither can be written, below
+~/.cache. `make setup` compiles the usual ones; any other set of effects is compiled at first use, and a message says
+so.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FLAGS = (
     "-std=c11", "-O3", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
     "-ffp-contract=fast",
 )  # fmt: skip
-"""Sums stay in their order; a product and a sum may be rounded once."""
+"""Compiler flags: sums keep their order; a product and a sum may be rounded once."""
 
 
 def cached_library(name: str, source: Callable[[], str]) -> ctypes.CDLL:
@@ -74,7 +74,7 @@ def _loaded(file: Path) -> ctypes.CDLL | None:
 
 
 def compile_c(source: str, made: Path, flags: Sequence[str] = FLAGS) -> None:
-    """Write C source beside a library of this name, and compile it. Raises ValueError: no C compiler, or it fails."""
+    """Write C source next to the library `made`, and compile it. Raises ValueError: no C compiler, or it fails."""
     compiler = shlex.split(os.environ.get("CC", "")) or [*filter(shutil.which, ("cc", "gcc", "clang"))][:1]
     if not compiler or shutil.which(compiler[0]) is None:
         raise ValueError("no C compiler found for the model of this bench: `apt install gcc`")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plants that are stepped by the millisecond: the interface, and the analytic plant.
+"""Plants with a step of one millisecond: the interface, and the analytic plant.
 
 Order of a sample: the box reads x_k, decides u_k, and the plant holds u_k until x_{k+1}. A plant gives the finished
 measurement x of eq. state_def: a physical plant runs its five readings through `model.sensors` as the box does, a
@@ -21,10 +21,10 @@ from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 
 
 class Plant(Protocol):
-    """One box sample of 1 ms at a time."""
+    """Interface of a plant with a step of one box sample, 1 ms."""
 
     def reset(self, seed: int) -> FloatArray:
-        """Reset with noise from `seed`; return the measurement x, shape (8,), of a still bench."""
+        """Reset with noise from `seed`; return the measurement x, shape (8,), of a bench at rest."""
 
     def step(self, valve_current: float) -> FloatArray:
         """Hold the valve current [A] for one sample; return the measurement x after it, shape (8,)."""
@@ -41,7 +41,7 @@ PLANT_STATE_DTYPE = np.dtype([("y", np.float64, (STATES_MAX,)), ("x", np.float64
 class AnalyticPlant:
     """The bench's model (`hydro_sim.model.bench_model`) behind the sensors of `hydro_sim.model.sensors`.
 
-    `bench`: what is simulated, its `effects` with it. `noise`: scale of the sensors' noise and quantisation, 0 or more;
+    `bench`: simulated bench, with its effects. `noise`: scale of the sensors' noise and quantisation, 0 or more;
     0: ideal sensors. `settings`: the sensors at scale 1.
     """
 
@@ -70,7 +70,7 @@ class AnalyticPlant:
         return self.measurement()
 
     def measurement(self) -> FloatArray:
-        """The present measurement x, shape (8,), a copy."""
+        """Return a copy of the present measurement x, shape (8,)."""
         return self.state["x"][0].copy()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -81,14 +81,14 @@ class AnalyticPlant:
 
 @njit
 def begin(sensor_constants, state, noise, readings):
-    """Begin with a first sample; `sensor_constants`, `state`: shape (1,), `noise`, true `readings`: shape (5,)."""
+    """Initialise the state; `sensor_constants`, `state`: shape (1,), `noise`, true `readings`: shape (5,)."""
     sensors.add_sensor_errors(sensor_constants[0], noise, readings)
     sensors.reset_conditioning(state[0].last, readings, state[0].x)
 
 
 @njit
 def advance(constants, sensor_constants, state, noise, valve_current):
-    """One sample of 1 ms in place; `constants` as `MODEL_DTYPE`, shapes as in `begin`. Every simulation runs this."""
+    """Advance by a sample of 1 ms in place; `constants` as `MODEL_DTYPE`, shapes as in `begin`; for all simulations."""
     raw = np.empty(5)
     machine_code.sample(constants[0].address, constants[0].k, state[0].y, valve_current, raw)
     sensors.add_sensor_errors(sensor_constants[0], noise, raw)

@@ -2,7 +2,7 @@
 """Quality of a bench file's predictions, and whether they are good enough to use.
 
 A model whose predictions leave only noise cannot be better. The mean over the readings ranks models; the worst reading
-shows what a mean hides: four readings at the noise and one at 240 times have a mean of 3.
+is limited, too, as a mean can hide it: four readings at the noise and one at 240 times have a mean of 3.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from hydro_sim.model.equations import READINGS
 HORIZON = 70
 """Length of a prediction [samples]."""
 RATIO_MAX = 3.0
-"""Largest error of a model that is relied on, over the noise: geometric mean of the readings."""
+"""Largest acceptable prediction error over the noise, geometric mean of the readings."""
 WORST_RATIO_MAX = 10.0
-"""Largest error of the worst reading, over its noise. More than for the mean, as noise does not tell what an
-error does: ten times are 6 N of a load cell, and 3 um of an encoder."""
+"""Largest acceptable prediction error of the worst reading over its noise. It exceeds that of the mean, as noise is no
+measure of an error's effect: ten times are 6 N of a load cell, and 3 um of an encoder."""
 
 GOOD_RATIO = 1.3
-"""Error of a reading, over its noise, that is accepted without a note."""
+"""Prediction error of a reading, over its noise, that is accepted without a note."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,9 +33,9 @@ class Quality:
     over_noise: float
     """Geometric mean of the five readings; 1: nothing but noise."""
     worst: float
-    """The largest of the five."""
+    """Largest ratio of the five."""
     worst_reading: str
-    """Name of that reading."""
+    """Name of the reading with the largest ratio."""
 
     @classmethod
     def of(cls, ratios: Sequence[float]) -> Quality:
@@ -46,7 +46,7 @@ class Quality:
 
     @classmethod
     def from_mapping(cls, content: Any) -> Quality:
-        """Read what `learn` wrote into a bench file. Raises ValueError: it is not what `learn` writes."""
+        """Create from the entry `learned` of a bench file. Raises ValueError: it is not as `learn` writes it."""
         if not isinstance(content, Mapping):
             raise ValueError("'learned' is a mapping, as `learn` writes it")
         for name, kind, what in (("over_noise", int | float, "number"), ("worst", int | float, "number"),

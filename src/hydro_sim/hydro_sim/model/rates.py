@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rates of a bench's states: the textbook's equations with the terms of its effects, and stick-slip of the mass.
 
-Dry friction is an exact event within an integration step: it brings the mass to rest within the step as far as its
-level reaches, and then holds it: the velocity is 0, not small. Otherwise it works against the motion at its level.
-Derivatives are those of the side on which the step is: a mass that is held stays held, whatever changes a little.
+Dry friction is an exact event within an integration step: if its level suffices, it brings the mass to rest within the
+step, and then holds it: the velocity is exactly 0. Otherwise it acts against the motion at its level.
+Derivatives are one-sided: a mass that is held stays held under small changes of state and input.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def textbook_rates(
 STANDSTILL = 1e-9
 """Smallest speed [m/s] at which a level that depends on the direction is evaluated."""
 Friction = Callable[[Symbol], Symbol]
-"""A force [N] against the motion at a velocity [m/s], or what becomes of the velocity where a step ends."""
+"""Function of a velocity [m/s]: a force [N] against the motion, or the velocity at the end of a step."""
 
 
 def stick_slip_friction(

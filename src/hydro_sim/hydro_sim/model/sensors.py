@@ -4,8 +4,8 @@
 ::
 
     truth    f_h  f_l  p_a  p_b  x_p                              READINGS, 5
-      | noise, quantisation             (sense: the sensors)
-      | differentiated, lightly filtered (condition: the box)
+      | noise, quantisation             (`add_sensor_errors`: the sensors)
+      | differentiated, lightly filtered (`condition_readings`: the box)
     x        f_h  f_h'  f_l  f_l'  p_a  p_b  x_p  x_p'            PLANT_FIELDS, 8 (eq. state_def)
 
 A rate is r_k = a r_{k-1} + (1 - a) (z_k - z_{k-1}) / T. At low frequency it lags by T/2 + T a/(1 - a): its *age*, the
@@ -32,9 +32,9 @@ SENSORS_DTYPE = np.dtype(
     + [("force_memory", np.float64), ("velocity_memory", np.float64)]
 )
 CONDITIONING_DTYPE = np.dtype([("force_h", np.float64), ("force_l", np.float64), ("position", np.float64)])
-"""The last samples that were differentiated; their rates stand in the measurement."""
+"""Last readings that were differentiated; their rates are part of the measurement."""
 READING_MAX = 1e9
-"""Magnitude from which a reading is none: no sensor gives it, and the difference to it would not be finite."""
+"""Magnitude from which a reading is invalid, as NaN is: no sensor gives it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,11 +57,11 @@ class Sensors:
 
     @classmethod
     def of_size(cls, size: Size) -> Sensors:
-        """Return the usual sensors of a bench of this size."""
+        """Return the default sensors, scaled to a bench of this size."""
         return rescale(cls(), NOMINAL, size)
 
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
-        """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""
+        """Return the record for compiled code, `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""
         ages = self.force_rate_age / SAMPLE_PERIOD, self.velocity_age / SAMPLE_PERIOD
         memories = ((age - 0.5) / (age + 0.5) for age in ages)
         noises = scale * self.force_noise, scale * self.pressure_noise, scale * self.position_step
@@ -69,7 +69,7 @@ class Sensors:
 
 
 class Noise:
-    """Standard normal numbers for the sensors: one row of 5 per sample, independent of how many are taken at a time."""
+    """Standard normal numbers for the sensors: one row of 5 per sample, independent of how many are drawn at a time."""
 
     BLOCK = 1000
 
@@ -118,7 +118,8 @@ def reset_conditioning(last, raw, measurement):
 def condition_readings(sensors, last, raw, measurement):
     """Condition one sample: readings `raw`, shape (5,), into `measurement`, shape (8,), with filtered rates.
 
-    A reading that no sensor gives, NaN too, leaves its rate as it was; the next difference is to the last good one.
+    An invalid reading (NaN, or from `READING_MAX` on) leaves its rate as it was; the next difference is to the last
+    valid one.
     """
     force, velocity = sensors.force_memory, sensors.velocity_memory
     if abs(raw[0]) < READING_MAX:

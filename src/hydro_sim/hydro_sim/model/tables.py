@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables: smooth functions of one variable as terms of an equation (`model.laws`), where no law is found."""
+"""Tables: smooth functions of one variable as terms of an equation (`model.laws`), for which no law was found."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from hydro_sim.model.equations import Symbol, clip
 from hydro_sim.model.laws import MemoryElement, Signals
 
 KNOTS = 12
-"""Numbers of a table: of so many cubic B-splines."""
+"""Number of a table's values: coefficients of as many cubic B-splines."""
 VARIABLES = {
     "position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A", "force": "N",
     "pressure_a": "Pa", "pressure_b": "Pa", "speed": "m/s",
 }  # fmt: skip
 """Variables of tables, with units."""
 SIGNALS = {"pressure_difference": "pressure_a pressure_b", "speed": "velocity"}
-"""Signals that a variable is made of, if it is none itself."""
+"""Signals that a variable is computed from, if it is none itself."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Factor:
     formula: str
     unit: str
     scale: float
-    """A usual value."""
+    """Typical value."""
     degree: float
     uses: str
     """Signals that it depends on."""
@@ -59,7 +59,7 @@ class Table:
     unit: str
     """Unit of its values."""
     typical: float
-    """A value at which it is noticeable."""
+    """Value at which the term is noticeable."""
     factor: Factor | None = None
     where: str = ""
     """Channel of a sensor."""
@@ -67,7 +67,7 @@ class Table:
     memory_element: ClassVar[MemoryElement | None] = None
     depends_on_current: ClassVar[bool] = False
     has_hidden_states: ClassVar[bool] = False
-    """It has no memory, and no sensor's table is over the valve current."""
+    """False: tables have no memory, and no sensor's table is over the valve current."""
 
     @property
     def form(self) -> str:

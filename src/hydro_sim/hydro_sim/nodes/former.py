@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Former names of commands, each refused with the one that took its place."""
+"""Entry point of renamed commands, which refuses and names the present command."""
 
 from __future__ import annotations
 

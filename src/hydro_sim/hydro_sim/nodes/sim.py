@@ -39,13 +39,13 @@ _REMEDY = "give the box the bench.yaml it was made for by --box-bench, or simula
 
 
 class SimulatedPlant(Simulation):
-    """A simulation with its status for /diagnostics."""
+    """Simulation with a status for /diagnostics."""
 
     effects = ""
-    """The bench file's effects that are simulated."""
+    """Labels of the simulated effects."""
 
     def status(self) -> Status:
-        """See `hydro_bridge.safety.plant_side.PlantSide`."""
+        """Return the status for /diagnostics; see `hydro_bridge.safety.plant_side.PlantSide`."""
         speed = self.samples * SAMPLE_PERIOD / max(time.monotonic() - self.began, SAMPLE_PERIOD)
         values = {
             "samples": self.samples,

@@ -28,7 +28,7 @@ from hydro_sim.model.plant import AnalyticPlant, Plant
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """Commands over a run."""
+    """Schedule of a run: reference, gains, correction and force law."""
 
     reference: ReferenceSignal | FloatArray
     """Signal that the box generates, or recorded f_r [N] and f_r' [N/s] of each sample, shape (samples, 2)."""
@@ -57,13 +57,13 @@ def simulate(
     plant
         Reset with `seed`, then stepped.
     bench
-        What the box believes; the plant may be another.
+        Bench that the box's force law assumes; the plant may differ from it.
     schedule
         Reference, gains and correction.
     config
         Settings of the box.
     seed
-        Of the plant's noise.
+        Seed of the plant's noise.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation of box and plant at a pace, without ROS: the core of the sim node.
 
-One thread runs `run`, a sample at a time: ask the guard, tick the box, hand the sample on, step the plant, wait. Other
-threads tell the guard what is wanted (under `lock`), `arm`, and report answers to `pace`. The bridge's `Link` is its
+One thread runs `run`, a sample at a time: poll the guard, tick the box, hand over the sample, step the plant, wait.
+Other threads set the guard's commands (under `lock`), `arm`, and report answers to `pace`. The bridge's `Link` is its
 counterpart.
 
 ======== ==========================================================================================================
@@ -143,7 +143,7 @@ class Simulation(PlantSide):
         self.pace.close()
 
     def send(self, corrects: int | None = None) -> None:
-        """Apply a command that corrects nothing at once; others apply with the next sample."""
+        """Release the pending sample for a command without a correction; others apply with the next sample."""
         if corrects is None:
             self.pace.release()
 

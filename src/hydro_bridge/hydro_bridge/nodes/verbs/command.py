@@ -35,7 +35,7 @@ _LONG = (bytes, bytearray, str)
 
 
 def interface(name: str, kind: str) -> type[Any]:
-    """Return the class of a type such as `std_srvs/srv/SetBool`; the name may omit `kind` (msg or srv).
+    """Return the class of an interface type such as `std_srvs/srv/SetBool`; the name may omit `kind` (msg or srv).
 
     Raises UserError: there is no type of that name.
     """
@@ -89,9 +89,9 @@ def set_fields(message: Any, values: Mapping[str, Any]) -> None:
 
 
 _SPIN_TIME = 1.0
-"""s, minimum wait of a list, which continues until nothing new has appeared for `_CALM`."""
+"""s, minimum wait of `list`, which goes on until the graph has not changed for `_CALM`."""
 DISCOVERY_TIMEOUT = 10.0
-"""s, wait for a named item: on a busy machine announcements get lost and are repeated every few seconds."""
+"""Time-out [s] for the discovery of a topic or service; a lost announcement is repeated only after a few seconds."""
 _CALM = 0.5
 _LOOK = 0.05
 
@@ -126,11 +126,11 @@ _DEPTH = 1000
 _WINDOW = 5000
 """Messages that count for a rate."""
 _REPORT = 1.0  # s
-_PUBLISHER = 3.0  # s, for the first publisher to be discovered; a later one is heard, but not its latched message
+_PUBLISHER = 3.0  # s, for the first publisher to be discovered; the latched message of a later one is missed
 
 
 class Parser(argparse.ArgumentParser):
-    """Parser whose error is one sentence, which names where to find unsupported commands."""
+    """Argument parser that raises one sentence as UserError, with a hint for commands that are not supported."""
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line; raises UserError."""
@@ -238,7 +238,8 @@ def _topic_hz(options: argparse.Namespace) -> None:
 def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Callable[[], None] | None = None) -> None:
     """Pass each message to `hear` until a signal or `done`; with `report`, called each second, as bytes.
 
-    An error of theirs, such as a terminal closed by `| head`, is raised here: in a callback rclpy would print it, too.
+    An error of `hear` or `report`, such as a terminal closed by `| head`, is raised here: in a callback rclpy would
+    print it, too.
     """
 
     def guarded(act: Callable[..., None]) -> Callable[..., None]:
@@ -257,7 +258,7 @@ def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Calla
         kind = interface(dict(node.get_topic_names_and_types())[topic][0], "msg")
         with suppress(UserError):  # a subscriber may be discovered first: a latched message would be missed for good
             wait_for(lambda: node.count_publishers(topic), "", patience=_PUBLISHER)
-        offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]  # what all can serve
+        offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]  # all offer this QoS
         reliable = bool(offered) and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
         latched = bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
         qos = qos_profile(_DEPTH, reliable=reliable, latched=latched)

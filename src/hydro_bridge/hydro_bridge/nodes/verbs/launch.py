@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 launch`: what our launch files use of `launch` and `launch_ros`, under upstream's names and arguments.
+"""`ros2 launch`: the part of `launch` and `launch_ros` that our launch files use, with upstream's names and arguments.
 
 Unsupported arguments are refused by Python, unsupported names by the import: nothing is silently ignored. Processes are
 stopped in reverse order, so that controllers end before the plant.
@@ -27,14 +27,14 @@ from hydro_core.process.endings import signals_ignored
 
 @dataclass
 class LaunchContext:
-    """Present values of the arguments."""
+    """Present values of the launch arguments."""
 
     launch_configurations: dict[str, str]
 
 
 @dataclass
 class Substitution:
-    """Text that is evaluated once the arguments are known."""
+    """Substitution: text that is evaluated once the launch arguments are known."""
 
     perform: Callable[[LaunchContext], str]
     """Returns the text; raises UserError."""
@@ -44,7 +44,7 @@ SomeSubstitutions: TypeAlias = "str | int | float | Path | Substitution"
 
 
 def perform_substitution(words: SomeSubstitutions | ExecutableInPackage, context: LaunchContext) -> str:
-    """Return the evaluated text; raises UserError."""
+    """Return the text of a substitution or a plain value; raises UserError."""
     if isinstance(words, Substitution):
         return words.perform(context)
     if isinstance(words, (str, int, float, Path)):
@@ -53,7 +53,7 @@ def perform_substitution(words: SomeSubstitutions | ExecutableInPackage, context
 
 
 def LaunchConfiguration(variable_name: str) -> Substitution:
-    """Value of an argument; UserError if it is not set."""
+    """Substitution by the value of a launch argument; UserError if it is not set."""
 
     def value(context: LaunchContext) -> str:
         if variable_name not in context.launch_configurations:
@@ -64,12 +64,12 @@ def LaunchConfiguration(variable_name: str) -> Substitution:
 
 
 def PathJoinSubstitution(substitutions: Sequence[SomeSubstitutions]) -> Substitution:
-    """Parts of a path."""
+    """Substitution by a path joined from its parts."""
     return Substitution(lambda context: os.path.join(*(perform_substitution(part, context) for part in substitutions)))
 
 
 def FindPackageShare(package: str) -> Substitution:
-    """Share folder of a package."""
+    """Substitution by the share folder of a package."""
     return Substitution(lambda context: package_share(package))
 
 
@@ -82,7 +82,7 @@ def package_share(package: str) -> str:
 
 
 def IfCondition(predicate_expression: SomeSubstitutions) -> Callable[[LaunchContext], bool]:
-    """Condition on a process; UserError if it is neither true nor false."""
+    """Condition for starting a process; UserError if it is neither true nor false."""
     values = {"true": True, "1": True, "false": False, "0": False}
 
     def holds(context: LaunchContext) -> bool:
@@ -106,7 +106,7 @@ Entries: TypeAlias = "Iterable[LaunchDescriptionEntity | ExecuteProcess]"
 
 
 def LaunchDescription(entities: Entries = ()) -> LaunchDescriptionEntity:
-    """List of entries."""
+    """Launch description: a list of entries."""
     return LaunchDescriptionEntity(lambda context: entities)
 
 
@@ -164,7 +164,7 @@ def OpaqueFunction(*, function: Callable[[LaunchContext], Entries | None]) -> La
 
 @dataclass(kw_only=True)
 class Shutdown:
-    """As `on_exit` of a process: ends all others with it."""
+    """Value of `on_exit` of a process: its end shuts down all other processes."""
 
     reason: str = ""
 
@@ -179,13 +179,13 @@ class ExecutableInPackage:
 
 @dataclass(kw_only=True)
 class ExecuteProcess:
-    """Executable of a package that is not a node."""
+    """Process of a launch file: an executable of a package, with its arguments."""
 
     cmd: Sequence[SomeSubstitutions | ExecutableInPackage]
     output: str = "log"
     emulate_tty: bool = False
     sigterm_timeout: SomeSubstitutions = "5"
-    """s that it has to end before SIGKILL."""
+    """Time [s] to end before SIGKILL."""
     on_exit: Shutdown | None = None
     condition: Callable[[LaunchContext], bool] | None = None
 
@@ -193,7 +193,7 @@ class ExecuteProcess:
 def Node(
     *, package: str, executable: str, arguments: Sequence[SomeSubstitutions] = (), **options: Any
 ) -> ExecuteProcess:
-    """ROS node."""
+    """Process of a ROS node."""
     return ExecuteProcess(cmd=[ExecutableInPackage(executable, package), *arguments], **options)
 
 
@@ -225,7 +225,7 @@ def load(path: Path) -> LaunchDescriptionEntity:
 
 
 def processes(entity: LaunchDescriptionEntity | ExecuteProcess, context: LaunchContext) -> Iterator[ExecuteProcess]:
-    """Return all processes of a description whose conditions hold, in its order; raises UserError."""
+    """Yield all processes of a description whose conditions hold, in its order; raises UserError."""
     if isinstance(entity, ExecuteProcess):
         if entity.condition is None or entity.condition(context):
             yield entity
@@ -288,7 +288,7 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
 def launch(package: str, rest: list[str]) -> int:
     """Run `ros2 launch PACKAGE REST...`; returns the exit status and raises as `run`.
 
-    This module's classes are `launch` and `launch_ros` for imports in this process.
+    Imports of `launch` and `launch_ros` in this process resolve to the classes of this module.
     """
     for name, names in _MODULES.items():
         module = ModuleType(name)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fault injection on a serial line, with seeded probabilities: one `FaultyLine` for each direction.
 
-Probabilities are per frame. The unit is one frame up (box to bridge), and down whatever one read gave, mostly one.
+Probabilities are per frame. The unit is one frame up (box to bridge), and down the bytes of one read, mostly one frame.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ class FaultyLine:
     `faults`: probabilities; may be replaced at any time. `generator`: source of randomness.
     """
 
-    LIMIT = 1 << 16  # bytes that wait during a stall; what is more is lost
+    LIMIT = 1 << 16  # bytes queued during a stall; further ones are lost
 
     def __init__(self, faults: LinkFaults, generator: np.random.Generator) -> None:
         self.faults = faults
         self.counts = dict.fromkeys((*FAULT_NAMES, "overflow"), 0)
         self._random = generator
         self.stalled_until = 0.0
-        """s, to which the line is blocked; 0: it is not."""
+        """s, time until which the line is blocked; 0: not blocked."""
         self._held = b""
         self._waiting: deque[bytes] = deque()
 

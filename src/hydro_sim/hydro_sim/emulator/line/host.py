@@ -24,13 +24,13 @@ class HostState:
         self.greetings = 0
         """HELLOs since the port was plugged in."""
         self.heard = 0.0
-        """When its last frame came, s of the monotonic clock."""
+        """Time of its last frame, s of the monotonic clock."""
         self.fresh = False
         """Whether no COMMAND has come since the last HELLO."""
         self.time_us: int | None = None
         """Time in its last COMMAND, us; None: none since the last HELLO."""
         self.follows = False
-        """Whether it said in its HELLO that it answers each STATE by a COMMAND with that sample's time."""
+        """Whether its HELLO announced an answer to each STATE: a COMMAND with that sample's time."""
 
     def reset(self) -> None:
         """Reset to no host, as the port was unplugged or closed."""

@@ -13,22 +13,22 @@ from hydro_sim.emulator.line.terminal import Terminal
 
 
 class BoxLink:
-    """Serial line of the emulated box: its bytes, which the firmware reads and writes, through faults and terminal.
+    """Serial line of the emulated box: the firmware's bytes through fault injection and terminal.
 
-    `terminal`: the port. `box`: the box behind the line. `faults`, `seed`: injected, and of their probabilities.
+    `terminal`: the port. `box`: the box behind the line. `faults`: injected. `seed`: of their random numbers.
     """
 
     def __init__(self, terminal: Terminal, box: Box, faults: LinkFaults, seed: int = 0) -> None:
         self.terminal, self.box = terminal, box
         self.sent = self.unheard = self.blocked = 0
-        """Frames that went out whole, that nobody had the port open for, and that the reader was too slow for."""
+        """Frames sent as a whole; not sent as no host had the port open; not sent as the reader was too slow."""
         up, down = np.random.default_rng(seed).spawn(2)
         self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
         self._unwritten = b""
         self._replug_at = 0.0
         self.host, self._inbox, self._sent = HostState(), b"", b""
         self.waits: bool | None = None
-        """What a host is told of this clock: whether each sample waits for its COMMAND; None: it is real time."""
+        """Clock announced to hosts: whether each sample waits for the host's COMMAND; None: real time, no frame."""
 
     @property
     def faulty(self) -> bool:

@@ -16,15 +16,15 @@ from hydro_core.settings import SettingsError
 
 
 def default_link() -> Path:
-    """Default path of the port, one per user."""
+    """Return the default path of the port, one per user."""
     return Path(tempfile.gettempdir()) / f"hydro-bench-{os.getuid()}"
 
 
 class Terminal:
     """The box's end of a pseudo-terminal pair; the other end appears as a link at `path`.
 
-    `path`: where the port appears. A link that stands there is replaced, anything else is left alone. Raises
-    SettingsError if `path` is taken by something that is no link, or its folder cannot be written.
+    `path`: where the port appears. An existing link is replaced, anything else is left alone. Raises
+    SettingsError if `path` exists and is not a link, or its folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:

@@ -14,7 +14,7 @@ from hydro_sim.emulator.truth import effects as kinds
 
 @dataclass(frozen=True, kw_only=True)
 class TruthBench:
-    """The truth's own copy of the bench; effects come on top of it."""
+    """Nominal parameters of the truth plant, independent of `model.bench`; effects are added to them."""
 
     bulk_modulus: Annotated[float, quantity("Pa", 1e7, 1e10)] = 1.34e9
     piston_area: Annotated[float, quantity("m2", 1e-6, 1.0)] = 2e-4
@@ -38,7 +38,7 @@ class TruthBench:
 
 @dataclass(frozen=True, kw_only=True)
 class TruthSensors:
-    """Noise as standard deviations of one sample, the encoder's step, and the ages of the rates that the box makes.
+    """Noise as standard deviations of one sample, the encoder's step, and the ages of the box's rates.
 
     The differentiation is the box's, not the bench's: it is the code of `hydro_sim.model.sensors`, as for every plant.
     """
@@ -62,7 +62,7 @@ class TruthConfig:
 
 
 def profile(name: str) -> TruthConfig:
-    """Return a predefined truth: `nominal` (no effects) or `default` (the contract's truth plant)."""
+    """Return a predefined truth: `nominal` (no effects) or `default` (valve lag, friction, leakage, load cell lag)."""
     if name == "nominal":
         return TruthConfig()
     if name != "default":
@@ -83,7 +83,7 @@ def truth_from_mapping(data: Mapping[str, Any], where: str = "truth", bench: Tru
 
     `data`: keys `profile` (nominal | default, the default), `bench`, `sensors`, `effects`, `outside`. The last four
     change single entries of the profile: an effect given replaces the profile's, `null` turns it off. `where`: name of
-    the source, for messages. `bench`: in the place of the profile's. Raises SettingsError: on an unknown key, a wrong
+    the source, for messages. `bench`: replaces the profile's. Raises SettingsError: on an unknown key, a wrong
     type, or a value outside its range.
     """
     sections = ("bench", "sensors", "effects", "outside")

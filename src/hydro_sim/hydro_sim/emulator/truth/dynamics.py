@@ -7,7 +7,7 @@
 The bristle deflection and the spring's dragged end are advanced once per step, between the steps of the others.
 
 Oil. A chamber's state is its *content* W [m3]: the volume that its oil, free air included, would fill at zero gauge
-pressure. Mass is conserved exactly, and pressure follows from how far the content is squeezed::
+pressure. Mass is conserved exactly, and pressure follows from the content's compression::
 
     V + c p = W v(p)        v(p) = (1 - phi) exp(-p / beta) + phi (p_0 / (p_0 + p))^(1/n)
 
@@ -62,7 +62,7 @@ def pressure_of(p, content, volume, guess):
 
 @njit
 def content_of(p, pressure, volume):
-    """Content [m3] that gives `pressure` [Pa] in `volume` [m3]."""
+    """Return the content [m3] that gives `pressure` [Pa] in `volume` [m3]."""
     v, _ = specific_volume(p, pressure)
     return (volume + p.wall_compliance * pressure) / v
 
@@ -152,7 +152,7 @@ def dry_friction(p, velocity, bristle, level, other_force):
         return -p.bristle_stiffness * bristle - p.bristle_damping * slip * math.exp(-((velocity / 0.01) ** 2))
     if p.friction_form == SMOOTH:
         return -level * velocity / math.sqrt(velocity * velocity + ROUNDING * ROUNDING)
-    # static: whatever brings the mass to rest within the substep, as far as friction reaches
+    # static: the force that brings the mass to rest within the substep, limited to friction's level
     holding = -(p.mass * velocity / SUBSTEP + other_force)
     return min(max(holding, -level), level)
 
@@ -217,7 +217,7 @@ TRUTH_STATE_DTYPE = np.dtype(
         ("hydraulic_force_rate", np.float64),  # N/s, over the last step
         ("load_force_rate", np.float64),
         ("friction_force", np.float64),  # N, dry and viscous, against motion
-        ("draw", np.float64),  # m3/s, what the valve takes from the supply
+        ("draw", np.float64),  # m3/s, flow from the supply into the valve
         ("commands", np.float64, (DELAY_SAMPLES,)),  # A, ring of past commands
         ("sample", np.int64),
     ]
@@ -227,7 +227,7 @@ TRUTH_STATE_DTYPE = np.dtype(
 
 @njit
 def rest_state(p, state):
-    """Put the bench at rest: spring relaxed, spool at null, pressures where small motions to both sides leave them."""
+    """Put the bench at rest: spring relaxed, no current, pressures at which small motions in both directions settle."""
     ratio = p.area_b / p.area_a
     state.y[:] = 0.0
     state.y[POSITION] = state.spring_end = p.rest

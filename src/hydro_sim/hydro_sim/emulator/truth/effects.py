@@ -29,7 +29,7 @@ class FrictionCoulomb:
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionViscous:
-    """Change of the viscous coefficient against the bench."""
+    """Change of the viscous coefficient relative to the bench."""
 
     coefficient: Annotated[float, quantity("N s/m", -1000.0, 5000.0)]
 
@@ -53,7 +53,7 @@ class FrictionPresliding:
 
 @dataclass(frozen=True, kw_only=True)
 class LeakageInternal:
-    """Flow from chamber A to chamber B. `orifice` goes with the root and meets `laminar` at 5 MPa."""
+    """Flow from chamber A to B. `orifice` follows the root of the pressure drop, equal to `laminar` at 5 MPa."""
 
     coefficient: Annotated[float, quantity("m3/s/Pa", 0.0, 1e-10)]
     form: Literal["laminar", "orifice"] = "laminar"
@@ -174,7 +174,7 @@ class Backlash:
 
 @dataclass(frozen=True, kw_only=True)
 class MovingMass:
-    """Change of the moving mass against the bench."""
+    """Change of the moving mass relative to the bench."""
 
     mass: Annotated[float, quantity("kg", -1.0, 20.0)]
 
@@ -188,7 +188,7 @@ class ValveGainDrift:
 
 @dataclass(frozen=True, kw_only=True)
 class EndCushion:
-    """Spring that meets the piston beyond `position`, towards the nearer end. `quadratic` meets `linear` 5 mm in."""
+    """Spring beyond `position`, towards the nearer end. `quadratic` has the force of `linear` at a depth of 5 mm."""
 
     position: Annotated[float, quantity("m", 0.0, 1.0)]
     stiffness: Annotated[float, quantity("N/m", 0.0, 1e6)]
@@ -204,7 +204,7 @@ class ForceOffset:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorLag:
-    """Low-pass in a sensor's amplifier, by its natural frequency; on load_force it takes the place of the bench's."""
+    """Low-pass in a sensor's amplifier, by its natural frequency; on load_force it replaces the bench's own."""
 
     bandwidth: Annotated[float, quantity("Hz", 2.0, 2000.0)]
     sensor: SensorName = "load_force"
@@ -290,7 +290,7 @@ class FrictionPressure:
 
 @dataclass(frozen=True, kw_only=True)
 class SpringHysteresis:
-    """Bouc-Wen element beside the spring: force w, w' = (v - (|v| |w|^(n-1) w + v |w|^n) / 2) / deflection."""
+    """Bouc-Wen element parallel to the spring: force w, w' = (v - (|v| |w|^(n-1) w + v |w|^n) / 2) / deflection."""
 
     force: Annotated[float, quantity("N", 0.0, 500.0)]
     deflection: Annotated[float, quantity("m", 1e-4, 0.05)] = 1e-3
@@ -299,7 +299,7 @@ class SpringHysteresis:
 
 @dataclass(frozen=True, kw_only=True)
 class ValveTemperature:
-    """The valve's gain warms up: 1 + change (1 - exp(-t / time_constant))."""
+    """Change of the valve's gain as it warms up: 1 + change (1 - exp(-t / time_constant))."""
 
     change: Annotated[float, quantity("-", -0.9, 5.0)]
     time_constant: Annotated[float, quantity("s", 0.1, 1e4)] = 10.0
@@ -314,7 +314,7 @@ class ValveUnderlap:
 
 @dataclass(frozen=True, kw_only=True)
 class CellCrosstalk:
-    """A chamber's pressure strains a load cell."""
+    """Crosstalk of a chamber's pressure into a load cell."""
 
     coefficient: Annotated[float, quantity("N/Pa", -1e-3, 1e-3)]
     chamber: Literal["a", "b"] = "a"

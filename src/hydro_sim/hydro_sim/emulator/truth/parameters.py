@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One flat record of numbers for the compiled plant, made from a `TruthConfig`."""
+"""Parameters of the compiled truth plant: one flat record made from a `TruthConfig`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SAME = kinds.TrueRatio(ratio=1.0)
 
 
 def compile_parameters(config: TruthConfig) -> npt.NDArray[np.void]:
-    """Return the numbers of the compiled plant, SI units: one record, shape (1,). An absent effect is a neutral one."""
+    """Return the parameters of the compiled plant, SI units: one record, shape (1,); absent effects are neutral."""
     numbers = _hydraulics(config) | _valve(config) | _friction(config) | _load(config) | _sensors(config)
     kind = np.dtype([(name, np.float64, np.shape(value)) for name, value in numbers.items()])
     return np.array([tuple(numbers.values())], kind)

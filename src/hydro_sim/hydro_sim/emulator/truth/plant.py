@@ -27,17 +27,17 @@ TRUTH_FIELDS = (
     "supply_pressure",  # Pa
     "valve_draw",  # m3/s, from the supply
 )
-"""Columns of the physical log: the state before any sensor, then what no sensor sees."""
+"""Columns of the physical log: the state before any sensor, then quantities that no sensor measures."""
 
 CHAIN_DTYPE = np.dtype(
     [
         ("lagged", np.float64, (5,)),  # the five readings behind their amplifiers, order of effects.SENSORS
         ("lag_rate", np.float64, (5,)),
-        ("before", np.float64, (5,)),  # what went into the amplifiers a substep ago
+        ("before", np.float64, (5,)),  # the amplifiers' inputs a substep ago
         ("now", np.float64, (5,)),
         ("noisy_last", CONDITIONING_DTYPE),
         ("clean_last", CONDITIONING_DTYPE),
-        ("measurement", np.float64, (8,)),  # x as the box has it
+        ("measurement", np.float64, (8,)),  # x as the box measures it
         ("clean", np.float64, (8,)),  # the same without noise and quantisation
     ]
 )
@@ -77,7 +77,7 @@ def advance_amplifiers(p, state, chain):
 
 @njit
 def read_sensors(p, box, chain, noise, first):
-    """Read one sample of the box into `measurement` and `clean` of `chain`; `first`: that of a bench at rest."""
+    """Read one sample of the box into `measurement` and `clean` of `chain`; `first`: of a bench at rest, rates 0."""
     raw = np.empty(5)
     for i in range(5):
         raw[i] = p.sensor_gain[i] * chain.lagged[i] + p.sensor_bias[i]

@@ -14,9 +14,9 @@
 
 Everything else follows from these lines: simulation, C source, exact derivatives by state and parameters, and the cause
 that the diagnosis looks for. While a model is assembled, a term is called once, and parameters and states are CasADi's
-symbols; the diagnosis and the filter call it with numbers and arrays. A term changes what it is given and returns it,
+symbols; the diagnosis and the filter call it with numbers and arrays. A term modifies its argument and returns it,
 so that effects of one kind add up in the order of the bench file. Hidden states are of two kinds: integrated ones have
-a rate (`rates`); the others are moved on where an integration step ends, by `self.next[...]`.
+a rate (`rates`); discrete ones are updated at the end of an integration step, by `self.next[...]`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hydro_sim.model.equations import Symbol
 
 @dataclass(frozen=True, kw_only=True)
 class FitParameter:
-    """A parameter as a fit sees it: bounds, start values, and the smallest size worth claiming."""
+    """Specification of a fitted parameter: bounds, start values, and the smallest size that is reported."""
 
     name: str
     unit: str
@@ -41,15 +41,15 @@ class FitParameter:
     probes: tuple[float, ...]
     """Start values, within the bounds."""
     smallest: float = 0.0
-    """Distance from `neutral` below which a difference is not worth claiming; 0 for shape parameters."""
+    """Distance from `neutral` below which a difference is not reported; 0 for shape parameters."""
     systematic: float = 0.003
     """For a shape parameter: relative error that the residuals' own discretisation may cause."""
     reported: bool = True
-    """False for shape parameters that are fitted but not part of the contract."""
+    """Whether it is reported; False for shape parameters that are only fitted."""
 
     @property
     def span(self) -> float:
-        """The natural step of this parameter."""
+        """Typical step of the parameter: largest distance of a start value from `neutral`."""
         return max(abs(probe - self.neutral) for probe in self.probes) or abs(self.neutral)
 
 
@@ -64,9 +64,9 @@ class Parameter:
     neutral: float
     """Value at which the effect vanishes."""
     scale: float
-    """A typical size: the standard deviation of the prior."""
+    """Typical size: the standard deviation of the prior."""
     fit: FitParameter | None = None
-    """As the diagnosis fits it; None: the effect is not one of its causes."""
+    """Specification of the diagnosis' fit; None: the effect is not one of its causes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,17 +76,17 @@ class Hidden:
     name: str
     unit: str
     scale: float
-    """A typical size."""
+    """Typical size."""
     integrated: bool
-    """Whether it has a rate; else it is moved on at the end of a step."""
+    """Whether it has a rate; else it is updated at the end of a step."""
     starts: str = ""
-    """Signal whose value it has on a still bench (a true reading, or `spool` [A]); empty: 0."""
+    """Signal whose value it has on a bench at rest (a true reading, or `spool` [A]); empty: 0."""
 
 
 def parameter(
     unit: str, low: float, high: float, *, scale: float, neutral: float = 0.0, fit: Mapping[str, Any] | None = None
 ) -> Any:
-    """Declare a parameter; its name is the attribute's. `fit`: by `fit`, of a cause that the diagnosis looks for."""
+    """Declare a parameter, named by its attribute. `fit`: of `fit`, if the effect is one of the diagnosis' causes."""
     about: dict[str, Any] = {"name": "", "unit": unit, "low": low, "high": high, "neutral": neutral}
     return Parameter(**about, scale=scale, fit=FitParameter(**{**about, **fit}) if fit else None)
 
@@ -97,7 +97,7 @@ def fit(*probes: float, smallest: float = 0.0, **more: Any) -> dict[str, Any]:
 
 
 def hidden(unit: str, *, scale: float, integrated: bool = False, starts: str = "") -> Any:
-    """Declare a hidden state; its name is the attribute's."""
+    """Declare a hidden state, named by its attribute."""
     return Hidden(name="", unit=unit, scale=scale, integrated=integrated, starts=starts)
 
 
@@ -119,29 +119,29 @@ class EffectContext:
     """Quantities of the model that an effect's terms may use."""
 
     numbers: Any
-    """The bench's numbers, by their names in bench.yaml, and `valve_gain` (K_v)."""
+    """The bench's parameters, by their names in bench.yaml, and `valve_gain` (K_v)."""
     step: float
-    """s, an integration step."""
+    """Length of an integration step [s]."""
     once: Callable[[Symbol], Symbol]
-    """Mark what depends on parameters alone: it is computed when these change, not in every step."""
+    """Marks an expression of parameters alone: it is evaluated when they change, not in every step."""
     dry_level: Callable[[Symbol], Symbol]
     """Dry friction [N] of all effects, at a velocity [m/s]."""
     began: Symbol = 0.0
-    """m, piston position where the present step began."""
+    """m, piston position at the begin of the present step."""
     position: Symbol = 0.0
-    """m, of the piston at the instant whose rates are written."""
+    """m, of the piston at the instant whose rates are evaluated."""
     velocity: Symbol = 0.0
     """m/s, at that instant."""
     pressures: tuple[Symbol, Symbol] = (0.0, 0.0)
     """p_a, p_b [Pa] at that instant."""
     load_force: Symbol = 0.0
-    """N, that the load cell's amplifier shows at that instant."""
+    """N, output of the load cell's amplifier at that instant."""
     acceleration: Symbol = 0.0
     """x'' [m/s2] where sensors are read."""
     spool: Symbol = 0.0
     """Mean position of the spool [A] over the step."""
     current: Symbol = 0.0
-    """A, that the box holds over the sample."""
+    """Valve current [A] that is held over the sample."""
 
 
 class Effect:
@@ -151,28 +151,28 @@ class Effect:
     equations: tuple[str, ...] = ()
     """Equations in which it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
     balances: ClassVar[frozenset[str]] = frozenset()
-    """Balances in which it shows (pressure, motion, load, hydraulic), if not those of its equations."""
+    """Balances whose residuals it changes (pressure, motion, load, hydraulic), if not those of its equations."""
     family: ClassVar[str] = ""
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
-    """Ids of effects without which this one does nothing."""
+    """Ids of effects that this one requires: without them it has no influence."""
     scales: ClassVar[str] = ""
-    """Number of the bench file that times its `ratio` is the same, if it acts in another place; empty if none."""
+    """Parameter of the bench file to whose scaling its `ratio` is equivalent; empty if none."""
     says: str = ""
-    """`sentence`, with the parameters by name in the units of `display_unit`, and the `effect`; `size` of the first
-    parameter, and whether that is `more` or less than nothing."""
+    """Template of `sentence`, with the parameters by name in the units of `display_unit`, and the `effect`; `size` of
+    the first parameter, and whether that is `more` or less than 0."""
     shown: ClassVar[Mapping[str, float]] = {}
     """Factors of parameters in the sentence, if not those of `display_unit`."""
     options: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Keys of an entry beside its parameters (chamber, cell, sensor, form), and their possible values."""
+    """Keys of an entry besides its parameters (chamber, cell, sensor, form), and their possible values."""
     single: ClassVar[bool] = False
     """Whether a bench can have only one."""
     late: ClassVar[bool] = False
-    """Whether its `command` comes after all others: edges open where the spool is, whatever the order of the file."""
+    """Whether its `command` is applied after all others, in any order of the file: it acts at the edges."""
     depends_on_acceleration: ClassVar[bool] = False
     """Whether its term depends on the piston's acceleration."""
     all_edges: ClassVar[bool] = False
-    """Whether both edges of a chamber may be open at a time."""
+    """Whether both edges of a chamber may be open at the same time."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     states: ClassVar[tuple[Hidden, ...]] = ()
 
@@ -206,10 +206,10 @@ class Effect:
         """Return whether the class overrides a term."""
         return getattr(cls, term) is not getattr(Effect, term)
 
-    # --- what the diagnosis asks of a cause --------------------------------------------------------------------------
+    # --- interface of the diagnosis' causes --------------------------------------------------------------------------
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
-        """Return the parameters as they are fitted relative to a bench file; empty: it is no cause."""
+        """Return the parameters as they are fitted relative to a bench file; empty: it is no cause of the diagnosis."""
         fitted = [one.fit for one in self.parameters if one.fit]
         return tuple(fitted) if len(fitted) == len(self.parameters) else ()
 
@@ -224,7 +224,7 @@ class Effect:
     # --- terms, on the way from the bench file to the reading -------------------------------------------------------
 
     def correct(self, n: Any) -> None:
-        """Correct numbers of the bench file in place."""
+        """Correct parameters of the bench file in place."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         """Return the hidden states at rest by name, 0 if absent; `signals`: true readings, and `spool` [A]."""
@@ -271,7 +271,7 @@ class Effect:
         return {}
 
     def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
-        """Return output and state rates in continuous time for a command or sensor signal, for other solvers."""
+        """Return output and state rates in continuous time for a command or sensor signal, for external solvers."""
         raise NotImplementedError
 
     def advance_states(self, position: Symbol, velocity: Symbol) -> None:

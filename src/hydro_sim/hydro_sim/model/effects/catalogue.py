@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every effect that a bench file may hold, by id and options.
+"""Catalogue of the effects of bench files, by id and options.
 
-An entry of `effects` in bench.yaml is `{id: ..., <option>: ..., parameters: {name: number}}`. Effects that were grown
-from laws stand beside those of the table.
+An entry of `effects` in bench.yaml is `{id: ..., <option>: ..., parameters: {name: number}}`. Grown effects
+(`model.effects.grown`) are included.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Kind:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its parameters."""
+        """Parameters of the effect."""
         return self.effect.parameters
 
     def make(self) -> Effect:
@@ -46,7 +46,7 @@ class Kind:
         return self.effect(**dict(self.chosen))
 
     def bound(self, values: Mapping[str, Any], **context: Any) -> Any:
-        """Create an instance whose terms are called with numbers: its parameters' values, and fields of `at`."""
+        """Create an instance for calls of its terms with numbers: its parameters' values, and fields of `at`."""
         made = object.__new__(self.effect)
         made.__dict__ = {**self._unbound, **values, "next": {}, "at": SimpleNamespace(**context)}
         return made

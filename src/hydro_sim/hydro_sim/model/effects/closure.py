@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closures: laws and tables of `model.grammar` as effects, and the laws that have an id (`model.effects.grown`).
 
-A closure's class is put together: where its law acts, one base for each equation, and what it remembers.
+A closure's class combines the equation in which its law acts, with one base for each, and the law's memory.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Closure(Effect):
 
 
 class MotionClosure(Closure):
-    """A force against the motion."""
+    """Closure as a force against the motion."""
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         pressure_a, pressure_b = self.at.pressures
@@ -72,7 +72,7 @@ class MotionClosure(Closure):
 
 
 class FlowClosure(Closure):
-    """A leakage flow out of the chambers, parallel to the valve."""
+    """Closure as a leakage flow out of the chambers, parallel to the valve."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         at = Signals(
@@ -83,7 +83,7 @@ class FlowClosure(Closure):
 
 
 class EdgeClosure(Closure):
-    """A blocked share of the flow through the valve's edges."""
+    """Closure as a blocked share of the flow through the valve's edges."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
@@ -93,7 +93,7 @@ class EdgeClosure(Closure):
 
 
 class SpoolShiftClosure(Closure):
-    """Shift of the spool at the edges, as a function of pressures, velocity, position or current."""
+    """Closure as a shift of the spool at the edges, by pressures, velocity, position or current."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
@@ -102,21 +102,21 @@ class SpoolShiftClosure(Closure):
 
 
 class LoadMassClosure(Closure):
-    """A mass that the load drags along."""
+    """Closure as a mass that moves with the load."""
 
     def inertia(self, position: Symbol) -> Symbol:
         return self._value(Signals(position, self.at.velocity, acceleration=1.0))
 
 
 class LoadClosure(Closure):
-    """A force of the load."""
+    """Closure as a force of the load."""
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
         return force + self._value(Signals(position, self.at.velocity, memory=self._final_memory_state(position)))
 
 
 class SensorClosure(Closure):
-    """Error of a sensor; `held`: valve current at the reading, where the error depends on it."""
+    """Closure as a sensor's error; `held`: valve current at the reading, if the error depends on it."""
 
     def advance_states(self, position: Symbol, velocity: Symbol) -> None:
         self.next["held"] = self.at.current
@@ -132,7 +132,7 @@ class SensorClosure(Closure):
 
 
 class ValveClosure(Closure):
-    """A law of the spool's position."""
+    """Closure as a shift of the spool, by its position."""
 
     late = True
 
@@ -140,7 +140,7 @@ class ValveClosure(Closure):
         return spool + self._value(Signals(current=spool, memory=self._final_memory_state(spool)))
 
 
-# --- what they remember ----------------------------------------------------------------------------------------------
+# --- memory ----------------------------------------------------------------------------------------------------------
 
 
 class LagClosure(Closure):
@@ -198,10 +198,10 @@ _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
 _ACTING = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure,
            "edges": EdgeClosure, "across": SpoolShiftClosure}  # fmt: skip
-"""By the equation, or by where at the valve; other equations are those of flows."""
+"""Bases by the equation, or by `where` at the valve; other equations are those of flows."""
 _FOLLOWED = {"position": ("m", 1e-2), "current": ("A", 1e-3), "opening": ("A", 1e-3), "force": ("N", 100.0),
              "speed": ("m/s", 0.05), "velocity": ("m/s", 0.05), "time": ("-", 1.0)}  # fmt: skip
-"""Unit and typical size of the signals that elements follow; others are pressures."""
+"""Unit and typical size of the signals that drive memory elements; others are pressures."""
 
 
 def closure_class(law: Law | Table) -> type[Closure]:
@@ -213,7 +213,7 @@ def closure_class(law: Law | Table) -> type[Closure]:
         over = tables.VARIABLES[law.variable]
         members |= {name: parameter(over, -BOUND_MAX, BOUND_MAX, scale=1.0) for name in ("low", "high")}
     else:
-        for one in law.numbers:  # the recorded velocity is smoothed, so that over which a law reverses is known less
+        for one in law.numbers:  # the recorded velocity is smoothed: a reversal velocity is estimated less precisely
             middle = one.probes[len(one.probes) // 2]
             low, high = (-BOUND_MAX, BOUND_MAX) if one.over else (0.1 * one.probes[0], 10.0 * one.probes[-1])
             fitted = fit(*one.probes, systematic=0.6 if one.name == REVERSAL_VELOCITY.name else 0.01)
@@ -247,16 +247,16 @@ EFFECTS = tuple(closure_class(law) for law in grammar.FORMS.values())
 # --- laws that have an id --------------------------------------------------------------------------------------------
 
 _SMALLEST = 0.01
-"""Smallest coefficient worth claiming, as a share of what was seen."""
+"""Smallest reported coefficient, as a share of the observed one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NamedLaw:
-    """One effect of the bench: a law, its id, and the bounds of its parameters."""
+    """Law as an effect with an id, and the bounds of its parameters."""
 
     id: str
     law: Law
-    """Its typical coefficient and the probes of its further numbers are those that were seen."""
+    """Law with the observed values as its typical coefficient and as probes of its shape parameters."""
     bounds: Mapping[str, tuple[float, float]]
     """Lowest and highest value of each parameter, in the law's units."""
 

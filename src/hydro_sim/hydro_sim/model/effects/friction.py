@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction of the piston: Coulomb, Stribeck, viscous, presliding.
 
-How dry friction holds is part of the model (`model.rates`); its effects give the level at which it yields. With
-bristles nothing holds: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry
+Sticking by dry friction is part of the model (`model.rates`); the effects give its breakaway level. With bristles
+nothing sticks: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry
 et al. 1994, eq. 5; Dahl 1968.
 """
 
@@ -22,7 +22,7 @@ LEVEL_MIN = 1e-6
 STRONGEST = 5e3
 """Largest force [N] of a cause, unless the recorded machine is larger."""
 HEAVIEST = 1e6
-"""Largest damping [N s/m], the same."""
+"""Largest damping [N s/m] of a cause, unless the recorded machine is larger."""
 
 
 class _Friction(Effect):
@@ -31,7 +31,7 @@ class _Friction(Effect):
 
 
 class FrictionCoulomb(_Friction):
-    """Constant force against the motion."""
+    """Coulomb friction: a constant force against the motion."""
 
     id = "friction_coulomb"
     says = "Dry friction of {force:.3g} N works against the motion at every speed."
@@ -42,7 +42,7 @@ class FrictionCoulomb(_Friction):
 
 
 class FrictionCoulombDirectional(_Friction):
-    """One force while extending, another while retracting."""
+    """Coulomb friction with one level while extending, another while retracting."""
 
     id = "friction_coulomb"
     options = {"form": ("directional",)}
@@ -76,7 +76,7 @@ _VISCOUS = fit(30.0, smallest=1.5, low=-HEAVIEST, high=HEAVIEST)
 
 
 class FrictionViscousDirectional(_Friction):
-    """A change of b while extending, another while retracting."""
+    """Change of the viscous friction b while extending, and another while retracting."""
 
     id = "friction_viscous"
     options = {"form": ("directional",)}
@@ -97,7 +97,7 @@ class FrictionViscousDirectional(_Friction):
 
 
 class FrictionPresliding(_Friction):
-    """Bristles that bend before they slide, at the level of the other dry friction."""
+    """Presliding: bristles that deflect until they slide at the level of the other dry friction."""
 
     id = "friction_presliding"
     says = "Before it slides the piston deflects elastically with {stiffness:.3g} N/m."

@@ -5,8 +5,8 @@
 
     s'' + 2 D w s' + w^2 s = w^2 u          state (s, s'), w = 2 pi bandwidth
 
-    held      u constant over the step
-    straight  u a straight line over the step
+    step_zero_order_hold     u constant over the step
+    step_first_order_hold    u linear over the step
 
 The exponential of the system's matrix is a Taylor series over a 2^-SQUARINGS-th of the step, squared that often: it is
 smooth in bandwidth and damping, where the closed form changes its kind at a damping of 1. It holds to rounding up to
@@ -29,7 +29,7 @@ Pair = tuple[Symbol, Symbol]
 def step_zero_order_hold(
     at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol
 ) -> tuple[Pair, Symbol]:
-    """Return the state after a sample under a zero-order hold of the input, and the mean of s over the sample."""
+    """Return the state after a step under a zero-order hold of the input, and the mean of s over the step."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
     # s, s'/w, the signal, the integral of s: time in units of 1/w
@@ -44,7 +44,7 @@ def step_zero_order_hold(
 def step_first_order_hold(
     at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Symbol, late: Symbol
 ) -> Pair:
-    """Return the state after a sample under a first-order hold of the input, from `early` to `late`."""
+    """Return the state after a step under a first-order hold of the input, from `early` to `late`."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
     # s, s'/w, the signal, its slope: time in units of 1/w

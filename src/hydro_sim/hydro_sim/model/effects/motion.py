@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects on the piston's motion beside friction: constant force, cushions, load."""
+"""Effects on the piston's motion besides friction: constant force, cushions, load."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ForceOffset(Effect):
 
 
 class EndCushion(Effect):
-    """A spring, or one that hardens, before either end of the stroke."""
+    """Cushion at one end of the stroke: a spring with a force linear or quadratic in its depth."""
 
     id = "end_cushion"
     options = {"form": ("end", "start", "end-quadratic", "start-quadratic")}
@@ -46,7 +46,7 @@ class EndCushion(Effect):
         return f"The piston runs into a cushion of {{stiffness:.3g}} N/m {side} {{position:.4g}} mm."
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
-        """On its own half of the stroke: beyond, it would be an offset and a softer spring over the whole range."""
+        """Limit the position to the cushion's half of the stroke: beyond, it would be an offset and a softer spring."""
         stiffness, position = super().fitted_parameters(bench)
         stroke, middle, shares = bench.stroke, 0.5 * bench.stroke, (0.575, 0.625, 0.675)
         low, high = (middle, stroke) if self.form.startswith("end") else (0.0, middle)
@@ -65,7 +65,7 @@ class _Load(Effect):
 
 
 class SpringHardening(_Load):
-    """A cubic part of the load's spring."""
+    """Cubic term of the load's spring force."""
 
     id = "spring_hardening"
     coefficient = parameter("N/m3", -1e11, 1e11, scale=1e7, fit=fit(5e6, smallest=1e5, low=-1e10, high=1e10))
@@ -80,7 +80,7 @@ class SpringHardening(_Load):
 
 
 class Backlash(_Load):
-    """A gap around the spring's rest, in which it carries nothing."""
+    """Gap around the spring's rest position, within which the spring carries no force."""
 
     id = "backlash"
     says = "The load has {width:.3g} mm of lost motion around the spring's rest position."

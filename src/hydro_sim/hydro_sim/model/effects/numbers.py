@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong values of the bench file, applied in the order of the file and kept within the bench's ranges."""
+"""Corrections of the bench file's parameters, in the order of the file, clipped to the parameters' ranges."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hydro_sim.model.effects.friction import HEAVIEST
 
 
 class Correction(Effect):
-    """A number of the bench file is wrong."""
+    """Correction of a parameter of the bench file."""
 
     number: str
-    """Its name in bench.yaml."""
+    """Name of the parameter in bench.yaml."""
 
 
 class Change(Correction):
-    """Additive change of a number of the bench file; the changed number stays above zero."""
+    """Additive correction of a parameter of the bench file; the corrected parameter stays above zero."""
 
     least: ClassVar[float] = 1.0
-    """Share of the file's value that may be missing."""
+    """Largest share of the file's value that the correction may subtract."""
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         (change,) = super().fitted_parameters(bench)
@@ -34,7 +34,7 @@ class Change(Correction):
 
 
 class TrueValue(Correction):
-    """The true value; its probe is the distance from the file's."""
+    """Correction by the parameter's true value; the start value of its fit is relative to the file's."""
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         (true,) = super().fitted_parameters(bench)
@@ -46,10 +46,10 @@ class TrueValue(Correction):
 
 
 class Ratio(Correction):
-    """The true value over the file's."""
+    """Correction by the ratio of the parameter's true value to the file's."""
 
     words: str
-    """The number in words."""
+    """The parameter in words."""
     says = "The {effect.words} is {ratio:.4g} times what the bench file says."
 
     def correct(self, n: Any) -> None:
@@ -57,12 +57,12 @@ class Ratio(Correction):
 
 
 def ratio_parameter(scale: float, *, smallest: float = 0.003, low: float = 0.3, high: float = 3.0) -> Any:
-    """Declare the ratio of a number's true value to the file's."""
+    """Declare the ratio of a parameter's true value to the file's."""
     return parameter("-", 0.01, 100.0, scale=scale, neutral=1.0, fit=fit(0.95, smallest=smallest, low=low, high=high))
 
 
 class FrictionViscous(Change):
-    """b + db instead of b."""
+    """Correction of the viscous friction: b + db."""
 
     id, number = "friction_viscous", "viscous_friction"
     equations = ("motion",)
@@ -73,7 +73,7 @@ class FrictionViscous(Change):
 
 
 class MovingMass(Change):
-    """m + dm instead of m."""
+    """Correction of the moving mass: m + dm."""
 
     id, number = "moving_mass", "moving_mass"
     equations = ("motion",)
@@ -84,7 +84,7 @@ class MovingMass(Change):
 
 
 class SpringStiffness(Ratio):
-    """Wrong k_s in the bench file."""
+    """Ratio of the spring stiffness k_s to the bench file's."""
 
     id, number = "spring_stiffness", "spring_stiffness"
     equations = ("load",)
@@ -94,7 +94,7 @@ class SpringStiffness(Ratio):
 
 
 class SpringRest(TrueValue):
-    """Wrong rest position of the spring in the bench file."""
+    """True rest position of the spring."""
 
     id, number = "spring_rest", "spring_rest_position"
     equations = ("load",)
@@ -104,7 +104,7 @@ class SpringRest(TrueValue):
 
 
 class SupplyPressure(Ratio):
-    """Wrong p_s in the bench file."""
+    """Ratio of the supply pressure p_s to the bench file's."""
 
     id, number, words = "supply_pressure", "supply_pressure", "supply pressure"
     equations = ("actuation",)
@@ -112,7 +112,7 @@ class SupplyPressure(Ratio):
 
 
 class TankPressure(TrueValue):
-    """Wrong p_t in the bench file."""
+    """True tank pressure p_t."""
 
     id, number = "tank_pressure", "tank_pressure"
     equations = ("actuation",)
@@ -122,7 +122,7 @@ class TankPressure(TrueValue):
 
 
 class PistonArea(Ratio):
-    """Wrong A_p in the bench file, and with it A_b = alpha A_p."""
+    """Ratio of the piston area A_p, and with it of A_b = alpha A_p, to the bench file's."""
 
     id, number, words = "piston_area", "piston_area", "piston area"
     equations = ("pressure_a", "pressure_b")
@@ -131,7 +131,7 @@ class PistonArea(Ratio):
 
 
 class AreaRatio(Ratio):
-    """Wrong alpha in the bench file."""
+    """Ratio of the area ratio alpha to the bench file's."""
 
     id, number, words = "area_ratio", "area_ratio", "ratio of the piston areas"
     equations = ("pressure_b",)
@@ -140,7 +140,7 @@ class AreaRatio(Ratio):
 
 
 class DeadVolume(Ratio):
-    """Wrong V_dead of a chamber in the bench file."""
+    """Ratio of a chamber's dead volume V_dead to the bench file's."""
 
     id = "dead_volume"
     options = {"chamber": ("a", "b")}

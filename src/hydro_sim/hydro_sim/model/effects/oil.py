@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supply, leaks and stiffness of the oil. Source: Merritt 1967, sections 2-6 and 3-3."""
+"""Supply, leakage and stiffness of the oil. Source: Merritt 1967, sections 2-6 and 3-3."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LAMINAR = fit(1e-13, smallest=1e-15, high=1e-10)
 
 
 class SupplyDroop(Effect):
-    """The supply falls with the flow that leaves it, after a lag of first order: T p_d' + p_d = R q_s."""
+    """Droop p_d of the supply pressure by the flow q_s drawn, with a first-order lag: T p_d' + p_d = R q_s."""
 
     id = "supply_droop"
     equations = ("actuation",)
@@ -39,7 +39,7 @@ class SupplyDroop(Effect):
 
 
 class LeakageInternal(Effect):
-    """Laminar flow between the chambers."""
+    """Laminar leakage between the chambers."""
 
     id = "leakage_internal"
     equations = _CHAMBERS
@@ -53,7 +53,7 @@ class LeakageInternal(Effect):
 
 
 class LeakageInternalOrifice(LeakageInternal):
-    """Flow between the chambers through a sharp edge."""
+    """Leakage between the chambers through a sharp edge."""
 
     options = {"form": ("orifice",)}
     says = "Oil leaks between the chambers as through a sharp edge, {coefficient:.3g} ml/s at 5 MPa between them."
@@ -65,7 +65,7 @@ class LeakageInternalOrifice(LeakageInternal):
 
 
 class LeakageExternal(Effect):
-    """Laminar flow from a chamber to the tank."""
+    """Laminar leakage from a chamber to the tank."""
 
     id = "leakage_external"
     options = {"chamber": ("a", "b")}
@@ -85,7 +85,7 @@ class LeakageExternal(Effect):
 
 
 class BulkModulus(Effect):
-    """Wrong beta in the bench file, at all pressures."""
+    """Ratio of the bulk modulus beta to the bench file's, at all pressures."""
 
     id = "bulk_modulus"
     equations = _CHAMBERS
@@ -99,7 +99,7 @@ class BulkModulus(Effect):
 
 
 class EntrainedAir(Effect):
-    """Volumes o of oil and g of polytropic air, compressed in parallel: (o + g) / (o / beta + g / (n p))."""
+    """Modulus of volumes o of oil and g of polytropic air, compressed together: (o + g) / (o / beta + g / (n p))."""
 
     id = "entrained_air"
     equations = _CHAMBERS
@@ -118,7 +118,7 @@ class EntrainedAir(Effect):
 
 
 class EntrainedAirIsothermal(EntrainedAir):
-    """Air that keeps its temperature: n = 1."""
+    """Isothermal compression of the air: n = 1."""
 
     options = {"form": ("isothermal",)}
     exponent = 1.0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensor effects: lags, gains and biases of the five sensors, before noise.
 
-Low-passes come first, then gains and biases in the order of the bench file: a linear lag with a gain of one may change
-places with both.
+Low-passes come first, then gains and biases in the order of the bench file: a linear lag with unit gain commutes
+with both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SENSORS = {
 
 
 class Sensor(Effect):
-    """An error of one sensor."""
+    """Error of one sensor."""
 
     equations = ("sensor",)
 
@@ -36,10 +36,10 @@ class Sensor(Effect):
 
 
 class SensorLag(Sensor):
-    """A low-pass of second order, exact for a signal that is straight within a step.
+    """Second-order low-pass of a sensor's amplifier, exact for a signal that is linear within a step.
 
-    At the load it replaces the one that the bench file states. Of a pressure sensor bandwidth and damping trade off:
-    only 2 D/w is known better.
+    For the load cell it replaces the amplifier of the bench file. For a pressure sensor bandwidth and damping trade
+    off: only 2 D/w is well determined.
     """
 
     id = "sensor_lag"
@@ -77,7 +77,7 @@ class SensorLag(Sensor):
 
 
 class LoadCellGain(Sensor):
-    """A load cell's scale is wrong."""
+    """Gain error of a load cell."""
 
     id = "load_cell_gain"
     options = {"cell": ("hydraulic_force", "load_force")}
@@ -94,7 +94,7 @@ class _Bias(Sensor):
 
 
 class LoadCellBias(_Bias):
-    """A load cell's zero is wrong."""
+    """Zero offset of a load cell."""
 
     id = "load_cell_bias"
     options = {"cell": ("hydraulic_force", "load_force")}

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the valve current to the four edges: dead time, spool, overlap, gain, wear.
+"""Valve effects from the current to the four edges: dead time, spool, overlap, gain, wear.
 
-A step sees the spool's mean over the step: currents are held for a sample, so dead times and linear lags are exact on
+A step uses the spool's mean over the step: currents are held for a sample, so dead times and linear lags are exact on
 average. Source: Merritt 1967, sections 5-3 to 5-6.
 """
 
@@ -85,7 +85,7 @@ class ValveLagFirstOrder(_Valve):
 
 
 class ValveDeadband(_Valve):
-    """Overlap, the same on both sides: nothing flows while the spool is within it."""
+    """Symmetric overlap: nothing flows while the spool is within it."""
 
     id = "valve_deadband"
     says = "The valve does not open below {half_width:.3g} mA: its edges overlap."
@@ -97,7 +97,7 @@ class ValveDeadband(_Valve):
 
 
 class ValveDeadbandLopsided(ValveDeadband):
-    """Overlap, another on each side: the same as an even overlap and a shifted null, in one cause."""
+    """Overlap with a half width on each side: equivalent to a symmetric overlap and a null shift, in one cause."""
 
     options = {"form": ("lopsided",)}
     says = "The valve does not open between -{half_width_negative:.3g} mA and {half_width:.3g} mA: its edges overlap."
@@ -109,7 +109,7 @@ class ValveDeadbandLopsided(ValveDeadband):
 
 
 class ValveDeadbandSoft(ValveDeadband):
-    """Overlap whose edges open gradually: each side is a softplus of what exceeds the half width."""
+    """Overlap whose edges open gradually: each side is a softplus of the spool's excess over the half width."""
 
     options = {"form": ("soft",)}
     says = "The valve hardly opens below {half_width:.3g} mA: its edges overlap and open gradually."
@@ -123,7 +123,7 @@ class ValveDeadbandSoft(ValveDeadband):
 
 
 class ValveGain(_Valve):
-    """Wrong K_v in the bench file."""
+    """Ratio of the valve gain K_v to the bench file's."""
 
     id = "valve_gain"
     says = "The valve passes {ratio:.4g} times the flow that the bench file says."
@@ -135,7 +135,7 @@ class ValveGain(_Valve):
 
 
 class ValveGainAsymmetry(_Valve):
-    """Another K_v where the piston is driven back."""
+    """Ratio of K_v on the negative side, where the piston is driven back, to that on the positive side."""
 
     id = "valve_gain_asymmetry"
     says = "On its negative side the valve passes {ratio:.4g} times the flow of its positive side."
@@ -146,7 +146,7 @@ class ValveGainAsymmetry(_Valve):
 
 
 class ValveGainDrift(_Valve):
-    """K_v (1 + r t), t since reset or since a recording began."""
+    """Drift of the valve gain, K_v (1 + r t), with t since reset or since a recording began."""
 
     id = "valve_gain_drift"
     says = "The valve's gain changes while recording, by {rate:.3g} % per second."
@@ -160,7 +160,7 @@ class ValveGainDrift(_Valve):
 
 
 class ValveNullLeakage(_Valve):
-    """Worn edges leak around null, all four by c f(|u|/w); the form is the profile f."""
+    """Leakage of worn edges around null, of all four by c f(|u|/w); the form is the profile f."""
 
     id = "valve_null_leakage"
     options = {"form": ("exponential", "gaussian", "hyperbolic", "lorentzian")}

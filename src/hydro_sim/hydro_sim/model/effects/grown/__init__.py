@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grown effects: laws that `diagnose --grow` gave an id, one file each.
+"""Grown effects: laws with an id assigned by `diagnose --grow`, one file each.
 
-Of `<id>.yaml`::
+Content of `<id>.yaml`::
 
     law: {equation: motion, form: quadratic drag}      a row of `model.grammar`
     sentence: ...                                      for a person at the bench
@@ -28,7 +28,7 @@ from hydro_sim.model.laws import Law, Number
 VARIABLE = "HYDRO_EFFECTS"
 PACKAGE_FOLDER = Path(__file__).resolve().parent
 _CHECKOUT = PACKAGE_FOLDER.parents[3]
-"""Of a checkout: src/hydro_sim, which holds package.xml."""
+"""Package folder in a checkout: src/hydro_sim, with package.xml."""
 
 
 def user_folder() -> Path:
@@ -44,7 +44,7 @@ def target_folder() -> Path:
 
 
 def is_searched(place: Path) -> bool:
-    """Return whether effects in a folder are known to bench files."""
+    """Return whether bench files can use the effects of a folder."""
     return place.resolve() in (PACKAGE_FOLDER, user_folder().resolve())
 
 
