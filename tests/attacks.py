@@ -48,9 +48,13 @@ class Defended:
         self.companions = start_companions(stack, PlantOptions(plant="emulator"), GainRange(), folder, self.text.append)
         self.probe = Probe()
         stack.callback(self.probe.close)
-        self.probe.take(120.0)
-        states = self.probe.heard[STATE]
-        self.probe.wait(lambda: not self.probe.flags() & Flag.FILTER_STALE and len(states) > 100, 120.0)
+        self.probe.commands = True
+        states, ready = (
+            self.probe.heard[STATE],
+            lambda: not self.probe.flags() & Flag.FILTER_STALE and len(states) > 100,
+        )
+        self.probe.wait(lambda: self.probe.commander.held and ready(), 120.0, required=False)
+        assert self.probe.commander.held and ready(), self.text
 
     @property
     def epoch(self) -> int:
