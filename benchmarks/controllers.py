@@ -34,7 +34,7 @@ from benchmarks._truths import drawn_truths, tracked, truth_fleet
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import Table, command
-from hydro_core.files.atomic import encode_json, write_whole
+from hydro_core.files.atomic import encode_json, write_atomic
 from hydro_core.settings import SettingsError
 from hydro_core.signals import FloatArray
 from hydro_policy.compensation.estimator import Compensator, LoadCell
@@ -250,7 +250,7 @@ def main() -> None:
     if asked.picture:
         picture(rows, cases, asked.picture)
     if asked.json:
-        write_whole(asked.json, encode_json({"rows": rows}))
+        write_atomic(asked.json, encode_json({"rows": rows}))
 
 
 if __name__ == "__main__":

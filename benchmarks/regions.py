@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hydro_core.cli.console import command, make_parser
 from hydro_filter.region.facts import containment_share
-from hydro_filter.region.statement import TOLERANCES
+from hydro_filter.region.statement import TOLERANCED_PARAMETERS
 from hydro_filter.training.region_learning import RegionTarget, certify_region, simulate_states
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
@@ -29,7 +29,9 @@ def main() -> None:
     options.add_argument("--gain-rate", type=float, default=0.0, help="fastest change of K_p, 1/s^2")
     options.add_argument("--rate", type=float, default=0.1, help="lambda, 1/s")
     options.add_argument("--force", type=float, default=1.0 / 3.0, help="amplitude of the box over the bench's force")
-    options.add_argument("--numbers", nargs="*", default=[], choices=TOLERANCES, help="numbers with the tolerance")
+    options.add_argument(
+        "--numbers", nargs="*", default=[], choices=TOLERANCED_PARAMETERS, help="numbers with the tolerance"
+    )
     options.add_argument("--tolerance", type=float, default=0.0, help="to either side, as a share")
     options.add_argument("--split", type=int, default=1, help="parts of each tolerance and of the dead time")
     options.add_argument("--dead-time", type=float, default=0.0, help="the bench has up to so much of it, s")

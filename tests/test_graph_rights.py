@@ -23,7 +23,7 @@ from rclpy.node import Node
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.keys import enclave_name
-from hydro_bridge.ros.topics import FREEZE_SERVICE, LAW, LAW_STATE, RIGHTS
+from hydro_bridge.ros.topics import ACCESS_RIGHTS, FREEZE_SERVICE, LAW, LAW_STATE
 from hydro_core.signals import STATE_DTYPE
 
 pytestmark = [pytest.mark.graph, pytest.mark.usefixtures("domain")]
@@ -50,7 +50,7 @@ def check(*executables: str, without: Mapping[str, set[str]] | None = None, time
         left_out = (without or {}).get(executable, set())
         expected[enclave_name(executable)] = {
             name: {kind: set(getattr(rights, kind)) - left_out for kind in QUERIES}
-            for name, rights in RIGHTS[executable].items()
+            for name, rights in ACCESS_RIGHTS[executable].items()
             if name not in left_out
         }
     context = rclpy.Context()

@@ -24,7 +24,7 @@ from benchmarks.hybrid_simulation.motions import MOTIONS, ORIGIN, ground_motion
 from benchmarks.hybrid_simulation.plant import MASS, SPECIMENS, YIELDING, Actuator, drawn
 from benchmarks.hybrid_simulation.simulation import reference_response, run, scores
 from hydro_core.cli.console import Table, bounded_number, command, progress
-from hydro_core.files.atomic import encode_json, write_whole
+from hydro_core.files.atomic import encode_json, write_atomic
 
 INTENSITY = {"linear": 0.4, "yielding": 0.5}
 """Factor of the ground motions, as published."""
@@ -57,7 +57,7 @@ def main() -> None:
     if asked.json:
         intensities = {"intensity": INTENSITY["linear"], "intensity_yielding": INTENSITY["yielding"]}
         asked.json.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(asked.json, encode_json({"seed": asked.seed, **intensities, "rows": rows}))
+        write_atomic(asked.json, encode_json({"seed": asked.seed, **intensities, "rows": rows}))
 
 
 def measured(

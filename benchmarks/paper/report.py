@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, OWN_GAINS, PRINTED, TIMES, Result, Store
 from hydro_core.cli.console import Table
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
 
 HEAD = """# The paper, row by row
@@ -168,7 +168,7 @@ def write(store: Store, page: Path | None, json: Path | None) -> None:
         table.add(claim=claim, held=counts(store, comparisons))
     table.show(json)
     if page is not None:
-        write_whole(page, text(store).encode())
+        write_atomic(page, text(store).encode())
         print(f"wrote {page}", file=sys.stderr)
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
 
 RESULTS = Path(__file__).parent / "results"
@@ -110,7 +110,7 @@ class Store:
         spent = _cpu() - began
         result |= {"cpu": round(spent - self._inside, 1), "made": date.today().isoformat(), "size": asdict(self.size)}
         self._inside = around + spent
-        write_whole(self._file(name), (json.dumps(result, indent=1, allow_nan=False) + "\n").encode())
+        write_atomic(self._file(name), (json.dumps(result, indent=1, allow_nan=False) + "\n").encode())
         return result
 
     def kept(self, name: str) -> Result | None:
@@ -128,7 +128,7 @@ class Store:
         """Write all that is there into one file of lines, to come with the program; returns the file."""
         folder.mkdir(parents=True, exist_ok=True)
         lines = (json.dumps({"name": name, **(self.kept(name) or {})}, allow_nan=False) + "\n" for name in self.names())
-        write_whole(file := folder / f"{self.size.name}.jsonl", "".join(lines).encode())
+        write_atomic(file := folder / f"{self.size.name}.jsonl", "".join(lines).encode())
         return file
 
     def _file(self, name: str) -> Path:

@@ -28,7 +28,7 @@ from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, UserError, bounded_number, command, writable_folder
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import figure
 
@@ -149,7 +149,7 @@ def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_f
         for one in results
     ]  # fmt: skip
     content = {"about": about, "standards": table.rows, "confusion": matrix, "failures": failed, "cases": cases}
-    write_whole(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
+    write_atomic(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
     print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")
 
 
@@ -169,7 +169,7 @@ def write_page(
         Section(heading="confusion", text=_CAPTION, picture=picture),
         Section(heading="Failures", table=cases) if failed else Section(heading="Failures", text="None."),
     ]
-    write_whole(path, results_page("Proof on sealed cases", about, shown).encode())
+    write_atomic(path, results_page("Proof on sealed cases", about, shown).encode())
 
 
 def _flat(data: Mapping[str, Any]) -> str:

@@ -27,7 +27,7 @@ import hydro_sim.model
 from benchmarks.prove.cases import FITTED, HELD, missing
 from hydro_core.cli import jobs
 from hydro_core.cli.console import command
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_sim.model.machine_code import FLAGS
@@ -97,7 +97,7 @@ def diagnosed(case: Path) -> None:
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
     answer |= {"wall": time.monotonic() - begun, "cpu": time.process_time() - cpu}
-    write_whole(case / ANSWER, json.dumps(answer, indent=1).encode())
+    write_atomic(case / ANSWER, json.dumps(answer, indent=1).encode())
 
 
 def _too_long(number: int, frame: FrameType | None) -> None:

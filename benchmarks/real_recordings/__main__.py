@@ -28,7 +28,7 @@ from scipy.io import loadmat
 
 from benchmarks._report import parser
 from hydro_core.cli.console import Table, UserError, command, progress
-from hydro_core.files.atomic import encode_json, write_whole
+from hydro_core.files.atomic import encode_json, write_atomic
 from hydro_diagnosis import Diagnosis, InputError, diagnose
 from hydro_diagnosis.report_json import EffectReport
 
@@ -228,7 +228,7 @@ def main() -> None:
             left=max(score.left.values(), default=float("nan")), cpu=score.cpu, work=score.work,
         )  # fmt: skip
         if chosen.json:
-            write_whole(chosen.json, encode_json({"scores": scores}))
+            write_atomic(chosen.json, encode_json({"scores": scores}))
     print(table.text())
     for one in scores:
         for text in (*one["contradict"], *([one["note"]] if one["note"] else [])):

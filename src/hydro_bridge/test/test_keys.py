@@ -21,7 +21,7 @@ from tests.checks import ran, status_of
 def test_only_who_has_to_may_command_the_plant_by_the_policy_that_is_written_for_ros2_security(tmp_path: Path) -> None:
     assert status_of(policy.main, tmp_path / "policy.xml") == 0
     enclaves = {entry.attrib["path"]: entry for entry in ElementTree.parse(tmp_path / "policy.xml").iter("enclave")}
-    assert set(enclaves) == {enclave_name(name) for name in topics.RIGHTS}
+    assert set(enclaves) == {enclave_name(name) for name in topics.ACCESS_RIGHTS}
 
     def allowed(what: str, name: str) -> set[str]:
         """The executables that may do `what` (publish, subscribe, request) with a topic or service."""

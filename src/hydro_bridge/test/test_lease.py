@@ -7,7 +7,7 @@ from itertools import count
 
 import pytest
 
-from hydro_bridge.safety.lease import BY_HAND, HANDOVER_TIME, SILENCE, Lease
+from hydro_bridge.safety.lease import DISARMED_BY_PERSON, HANDOVER_TIME, SILENCE, Lease
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_what_a_person_disarmed_only_a_person_arms(lease: Lease) -> None:
     lease.note_disarmed(lease.claim)
     assert lease.arm_refusal(lease.claim, 0, "") == "", "its own disarming"
     lease.note_disarmed(0)
-    assert lease.arm_refusal(lease.claim, 0, "") == BY_HAND and lease.arm_refusal(0, 0, "") == ""
+    assert lease.arm_refusal(lease.claim, 0, "") == DISARMED_BY_PERSON and lease.arm_refusal(0, 0, "") == ""
     assert "trainer commands this plant, not evaluate" in lease.arm_refusal(0, 0, "evaluate")
     assert "changed hands since" in lease.arm_refusal(0, lease.epoch + 1, "trainer")
     lease.note_armed()

@@ -12,10 +12,10 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from hydro_core.cli.console import FIXED_ON_RESUME, command, reject_changed_options
+from hydro_core.cli.console import FIXED_ON_RESUME, command, refuse_changed_options
 from hydro_core.errors import UserError, writable_file, writable_folder
-from hydro_core.files.atomic import write_whole
-from hydro_core.files.tensors import InvalidTensorError, check_numbers
+from hydro_core.files.atomic import write_atomic
+from hydro_core.files.tensors import InvalidTensorError, check_finite
 from hydro_core.settings import SettingsError, from_mapping, quantity, to_mapping
 from tests.checks import files_of_at_most, status_of
 
@@ -77,10 +77,10 @@ def test_words_that_say_otherwise_than_a_run_that_goes_on_are_refused():
     }.items():  # fmt: skip
         parser.add_argument(name, **how)
     begun = {"seed": 5, "start": FIXED_ON_RESUME, "bench": None, "randomise": False, "hidden": [32, 32]}
-    reject_changed_options(parser, ["--seed", "5", "--hidden", "32", "32", "--episodes", "7"], "runs/a", begun)
+    refuse_changed_options(parser, ["--seed", "5", "--hidden", "32", "32", "--episodes", "7"], "runs/a", begun)
     words = ["--seed", "0", "--from", "runs/b", "--bench", "b.yaml", "--randomise", "--hidden", "8"]
     with pytest.raises(UserError) as refused:
-        reject_changed_options(parser, words, "runs/a", begun)
+        refuse_changed_options(parser, words, "runs/a", begun)
     told = "--seed 0 (it has 5) and --from runs/b and --bench b.yaml (it has none) and --randomise and --hidden 8 (it"
     assert told in str(refused.value)
 
@@ -115,10 +115,10 @@ def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(
 
 def test_a_file_is_replaced_whole_or_stays_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
     for content in (b"a" * 10_000, b"whole"):
-        write_whole(tmp_path / "file", content)
+        write_atomic(tmp_path / "file", content)
         assert (tmp_path / "file").read_bytes() == content
     with files_of_at_most(1000), pytest.raises(OSError, match="too large") as refused:
-        write_whole(tmp_path / "file", bytes(2000))
+        write_atomic(tmp_path / "file", bytes(2000))
     assert refused.value.filename == str(tmp_path / "file"), "the system does not say which"
     assert (tmp_path / "file").read_bytes() == b"whole"
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
@@ -127,4 +127,4 @@ def test_a_file_is_replaced_whole_or_stays_and_nothing_is_left_beside_it(tmp_pat
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 1e31])
 def test_numbers_that_are_none_are_found_and_counted(number: float) -> None:
     with pytest.raises(InvalidTensorError, match=r"weights holds 2 of 12 values"):
-        check_numbers({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})
+        check_finite({"steps": np.array([3]), "weights": np.array([number, number, *range(10)])})

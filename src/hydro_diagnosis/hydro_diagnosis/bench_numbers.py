@@ -114,19 +114,19 @@ def with_known(bench: Bench, **values: float) -> Bench:
     return replace(bench, unknown=bench.unknown - values.keys(), **values)  # type: ignore[arg-type]
 
 
-class UnknownNumberError(Exception):
+class UnknownParameterError(Exception):
     """An unknown parameter of a bench was read."""
 
 
 class Guarded:
-    """Proxy of a bench that raises `UnknownNumberError` when an unknown parameter is read."""
+    """Proxy of a bench that raises `UnknownParameterError` when an unknown parameter is read."""
 
     def __init__(self, bench: Bench, unknown: frozenset[str]) -> None:
         self._bench, self._unknown = bench, unknown
 
     def __getattr__(self, name: str) -> Any:
         if name in self._unknown or (name == "valve_gain" and self._unknown & VALVE):
-            raise UnknownNumberError(name)
+            raise UnknownParameterError(name)
         return getattr(self._bench, name)
 
 
@@ -135,14 +135,14 @@ VALVE = frozenset({"valve_nominal_flow", "valve_nominal_current", "valve_nominal
 
 
 def guard(bench: Bench) -> Bench:
-    """Return a bench that raises `UnknownNumberError` when a stand-in or an absent parameter is read."""
+    """Return a bench that raises `UnknownParameterError` when a stand-in or an absent parameter is read."""
     if not isinstance(bench, PartialBench):
         return bench
     return cast(Bench, Guarded(bench, bench.unknown | bench.absent))
 
 
 @dataclass(frozen=True)
-class Connection:
+class EquationRequirement:
     """Availability of an equation: the recorded channels and the bench parameters that it requires."""
 
     block: str
@@ -156,20 +156,20 @@ class Connection:
     """Parameter without which the equation is omitted, rather than the bench file refused."""
 
 
-CONNECTIONS = (
-    Connection(
+EQUATION_REQUIREMENTS = (
+    EquationRequirement(
         PRESSURE, "pressure equations", frozenset({"pressure_a", "pressure_b", "piston_position", "valve_current"}),
         ("bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure",
          "valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop", "dead_volume_a",
          "dead_volume_b"),
     ),
-    Connection(MOTION, "motion equation", frozenset({"hydraulic_force", "piston_position"}), ("moving_mass",)),
-    Connection(
+    EquationRequirement(MOTION, "motion equation", frozenset({"hydraulic_force", "piston_position"}), ("moving_mass",)),
+    EquationRequirement(
         MOTION, "motion equation", frozenset({"pressure_a", "pressure_b", "piston_position"}),
         ("moving_mass", "piston_area", "area_ratio"), if_known="moving_mass",
     ),
-    Connection(LOAD, "load equation", frozenset({"load_force", "piston_position"}), SPRING),
-    Connection(
+    EquationRequirement(LOAD, "load equation", frozenset({"load_force", "piston_position"}), SPRING),
+    EquationRequirement(
         HYDRAULIC, "force of the pressures", frozenset({"pressure_a", "pressure_b", "hydraulic_force"}),
         ("piston_area", "area_ratio"),
     ),
@@ -182,25 +182,25 @@ def at_the_rod(channels: Collection[str], bench: Bench) -> bool:
     return {"load_force", "piston_position"} <= set(channels) and driven and not has_spring(bench)
 
 
-def available_connections(channels: Collection[str], bench: Bench) -> tuple[Connection, ...]:
+def available_equations(channels: Collection[str], bench: Bench) -> tuple[EquationRequirement, ...]:
     """Return the equations that the recorded channels make available."""
     measured = at_the_rod(channels, bench)
     return tuple(
         one
-        for one in CONNECTIONS
+        for one in EQUATION_REQUIREMENTS
         if one.channels <= set(channels)
         and (not one.if_known or knows(bench, one.if_known))
         and not (measured and one.block == LOAD)
     )
 
 
-def refuse_unconnected(channels: Collection[str], bench: Bench, notes: Sequence[str] = ()) -> None:
+def require_equation(channels: Collection[str], bench: Bench, notes: Sequence[str] = ()) -> None:
     """Raise `InputError` if no equation can be checked, with the missing channels, and `notes` on omitted ones."""
-    if available_connections(channels, bench):
+    if available_equations(channels, bench):
         return
     ways = dict.fromkeys(
         f"{', '.join(sorted(one.channels - set(channels)))} ({one.equation})"
-        for one in sorted(CONNECTIONS, key=lambda one: len(one.channels - set(channels)))
+        for one in sorted(EQUATION_REQUIREMENTS, key=lambda one: len(one.channels - set(channels)))
         if not one.if_known or knows(bench, one.if_known)
     )
     lost = [note for note in notes if "left out" in note]
@@ -214,14 +214,14 @@ def refuse_unconnected(channels: Collection[str], bench: Bench, notes: Sequence[
 def required_numbers(channels: Collection[str], bench: Bench) -> dict[str, str]:
     """Return the bench parameters that the recorded channels require, each with the first equation that needs it."""
     found: dict[str, str] = {}
-    for one in available_connections(channels, bench):
+    for one in available_equations(channels, bench):
         spring = SPRING if one.block == MOTION and any(not knows(bench, name) for name in SPRING) else ()
         for name in (*one.numbers, *spring):
             found.setdefault(name, one.equation)
     return found
 
 
-def refuse_missing(channels: Collection[str], bench: Bench, estimated: Collection[str] = ()) -> None:
+def require_parameters(channels: Collection[str], bench: Bench, estimated: Collection[str] = ()) -> None:
     """Raise `InputError` if required parameters are neither known nor estimated; the message lists all of them."""
     lacking = {
         name: equation
@@ -245,10 +245,10 @@ def omission_notes(channels: Collection[str], bench: Bench) -> list[str]:
     """
     if not isinstance(bench, PartialBench):
         return []
-    blocks = {one.block for one in available_connections(channels, bench)}
+    blocks = {one.block for one in available_equations(channels, bench)}
     notes = [
         f"the {one.equation} was left out: the bench file does not hold {one.if_known}"
-        for one in CONNECTIONS
+        for one in EQUATION_REQUIREMENTS
         if one.if_known and one.channels <= set(channels) and one.block not in blocks
     ]
     if at_the_rod(channels, bench) and MOTION in blocks:
@@ -268,7 +268,7 @@ def applies(effect: Effect, bench: Bench) -> bool:
         return False
     try:
         effect.adapted(cast(Bench, Guarded(bench, bench.unknown)))
-    except UnknownNumberError:
+    except UnknownParameterError:
         return False
     return True
 

@@ -24,7 +24,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, OUTLYING, QUANTILE
+from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, OUTLIER_FACTOR, QUANTILE
 
 FEWEST = 14
 """Smallest number of recordings to be judged: the scatter between fewer is unknown."""
@@ -81,7 +81,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Course:
+class PiecewiseTrend:
     """Piecewise linear course of a parameter: change points and the lines between them."""
 
     changes: list[Change]
@@ -127,7 +127,7 @@ class _Lines(BaseCost):  # user-defined cost function of `ruptures`
         return np.asarray(yy - np.sum(right * solved, axis=1))
 
 
-def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike = 0.0) -> Course | None:
+def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike = 0.0) -> PiecewiseTrend | None:
     """Fit the course of a parameter: change points and lines between them; None for fewer recordings than `FEWEST`.
 
     `time`: days, ascending; `value` and its standard deviation `sd` by the diagnosis, shape (n,). `bound`: half-width
@@ -138,13 +138,13 @@ def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike
     between = scatter_between(value, sd)
     own = np.hypot(sd, between)
     away = np.abs(value - median_filter(value, 7))
-    noise = _Noise(time, value, own * np.maximum(1.0, away / (OUTLYING * own)), sd, between)
+    noise = _Noise(time, value, own * np.maximum(1.0, away / (OUTLIER_FACTOR * own)), sd, between)
     edges, evidence, long = noise.partition()
     signal = np.column_stack([time, value, 1.0 / (long**2 + 0.5 * np.square(bound))])
     changes = [_change(signal[a:c], each) for a, c, each in zip(edges, edges[2:], evidence, strict=False)]
     lines = [line(time[a:b], value[a:b], long[a:b]) for a, b in pairwise(edges)]
     sure = (lines[-1].slope / lines[-1].slope_sd) ** 2 - log(edges[-1] - edges[-2])
-    return Course(changes, lines, bool(sure > DECISIVE))
+    return PiecewiseTrend(changes, lines, bool(sure > DECISIVE))
 
 
 class _Noise:

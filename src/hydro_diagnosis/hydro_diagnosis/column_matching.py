@@ -26,7 +26,7 @@ from hydro_diagnosis.io.table import base_of
 from hydro_diagnosis.io.units import quantity, split_unit, to_si
 from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.significance import PRACTICAL_SHARE
-from hydro_diagnosis.wiring import LOOKED_AT, MEAN, TOGETHER, block_regression
+from hydro_diagnosis.wiring import INSPECTED_SAMPLES, MEAN, TOGETHER, block_regression
 from hydro_sim.model.bench import Bench
 
 _PRESSURE = r"(p|press\w*|druck\w*)"
@@ -165,7 +165,7 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
     """
     clock = sources["time"].column
     free = {
-        name: values[:LOOKED_AT]
+        name: values[:INSPECTED_SAMPLES]
         for name, values in found.series.items()
         if name != clock and len(values) == len(found.series[clock]) and np.isfinite(values).all()
         and np.ptp(values) > 0.0 and not (_NEVER.search(name) or found.unit(name))

@@ -16,7 +16,15 @@ from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
-from hydro_diagnosis.shapes import PROFILE, FittedShape, curve_shape, fading_interval, fit_shape, missing_sign, one_way
+from hydro_diagnosis.shapes import (
+    PROFILE,
+    FittedShape,
+    curve_shape,
+    fit_shape,
+    is_unidirectional,
+    missing_indication,
+    stribeck_velocity_interval,
+)
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE
 from hydro_sim.model import grammar
 
@@ -68,7 +76,7 @@ def claims_from_curve(
             numbers = shape.number(name, -1.0 if name == "constant" else 1.0)
             label = DIRECTIONAL if len(numbers) > 1 else LABELS[name]
             if name == "stribeck":
-                numbers.append((shape.shape.stribeck, *fading_interval(curve.points, shape, curve.top)))
+                numbers.append((shape.shape.stribeck, *stribeck_velocity_interval(curve.points, shape, curve.top)))
             if name != "constant" or not terms.position:  # else it is part of the position term
                 gain = share(shape, terms) - share(shape.without(name), terms)
                 found.add(label, numbers, _rise(curve, shape, name), gain)
@@ -92,7 +100,7 @@ def claims_from_curve(
     return CurveClaims(
         shape=shape, claims=tuple(found.claims), bounds=found.bounds, evidence=found.evidence,
         rivals=_rivals(curve) if found.claims else [],
-        closures=closures, accounted=accounted if found.claims else NOTHING, why=missing_sign(curve),
+        closures=closures, accounted=accounted if found.claims else NOTHING, why=missing_indication(curve),
     )  # fmt: skip
 
 
@@ -165,7 +173,7 @@ def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]
 
 def _rivals(curve: ForceCurve) -> list[Rival]:
     found = []
-    if one_way(curve):
+    if is_unidirectional(curve):
         why = "a constant force explains these recordings as well as dry friction: all motion is one way"
         found.append(Rival(id="force_offset", delta_bic=0.0, distinguishable=False, why=why))
     for terms in curve.rivals:

@@ -100,7 +100,7 @@ def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> list[tup
         for everything in ((*problem.baseline, *claims), problem.baseline):
             bench, oil = model.bench(everything), model.oil(everything)
             modelled.append(chambers.net_flows(bench, oil, everything, model.memory)[0])
-        stiff = chambers.compliances(bench, oil, everything)[0]
+        stiff = chambers.chamber_stiffnesses(bench, oil, everything)[0]
         p_a, p_b = (model.smooth(model.channels["pressure_" + chamber]) for chamber in "ab")
         measured = bench.piston_area * model.v + np.gradient(p_a, model.step) / stiff
         over = p_a - p_b if rest else model.channels["valve_current"]

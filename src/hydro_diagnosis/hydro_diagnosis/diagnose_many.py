@@ -49,7 +49,7 @@ PARAMETERS = pa.schema([
 """Columns of STUDY/diagnoses.parquet and of STUDY/parameters.parquet (`many_recordings.md`)."""
 
 
-def recordings_in(words: Sequence[str]) -> dict[str, Path]:
+def find_recordings(words: Sequence[str]) -> dict[str, Path]:
     """Recordings by name, in order: files, bags, and those of folders, remote stores or glob patterns.
 
     Raises UserError if a word gives no recording.
@@ -77,7 +77,7 @@ def _within(path: Path) -> Iterator[Path]:
             yield from _within(one)
 
 
-def parts_of(name: str, path: Path, every: float) -> dict[str, str]:
+def split_bag(name: str, path: Path, every: float) -> dict[str, str]:
     """Parts of a bag by name, `every` s each (the last 0.5 to 1.5 times that); other files are not divided.
 
     Parts restart after a minute without a message, or where the clock was set; both are reported on stderr.
@@ -166,10 +166,10 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Entry point; 0 if each recording was diagnosed or refused in a sentence, 2 if one could not be."""
     chosen = parser().parse_args(sys.argv[1:])
-    named = {name: str(path) for name, path in recordings_in(chosen.recordings).items()}
+    named = {name: str(path) for name, path in find_recordings(chosen.recordings).items()}
     if chosen.every:
         named = {
-            part: at for name, path in named.items() for part, at in parts_of(name, Path(path), chosen.every).items()
+            part: at for name, path in named.items() for part, at in split_bag(name, Path(path), chosen.every).items()
         }
     chosen.out.mkdir(parents=True, exist_ok=True)
     if chosen.bench:

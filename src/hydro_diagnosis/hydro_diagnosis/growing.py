@@ -24,7 +24,7 @@ from scipy.stats import chi2
 
 from hydro_core.cli.console import Table
 from hydro_core.errors import UserError
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.report_json import ParameterEstimate
 from hydro_diagnosis.significance import CONFIDENCE, QUANTILE
@@ -35,7 +35,7 @@ from hydro_sim.model.laws import Law
 
 
 @dataclass(frozen=True)
-class Agreement:
+class ParameterAgreement:
     """Agreement of one parameter of a law over the benches."""
 
     name: str
@@ -66,14 +66,14 @@ class Agreement:
         )
 
 
-def agreements(found: Sequence[LawEstimate]) -> list[Agreement]:
+def parameter_agreements(found: Sequence[LawEstimate]) -> list[ParameterAgreement]:
     """Return the agreement of each parameter of the law, in the law's order."""
     agreed = []
     for name, unit in units(found[0].law).items():
         estimates = [one.estimates[name] for one in found]
         known = [(one.value, *one.ci95) for one in estimates if one.ci95]
         if len(known) < 2:
-            agreed.append(Agreement(name, unit, float(np.median([one.value for one in estimates]))))
+            agreed.append(ParameterAgreement(name, unit, float(np.median([one.value for one in estimates]))))
             continue
         values, lows, highs = np.array(known).T
         weights = np.square(2.0 * QUANTILE / np.maximum(highs - lows, 1e-12 * np.abs(values)))
@@ -82,7 +82,7 @@ def agreements(found: Sequence[LawEstimate]) -> list[Agreement]:
         deviation = float(weights @ np.square(values - mean))
         probability = float(chi2.sf(deviation, len(known) - 1))
         common = mean if probability >= 2.0 * (1.0 - CONFIDENCE) else float(np.median(values))
-        agreed.append(Agreement(name, unit, common, (mean - reach, mean + reach), probability))
+        agreed.append(ParameterAgreement(name, unit, common, (mean - reach, mean + reach), probability))
     return agreed
 
 
@@ -175,7 +175,7 @@ def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], LawE
 # --- the effect -------------------------------------------------------------------------------------------------------
 
 
-def write_effect(found: Sequence[LawEstimate], agreed: Sequence[Agreement], path: Path) -> None:
+def write_law_effect(found: Sequence[LawEstimate], agreed: Sequence[ParameterAgreement], path: Path) -> None:
     """Write a law as an effect file, in the format of `hydro_sim.model.effects.grown`."""
     law = found[0].law
     about = [f'Grown by `diagnose --grow` from the law "{law.form}" ({law.equation}), found on {len(found)} benches.',
@@ -197,7 +197,7 @@ def write_effect(found: Sequence[LawEstimate], agreed: Sequence[Agreement], path
     content = {"law": {"equation": law.equation, "form": law.form}, "sentence": law.sentence, "parameters": numbers}
     text = "".join(f"# {line}".rstrip() + "\n" for line in about)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, (text + yaml.safe_dump(content, sort_keys=False, width=110)).encode())
+    write_atomic(path, (text + yaml.safe_dump(content, sort_keys=False, width=110)).encode())
 
 
 def grow(chosen: argparse.Namespace) -> int:
@@ -211,8 +211,8 @@ def grow(chosen: argparse.Namespace) -> int:
     if path.exists():
         raise UserError(f"{path} exists: choose another --id")
     found = law_estimates(chosen.reports, chosen.law)
-    agreed = agreements(found)
-    write_effect(found, agreed, path)
+    agreed = parameter_agreements(found)
+    write_law_effect(found, agreed, path)
     law = found[0].law
     table = Table(
         {"report": "", "parameter": "", "value": "SI, in the unit beside it", "low": "of the 95 % interval", "high": "",

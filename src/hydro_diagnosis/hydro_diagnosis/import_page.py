@@ -35,7 +35,7 @@ from hydro_core.cli.console import Table
 from hydro_core.errors import UserError
 from hydro_diagnosis.bench_numbers import read_bench
 from hydro_diagnosis.column_matching import as_yaml
-from hydro_diagnosis.inspect_command import COLUMNS, ROWS, improbable, listed, missing
+from hydro_diagnosis.inspect_command import COLUMNS, ROWS, listed, missing, plausibility_warnings
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import columns_of
@@ -111,7 +111,7 @@ class Import:
 
     def _remarks(self, columns: ColumnMap) -> Mapping[str, list[str]]:
         """Doubts about the first recording under this map, and equations for which the map lacks fields."""
-        doubts = improbable(*self._first, columns, self._bench) if self._first else []
+        doubts = plausibility_warnings(*self._first, columns, self._bench) if self._first else []
         doubts += self._first[1].broken.values() if self._first else []
         return {"doubts": doubts, "missing": missing(columns)}
 

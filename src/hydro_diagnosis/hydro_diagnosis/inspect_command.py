@@ -12,16 +12,16 @@ import numpy as np
 
 from hydro_bridge.bags.recording import Extent
 from hydro_core.cli.console import Table, add_json_argument, command, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import CONNECTIONS, read_bench
+from hydro_diagnosis.bench_numbers import EQUATION_REQUIREMENTS, read_bench
 from hydro_diagnosis.column_matching import as_yaml, propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.io.columns import Columns, is_time
 from hydro_diagnosis.io.table import columns_of, table_of
 from hydro_diagnosis.io.units import quantity, split_unit, to_si
 from hydro_diagnosis.recording import InputError
-from hydro_diagnosis.wiring import inspect_table
+from hydro_diagnosis.wiring import check_plausibility
 from hydro_sim.model.bench import Bench
 
 COSTS = {
@@ -126,7 +126,7 @@ def main() -> int:
     for path in chosen.recordings:
         found = columns_of(path, ROWS)
         maps.append(listed(path.name, found, columns, table, bench))
-        said = improbable(path, found, maps[-1], bench)
+        said = plausibility_warnings(path, found, maps[-1], bench)
         if columns is None:
             said += [_advice(maps[-1], chosen.bench), *missing(maps[-1])]
         said += [*found.notes, *found.broken.values()]
@@ -144,7 +144,7 @@ def main() -> int:
         except InputError as error:
             raise InputError(f"{chosen.write} was not written, since diagnose could not read by it: {error}") from None
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
-        write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
+        write_atomic(Path(chosen.write), as_yaml(maps[0]).encode())
         print(f"{chosen.write}: the map of {chosen.recordings[0].name}")
     return 0
 
@@ -163,10 +163,10 @@ def _advice(proposal: ColumnMap, bench: Path | None) -> str:
     return f'proposed, to be checked: --columns "{proposal}"'
 
 
-def improbable(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> list[str]:
+def plausibility_warnings(path: Path, found: Columns, columns: ColumnMap, bench: Bench) -> list[str]:
     """Return a warning for each mapped field with values that are implausible for the bench; `found`: the columns."""
     try:
-        doubts = inspect_table(table_of(path, found, columns), bench).doubts
+        doubts = check_plausibility(table_of(path, found, columns), bench).doubts
     except InputError:
         return []
     return [
@@ -196,7 +196,7 @@ def missing(proposal: ColumnMap) -> list[str]:
     """Return a clause per equation that cannot be checked, with the fields that it lacks."""
     there = proposal.sources.keys()
     lacking: dict[str, list[str]] = {}
-    for one in CONNECTIONS:
+    for one in EQUATION_REQUIREMENTS:
         lacking.setdefault(one.equation, []).append(", ".join(sorted(one.channels - there)))
     return [
         f"{COSTS[equation]} cannot be identified without {' or '.join(ways)}"

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim
-from hydro_diagnosis.estimation.fit import Fit, fit, without_one
+from hydro_diagnosis.estimation.fit import Fit, fit, remove_claim
 from hydro_diagnosis.estimation.intervals import Interval, without_insignificant
 from hydro_diagnosis.estimation.problem import NOTICEABLE, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
 from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE
 
-NEARLY_ALL = 0.98
+MIN_EXPLAINED_SHARE = 0.98
 """Least share of the squared mismatch that retained causes explain if something remains: six sevenths of its RMS."""
 Accounted = dict[str, dict[str, float]]
 """Shares explained by the `named` claims and by `all` terms, by equation."""
@@ -56,7 +56,7 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) 
     """
     while True:
         count = len(found.claims)
-        if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < NEARLY_ALL:
+        if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < MIN_EXPLAINED_SHARE:
             suspects, noisy = set(), problem.remaining(found.residual)
             for claim in found.cause_claims:  # that acts mainly in channels in which something remains
                 shown = problem.mean_squares(problem.residual(found.claims_without(claim)) - found.residual)
@@ -82,7 +82,7 @@ def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> Claim | Non
     unseen = holdout.reweighted(found.claims)
     before = unseen.deviance(unseen.residual(found.claims))
     harm = {
-        before - unseen.deviance(unseen.residual(without_one(problem, found, claim).claims)): claim
+        before - unseen.deviance(unseen.residual(remove_claim(problem, found, claim).claims)): claim
         for claim in found.removable
     }
     worst = max(harm, default=0.0)

@@ -20,7 +20,7 @@ from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.stage_bar import SIMULATOR
 from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
-from hydro_diagnosis.stages.reading import Case, Progress, Question
+from hydro_diagnosis.stages.reading import Case, DiagnosisInput, Progress
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
 from hydro_diagnosis.twin import compare_reports
 from hydro_sim.model.bench import Bench
@@ -83,7 +83,7 @@ def diagnose(
     DiagnosisInterrupted
         On Ctrl-C once the recordings are read; its `report` contains the results so far.
     """
-    question = Question(
+    question = DiagnosisInput(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
         estimate=estimate, as_wired=as_wired, budget=Budget(seconds),
     )  # fmt: skip
@@ -107,7 +107,7 @@ def diagnose(
     return replace(found, report=compare_reports(found.report, other.report))
 
 
-def _read(question: Question, progress: Progress) -> tuple[Case, float]:
+def _read(question: DiagnosisInput, progress: Progress) -> tuple[Case, float]:
     """Case of a question, and the time taken to read it [s]."""
     begun = time.monotonic()
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hydro_core.files.atomic import encode_json, write_whole
+from hydro_core.files.atomic import encode_json, write_atomic
 
 INTERRUPTED = "interrupted"
 """Verdict of a diagnosis that was interrupted."""
@@ -37,7 +37,7 @@ class ParameterEstimate:
     unit: str
 
 
-def row_of(estimate: ParameterEstimate | NumberEstimate) -> dict[str, Any]:
+def row_of(estimate: ParameterEstimate | BenchParameterEstimate) -> dict[str, Any]:
     """Table row of an estimate: value, 95 % interval (None for both ends if not identified) and unit."""
     low, high = estimate.ci95 or (None, None)
     return {"value": estimate.value, "low": low, "high": high, "unit": estimate.unit}
@@ -105,7 +105,7 @@ class ClosureReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NumberEstimate:
+class BenchParameterEstimate:
     """Estimate of a bench parameter from the recordings."""
 
     name: str
@@ -161,7 +161,7 @@ class ForecastReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NumberDifference:
+class ParameterDifference:
     """Difference of an effect's parameter between a bench and its simulator; a value is None where it is absent."""
 
     real: float | None
@@ -185,7 +185,7 @@ class Difference:
     id: str
     equation: str
     options: dict[str, str]
-    parameters: dict[str, NumberDifference]
+    parameters: dict[str, ParameterDifference]
     only_in: str | None
     """real or simulated; None where both have it."""
 
@@ -202,7 +202,7 @@ class Report:
     """Remaining mismatch: locations, variables on which it depends, dropped names, and resemblances; None if none."""
     closures: list[ClosureReport] = field(default_factory=list)
     """Closure terms of the unnamed mismatch; empty if there is none, or no term holds on held-out recordings."""
-    estimated: list[NumberEstimate] = field(default_factory=list)
+    estimated: list[BenchParameterEstimate] = field(default_factory=list)
     """Estimates of the bench parameters that were requested; they are no causes."""
     curves: list[CurveReport] = field(default_factory=list)
     """Missing forces and flows as curves over one variable."""
@@ -234,7 +234,7 @@ class Report:
 
     def write(self, folder: Path) -> None:
         """Write report.json to a folder."""
-        write_whole(folder / "report.json", encode_json(self))
+        write_atomic(folder / "report.json", encode_json(self))
 
 
 class DiagnosisInterrupted(KeyboardInterrupt):

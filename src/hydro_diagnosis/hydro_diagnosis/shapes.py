@@ -28,7 +28,7 @@ STRIBECK_VELOCITY_RATIOS = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Candidate Stribeck velocities, over the top speed."""
 PROFILE = np.geomspace(0.25, 4.0, 33)
 """Factors of a parameter's estimate at which its profile is evaluated for an interval."""
-OPPOSING = 0.9
+MIN_OPPOSING_SHARE = 0.9
 """Least share of the sliding samples in which friction must oppose the motion; recordings of tanks have 76 %."""
 
 
@@ -218,22 +218,22 @@ def drop_uncertain(points: Sequence[Point], found: FittedShape, top: float) -> F
 
 
 def curve_shape(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> FittedShape | None:
-    """Return the shape fitted to a curve, or None if the curve lacks a sign of friction (`missing_sign`)."""
-    if missing_sign(curve):
+    """Return the shape fitted to a curve, or None if the curve lacks a sign of friction (`missing_indication`)."""
+    if missing_indication(curve):
         return None
-    if one_way(curve):
+    if is_unidirectional(curve):
         allowed = allowed - {"constant"}  # not distinguishable from dry friction
     found = simplest_shape(curve.points, curve.top, viscous, allowed)
     return drop_uncertain(curve.points, found, curve.top)
 
 
-def one_way(curve: ForceCurve) -> bool:
+def is_unidirectional(curve: ForceCurve) -> bool:
     """Return whether all points are of one direction: dry friction cannot be told from a constant force."""
     speeds = [one.at for one in curve.points]
     return min(speeds) > 0.0 or max(speeds) < 0.0
 
 
-def fading_interval(points: Sequence[Point], found: FittedShape, top: float) -> tuple[float, float]:
+def stribeck_velocity_interval(points: Sequence[Point], found: FittedShape, top: float) -> tuple[float, float]:
     """Return the 95 % interval of the Stribeck velocity [m/s] by the profile of the squared residuals."""
     tried = found.shape.stribeck * PROFILE
     squares = [fit_shape(points, replace(found.shape, stribeck=float(one)), top).squares for one in tried]
@@ -242,17 +242,17 @@ def fading_interval(points: Sequence[Point], found: FittedShape, top: float) -> 
     return float(min([*inside, found.shape.stribeck])), float(max([*inside, found.shape.stribeck]))
 
 
-def missing_sign(curve: ForceCurve) -> str:
+def missing_indication(curve: ForceCurve) -> str:
     """Return, in words, the indication of friction that a curve lacks; empty if it lacks none."""
     if len(curve.points) < 2:
         return "hardly a speed is held"
-    if one_way(curve):  # the force must vary relevantly with the speed, and always oppose the motion
+    if is_unidirectional(curve):  # the force must vary relevantly with the speed, and always oppose the motion
         force = np.array([one.force * np.sign(one.at) for one in curve.points])
         follows = force.min() > 0.0 and np.ptp(force) > PRACTICAL_SHARE * force.max()
         return "" if follows else "all motion is one way, and the force does not follow the speed"
-    if curve.opposing < OPPOSING:
+    if curve.opposing < MIN_OPPOSING_SHARE:
         return (
             f"the force opposes the motion in {100.0 * curve.opposing:.0f} % of what moves: that of friction does in "
-            f"{100.0 * OPPOSING:.0f} % and more"
+            f"{100.0 * MIN_OPPOSING_SHARE:.0f} % and more"
         )
     return ""

@@ -11,7 +11,7 @@ QUANTILE = float(ndtri(CONFIDENCE))
 """Half-width of a 95 % interval in standard deviations of a Gaussian."""
 COVERAGE_FACTOR = 2.0
 """Standard uncertainties from which a value is significant (coverage factor k): `QUANTILE`, rounded up."""
-OUTLYING = 3.0
+OUTLIER_FACTOR = 3.0
 """Standard deviations beyond which a single value is an outlier (Huber 1964): noise exceeds them once in 400 values."""
 DECISIVE = 10.0
 """Difference of two BICs, or of two deviances, that is very strong evidence (Kass and Raftery 1995, section 3.2)."""

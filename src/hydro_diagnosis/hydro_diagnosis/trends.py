@@ -22,9 +22,9 @@ import pandas as pd
 
 from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table, UserError, add_json_argument, command, plural, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.change_points import FEWEST, Course, course
+from hydro_diagnosis.change_points import FEWEST, PiecewiseTrend, course
 from hydro_diagnosis.effects import LIBRARY, FitParameter
 from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.significance import QUANTILE
@@ -116,7 +116,9 @@ def series_of(study: Path, dates: str | None = None) -> list[Series]:
     return found
 
 
-def row_of(bench: str, series: Series, found: Course, limit: float | None, asked: argparse.Namespace) -> dict[str, Any]:
+def row_of(
+    bench: str, series: Series, found: PiecewiseTrend, limit: float | None, asked: argparse.Namespace
+) -> dict[str, Any]:
     """Table row of a parameter's trend; `asked`: options `new` and `horizon`, in days."""
     line, last = found.lines[-1], found.changes[-1] if found.changes else None
     now, spread = float(line.at(line.end)), QUANTILE * float(line.sd(line.end))
@@ -155,7 +157,7 @@ def sentence(row: Mapping[str, Any], unit: str) -> str:
     return told + "."
 
 
-def picture(series: Series, found: Course, limit: float | None) -> str:
+def picture(series: Series, found: PiecewiseTrend, limit: float | None) -> str:
     """Plot the estimates with their intervals, the fitted lines, the change points and the limit, as SVG text."""
     with svg(1, (8.0, 2.4)) as (axes, text):
         axis, zero = axes[0], pd.Timestamp(0)
@@ -232,7 +234,7 @@ def main() -> int:
     print(*short, sep="\n", end="\n" if short else "")
     page = asked.page or asked.studies[0] / "trends.html"
     made = environment("hydro_diagnosis", "report/templates").get_template("trends.html")
-    write_whole(Path(page), made.render(title="Trends", told=told, short=short).encode())
+    write_atomic(Path(page), made.render(title="Trends", told=told, short=short).encode())
     if asked.json:
         table.write_json(asked.json)
     return ALARM if any(row["new"] for row in table.rows) else 0

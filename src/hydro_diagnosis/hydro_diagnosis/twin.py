@@ -16,10 +16,10 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import display_unit
 from hydro_diagnosis.report_json import (
+    BenchParameterEstimate,
     Difference,
     EffectReport,
-    NumberDifference,
-    NumberEstimate,
+    ParameterDifference,
     ParameterEstimate,
     Report,
 )
@@ -102,19 +102,19 @@ def _by_place(effects: Sequence[EffectReport], others: Sequence[EffectReport]) -
 
 
 def _number(
-    one: ParameterEstimate | NumberEstimate | None, two: ParameterEstimate | NumberEstimate | None
-) -> NumberDifference:
+    one: ParameterEstimate | BenchParameterEstimate | None, two: ParameterEstimate | BenchParameterEstimate | None
+) -> ParameterDifference:
     if one is None or two is None:
         there = one or two
         assert there is not None
         values = {"real": one and there.value, "simulated": two and there.value}
-        return NumberDifference(**values, difference=None, ci95=there.ci95, unit=there.unit)  # type: ignore[arg-type]
+        return ParameterDifference(**values, difference=None, ci95=there.ci95, unit=there.unit)  # type: ignore[arg-type]
     apart, bounds = one.value - two.value, None
     if one.ci95 is not None and two.ci95 is not None:
         below = np.hypot(one.value - one.ci95[0], two.ci95[1] - two.value)
         above = np.hypot(one.ci95[1] - one.value, two.value - two.ci95[0])
         bounds = [float(apart - below), float(apart + above)]
-    return NumberDifference(real=one.value, simulated=two.value, difference=apart, ci95=bounds, unit=one.unit)
+    return ParameterDifference(real=one.value, simulated=two.value, difference=apart, ci95=bounds, unit=one.unit)
 
 
 def sentences(found: Sequence[Difference]) -> list[str]:

@@ -23,7 +23,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_diagnosis.recording import UNITS
-from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLYING
+from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLIER_FACTOR
 
 MOST = 0.25
 """Largest share of the windows that may be left out; if more are unpredictable, the errors are over all windows."""
@@ -95,7 +95,7 @@ class _Windows:
         shown = measurements(self.plant, self.plant.run(starts, self.begins, self.length), self.begins)
         each = {name: one.reshape(self.length, draws + 1, windows) for name, one in shown.items()}
         scatter = self._size({name: (one[:, 1:] - one[:, :1]).reshape(-1, windows) for name, one in each.items()})
-        enough = np.maximum(0.5 * error, OUTLYING * np.nanmedian(scatter))
+        enough = np.maximum(0.5 * error, OUTLIER_FACTOR * np.nanmedian(scatter))
         return np.asarray((error > COVERAGE_FACTOR) & (scatter >= enough))
 
     def _size(self, apart: dict[str, FloatArray]) -> FloatArray:

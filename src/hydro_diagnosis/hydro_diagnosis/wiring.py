@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import UnknownNumberError, guard
+from hydro_diagnosis.bench_numbers import UnknownParameterError, guard
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import means
 from hydro_diagnosis.io.units import to_si
@@ -104,7 +104,7 @@ def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -
     ]
 
 
-LOOKED_AT = 200_000
+INSPECTED_SAMPLES = 200_000
 """Number of samples inspected, from the first."""
 PRESSURES = (0.05, 3.0)
 """Plausible range of the highest pressure, relative to the supply pressure."""
@@ -117,24 +117,24 @@ TOGETHER = 0.9
 MEAN = 10
 """Samples per block mean in regressions between channels."""
 
-Doubt = tuple[Repair, ...]
+AlternativeRepairs = tuple[Repair, ...]
 """Alternative repairs of one field with implausible values, the likeliest first."""
 
 
 @dataclass
-class Inspection:
+class PlausibilityCheck:
     """Plausibility check of recordings: doubtful fields with their alternative repairs, and units."""
 
-    doubts: list[Doubt] = field(default_factory=list)
+    doubts: list[AlternativeRepairs] = field(default_factory=list)
     """Alternative repairs of each field with implausible values."""
     units: dict[str, str] = field(default_factory=dict)
     """Unit of a field's column before conversion to SI, if stated."""
 
 
-def inspect_table(table: RawTable, bench: Bench) -> Inspection:
+def check_plausibility(table: RawTable, bench: Bench) -> PlausibilityCheck:
     """Check the fields of a recording for plausibility; checks that need unknown parameters of `bench` are omitted."""
-    found, bench, taken = Inspection(units=dict(table.units)), guard(bench), table.units
-    looked = {name: values[:LOOKED_AT] for name, values in table.columns.items()}
+    found, bench, taken = PlausibilityCheck(units=dict(table.units)), guard(bench), table.units
+    looked = {name: values[:INSPECTED_SAMPLES] for name, values in table.columns.items()}
     looked = {name: values for name, values in looked.items() if np.isfinite(values).sum() > 0.5 * len(values)}
     rows = np.all([np.isfinite(values) for values in looked.values()], axis=0)
     channels = {name: values[rows] for name, values in looked.items() if np.any(rows)}
@@ -142,14 +142,14 @@ def inspect_table(table: RawTable, bench: Bench) -> Inspection:
         _copies(channels), _pressures(channels, bench, taken), _position(channels, bench, taken),
         _current(channels, bench, taken),
     ):  # fmt: skip
-        with suppress(UnknownNumberError):
+        with suppress(UnknownParameterError):
             for doubt in doubts:
                 if doubt:
                     found.doubts.append(doubt)
     return found
 
 
-def _copies(channels: Channels) -> Iterator[Doubt]:
+def _copies(channels: Channels) -> Iterator[AlternativeRepairs]:
     """Pairs of channels with identical noise, which two sensors never have."""
     sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
     for one, other in combinations(sensors, 2):
@@ -166,7 +166,7 @@ def _copies(channels: Channels) -> Iterator[Doubt]:
             )
 
 
-def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
+def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[AlternativeRepairs]:
     supply = bench.supply_pressure
     for name in ("pressure_a", "pressure_b"):
         if name not in channels:
@@ -179,7 +179,7 @@ def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> It
             yield tuple(sorted(fitting, key=lambda one: abs(float(np.log(one.factor * share / 0.6)))))
 
 
-def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
+def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[AlternativeRepairs]:
     """Positions outside the stroke, which begins at 0, or too small for it."""
     if "piston_position" not in channels:
         return
@@ -222,7 +222,7 @@ def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[
         )
 
 
-def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[Doubt]:
+def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iterator[AlternativeRepairs]:
     if "valve_current" not in channels:
         return
     largest, limit = float(np.max(np.abs(channels["valve_current"]))), bench.valve_current_max

@@ -16,12 +16,12 @@ from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure import admission
 from hydro_diagnosis.closure.admission import admit, share_closed
-from hydro_diagnosis.closure.evidence import barred_equations, equals_ruled_out, has_identified_shapes, held_out_gain
+from hydro_diagnosis.closure.evidence import equals_ruled_out, excluded_blocks, has_identified_shapes, held_out_gain
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.selection import ClosureFit, closures
 from hydro_diagnosis.effects import CANDIDATES, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.memory import Memory, bristle_force, held_lag
+from hydro_diagnosis.effects.memory import Memory, bristle_force, first_order_lag
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import all_exclude_neutral, intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -55,7 +55,7 @@ def term(equation: str, form: str, **values: float) -> Claim:
 def test_a_lag_is_that_of_its_differential_equation() -> None:
     step, time = 1e-3, 7e-4
     jumps = np.concatenate([np.zeros(2), np.ones(12), np.full(12, -0.4), np.full(12, -0.3)])
-    begins, means = held_lag(jumps, step, time, 0.3)
+    begins, means = first_order_lag(jumps, step, time, 0.3)
     now = 0.3
     for held, begin, mean in zip(jumps, begins, means, strict=True):
         course = held + (now - held) * np.exp(-np.linspace(0.0, step, 2001) / time)
@@ -238,10 +238,10 @@ def test_no_law_does_what_a_ruled_out_cause_would_do() -> None:
         problem = problem_with(entry("motion", "rising uneven drag", **one_way), ruled_out=ruled_out)
         drag = fit(problem, [term("motion", "rising uneven drag", **one_way)])
         assert equals_ruled_out(problem, drag, drag.claims[0]) == same
-        assert barred_equations(problem, fit(problem, [viscous])) == ({"motion"} if same else set())
+        assert excluded_blocks(problem, fit(problem, [viscous])) == ({"motion"} if same else set())
     squared = entry("motion", "quadratic drag", coefficient=800.0)
     problem = problem_with(squared, ruled_out=(directional, "leakage_internal"))
-    assert barred_equations(problem, fit(problem, [viscous])) == set()
+    assert excluded_blocks(problem, fit(problem, [viscous])) == set()
 
 
 def test_an_interval_holds_no_value_that_the_recordings_rule_out() -> None:

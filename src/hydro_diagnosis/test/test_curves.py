@@ -23,7 +23,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.preprocessing.quality import check_recording
-from hydro_diagnosis.shapes import FittedShape, curve_shape, drop_uncertain, missing_sign, simplest_shape
+from hydro_diagnosis.shapes import FittedShape, curve_shape, drop_uncertain, missing_indication, simplest_shape
 from hydro_sim.model.bench import Bench
 
 BENCH = parse_bench({"moving_mass": 1.0}, frozenset())
@@ -60,7 +60,7 @@ def rubbing(dry: float = 10.0, viscous: float = 0.0, constant: float = 0.0, rise
 
 def shape_of(curve: ForceCurve) -> FittedShape:
     found = curve_shape(curve, 0.0, NAMES)
-    assert found is not None, missing_sign(curve)
+    assert found is not None, missing_indication(curve)
     return found
 
 
@@ -148,10 +148,10 @@ def test_curves_over_the_position_are_those_that_the_simulation_takes() -> None:
 
 def test_what_does_not_oppose_the_motion_is_not_named_and_the_missing_sign_is_told() -> None:
     tank = ForceCurve.over_speed(recorded(lambda x, _v, _a: 300.0 * (x - 0.05), drift=2.0))
-    assert "opposes the motion in" in missing_sign(tank) and curve_shape(tank, 0.0, NAMES) is None
+    assert "opposes the motion in" in missing_indication(tank) and curve_shape(tank, 0.0, NAMES) is None
     table = strokes(rubbing())
     table.columns["piston_position"] = 0.02 + 1e-3 * table.time
-    assert "hardly a speed" in missing_sign(ForceCurve.over_speed(in_motion(table)))
+    assert "hardly a speed" in missing_indication(ForceCurve.over_speed(in_motion(table)))
 
 
 @pytest.mark.parametrize(("viscous", "names"), [(0.0, None), (300.0, ["dry", "viscous"])])

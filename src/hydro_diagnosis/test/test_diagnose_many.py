@@ -16,7 +16,7 @@ from hydro_bridge.bags.recording import BagWriter, read_bag
 from hydro_core.signals import FloatArray
 from hydro_diagnosis import diagnose_many, trends
 from hydro_diagnosis.change_points import course
-from hydro_diagnosis.diagnose_many import parts_of, write_study
+from hydro_diagnosis.diagnose_many import split_bag, write_study
 from hydro_sim.model.bench import Bench
 from tests.checks import status_of
 from tests.segments import record
@@ -68,7 +68,7 @@ def test_no_part_reaches_across_a_gap_or_a_set_clock(tmp_path: Path, capsys: pyt
     states["time"][4000:] += 300 * 86400.0
     with BagWriter(tmp_path / "day") as writer:
         writer.write_states(states)
-    found = [part.partition("#t=")[2] for part in parts_of("day", tmp_path / "day", 2.0)]
+    found = [part.partition("#t=")[2] for part in split_bag("day", tmp_path / "day", 2.0)]
     assert len(found) == 5 and found[-1].endswith(",")
     for part, rows in zip(found, (3, 1997, 2000, 2000, 2000), strict=True):
         assert len(read_bag(f"{tmp_path / 'day'}#t={part}").state) == pytest.approx(rows, abs=4)

@@ -20,7 +20,7 @@ from hydro_diagnosis.closure.admission import AdmittedClosure, closure_reports
 from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.growing import agreements, law_estimates
+from hydro_diagnosis.growing import law_estimates, parameter_agreements
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
@@ -60,11 +60,11 @@ def test_a_report_says_which_law_it_holds(tmp_path: Path) -> None:
 
 def test_one_value_fits_benches_whose_intervals_overlap_and_not_others(tmp_path: Path) -> None:
     a, b, c = (report(tmp_path / str(size), entry(DRAG, coefficient=size)) for size in (880.0, 884.0, 500.0))
-    (agreed,) = agreements(law_estimates([a, b]))
+    (agreed,) = parameter_agreements(law_estimates([a, b]))
     weights = np.array([1.0, (880.0 / 884.0) ** 2]) / (880.0 * 0.01 / 1.959964) ** 2
     assert agreed.common == pytest.approx(weights @ [880.0, 884.0] / weights.sum(), rel=1e-6)
     assert agreed.consistent and "one value fits all benches" in agreed.sentence
-    (apart,) = agreements(law_estimates([c, b]))
+    (apart,) = parameter_agreements(law_estimates([c, b]))
     assert not apart.consistent and "each bench has its own value" in apart.sentence
 
 

@@ -29,7 +29,7 @@ from hydro_diagnosis.preprocessing.streaming import read_bag_within
 from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages import naming, reading
-from hydro_diagnosis.stages.reading import Question
+from hydro_diagnosis.stages.reading import DiagnosisInput
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment
@@ -151,7 +151,7 @@ def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
     tried: list[Problem] = []
     monkeypatch.setattr(naming, "closures", lambda problem, *_: tried.append(problem) or ())
     frame(nominal)[::spacing].to_csv(tmp_path / "run.csv", index=False)
-    question = Question(recordings=[tmp_path / "run.csv"], holdout=[], bench=BENCH, model=None, columns=None,
+    question = DiagnosisInput(recordings=[tmp_path / "run.csv"], holdout=[], bench=BENCH, model=None, columns=None,
                         without=[], estimate=[], as_wired=True)  # fmt: skip
     case = reading.read(question, lambda text: None)
     assert case.problem.unseen_ringing == pytest.approx(0.0 if shown else 86.5, abs=0.5)

@@ -20,7 +20,7 @@ from hydro_diagnosis.bench_numbers import (
     numbers,
     parse_bench,
     read_bench,
-    refuse_missing,
+    require_parameters,
     required_numbers,
 )
 from hydro_diagnosis.cli import run
@@ -139,7 +139,7 @@ def test_equations_read_the_numbers_that_are_asked_for_and_no_others(rig: str, n
     asked = set(required_numbers(RIGS[rig], BENCH))
     known = parse_bench({name: getattr(BENCH, name) for name in asked})
     assert np.all(np.isfinite(residual(known)))
-    refuse_missing(RIGS[rig], known)
+    require_parameters(RIGS[rig], known)
     read = asked | set(OPTIONAL_NUMBERS) if "moving_mass" in asked else asked
     before = residual(BENCH)
     assert set(numbers()) - read
@@ -151,13 +151,13 @@ def test_equations_read_the_numbers_that_are_asked_for_and_no_others(rig: str, n
 def test_all_that_is_missing_is_asked_for_at_once() -> None:
     bench = parse_bench({"piston_area": 2e-4, "area_ratio": 0.6})
     with pytest.raises(InputError) as refused:
-        refuse_missing(("load_force", "piston_position"), bench)
+        require_parameters(("load_force", "piston_position"), bench)
     sentence = str(refused.value)
     assert "spring_stiffness (N/m, load equation), spring_rest_position (m, load equation)" in sentence
     assert sentence.endswith("--estimate spring_stiffness spring_rest_position")
     assert "piston_area" not in sentence and "bulk_modulus" not in sentence
     with pytest.raises(InputError, match=r"--estimate moving_mass$"):  # the cell is at the rod: no spring is needed
-        refuse_missing(("hydraulic_force", "piston_position", "load_force", *PRESSURES), bench)
+        require_parameters(("hydraulic_force", "piston_position", "load_force", *PRESSURES), bench)
 
 
 def test_bench_without_all_numbers_is_one_of_the_diagnosis_alone(tmp_path: Path) -> None:

@@ -20,8 +20,8 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.stages.hypotheses import read_repaired, suspected_repairs
-from hydro_diagnosis.stages.reading import Case, Question
-from hydro_diagnosis.wiring import inspect_table, reversed_sign
+from hydro_diagnosis.stages.reading import Case, DiagnosisInput
+from hydro_diagnosis.wiring import check_plausibility, reversed_sign
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment
@@ -83,7 +83,7 @@ def written(folder: Path, *runs: Channels, change: Change = lambda channels: cha
 
 def read(recordings: list[Path], **options: Any) -> Case:
     given = {"bench": None, "model": None, "columns": None, "without": (), "estimate": (), "as_wired": False}
-    question = Question(recordings=recordings[:1], holdout=recordings[1:], **{**given, **options})
+    question = DiagnosisInput(recordings=recordings[:1], holdout=recordings[1:], **{**given, **options})
     return read_repaired(question, lambda text: None)
 
 
@@ -195,4 +195,4 @@ def test_as_wired_tries_no_repair_and_a_map_that_repairs_is_enough(runs: list[Ch
 
 def test_right_recordings_raise_no_suspicion(problem: Problem, nominal: StateArray) -> None:
     assert suspected_repairs(problem, ()) == ()
-    assert inspect_table(RawTable("run", nominal["time"].copy(), None, fields(nominal)), BENCH).doubts == []
+    assert check_plausibility(RawTable("run", nominal["time"].copy(), None, fields(nominal)), BENCH).doubts == []

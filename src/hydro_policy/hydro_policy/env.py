@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task as a Gymnasium environment, for learners of other libraries; importing it registers `hydro/ForceControl-v0`.
+"""Force control as a Gymnasium environment for other RL libraries; importing it registers `hydro/ForceControl-v0`.
 
 ::
 
     env = gymnasium.make("hydro/ForceControl-v0", law="wide", randomise=True)
     envs = gymnasium.make_vec("hydro/ForceControl-v0", num_envs=8)          # one compiled loop over all benches
-    env.unwrapped.save_policy(model, "policy.safetensors")                  # to deploy what was learnt
+    env.unwrapped.save_policy(model, "policy.safetensors")                  # for deployment
 
-Observations, actions, rewards and terminations are those of trainer and pretraining (`task.mdp`), episodes begin from
-rest. A trip terminates; 1800 steps of 10 ms truncate. Needs gymnasium, which nothing else here imports.
+Observations, actions, rewards and terminations are those of trainer and pretraining (`task.mdp`); episodes start from
+rest. A trip terminates; 1800 steps of 10 ms truncate. Requires gymnasium, which no other module of the package imports.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Marks = npt.NDArray[np.bool_]
 
 
 class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[Any]]):
-    """Benches side by side, advanced by one compiled loop; bench i of seed s is `ForceControl` of seed s + i.
+    """Vectorised force-control environment in one compiled loop; bench i of seed s is `ForceControl` of seed s + i.
 
     Parameters
     ----------
@@ -56,22 +56,22 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         Bench file to simulate, a diagnosis' corrected.yaml for instance; `shipped`: the learned bench; None: the
         nominal one.
     box
-        Bench file that the boxes believe; None: the nominal one, whatever is simulated.
+        Bench file assumed by the boxes' force law; None: the nominal bench, whatever is simulated.
     law
-        `paper` or `wide`: gains and reward of pretraining's configuration of that name. `compensated`: all gains that
-        the box allows under its compensated law, whose coefficients follow the bench, with the reward of `wide`.
+        `paper` or `wide`: gains and reward of pretraining's configuration of that name. `compensated`: full gain range
+        of the box's compensated law, with coefficients estimated online, and the reward of `wide`.
     reference
-        `random`: a sine of 2/3 to 1 of the bench's force and 0.5 to 2 Hz, another in every episode; or the fields of a
+        `random`: a new sine in each episode, of 2/3 to 1 of the bench's force scale and 0.5 to 2 Hz; or the fields of a
         reference: waveform (hold, sine, multisine, smooth_step), amplitude [N], offset [N], frequency [Hz], phase
         [rad].
     randomise
-        Draw another bench around the simulated one for every episode.
+        Randomise the bench's parameters around those of `bench`, in all but an eighth of the episodes.
     max_episode_steps
         Policy steps of 10 ms after which an episode is truncated; None: never.
     autoreset_mode
-        When benches whose episode ended begin the next one; as gymnasium defines it.
+        Gymnasium's `AutoresetMode`: when a bench starts the next episode after the end of one.
 
-    Raises ValueError: a file or a setting cannot be used.
+    Raises ValueError: a file or a setting is invalid.
     """
 
     def __init__(
@@ -117,9 +117,10 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Values, dict[str, Any]]:
-        """Begin new episodes, of all benches or of those in `options["reset_mask"]`, shape (n,).
+        """Start new episodes on all benches, or on those of the mask `options["reset_mask"]`, shape (n,).
 
-        `seed`: of references, benches and noise, for bench i `seed` + i, or one for each; None: the next episode.
+        `seed`: seed of references, benches and noise, `seed` + i on bench i, or one seed per bench; None: the next
+        episode of the present seed.
         """
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
         chosen = (options or {}).get("reset_mask", np.ones(self.num_envs, bool))
@@ -152,9 +153,9 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         return observation, reward, terminated, truncated, info
 
     def save_policy(self, learner: Any, path: str | Path) -> None:
-        """Write the policy of a learner of stable-baselines3 or skrl to a file that `evaluate --policy` reads.
+        """Write the policy of a stable-baselines3 or skrl learner to a policy file for `evaluate --policy`.
 
-        Raises ValueError: it cannot be deployed (`sac.peers.policy_of`), or not under this law.
+        Raises ValueError: the policy cannot be deployed (`sac.peers.policy_of`), or the law is `compensated`.
         """
         if self.law == "compensated":
             raise ValueError(
@@ -175,7 +176,7 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
 
 
 class ForceControl(gymnasium.Env[Values, Values]):
-    """One bench; `options` as `ForceControlVector`."""
+    """Force-control environment of one bench; `options`: of `ForceControlVector`, but `num_envs`, `autoreset_mode`."""
 
     metadata = {"render_modes": []}  # noqa: RUF012
 
@@ -185,7 +186,7 @@ class ForceControl(gymnasium.Env[Values, Values]):
         self.action_space = self.benches.single_action_space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, dict[str, Any]]:
-        """Begin a new episode: the first of `seed`, or the next one."""
+        """Start a new episode: the first one of `seed`, or the next one of the present seed."""
         super().reset(seed=seed)
         return self.benches.reset(seed=seed)[0][0], {}
 
@@ -195,7 +196,7 @@ class ForceControl(gymnasium.Env[Values, Values]):
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def save_policy(self, learner: Any, path: str | Path) -> None:
-        """As `ForceControlVector.save_policy`."""
+        """Write a learner's policy to a file, as `ForceControlVector.save_policy`."""
         self.benches.save_policy(learner, path)
 
 

@@ -48,4 +48,4 @@ STEPS: dict[str, Callable[[], None]] = {
         for (name, make), kind in product(_PLANTS.items(), FILTERS)
     },
 }
-"""Functions by the message shown while each runs."""
+"""Compilation steps: functions that compile a part of the package, by the progress message."""

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan of a training: which trial is next, and which of the learner's agents is candidate, good and best.
+"""Training plan: sequence of episodes and examinations, selection of the candidate, good and best agents.
 
     examination ──> episodes ──> examination ──> episodes ──> ... ──> examination
-                       ^   stopped: back to the last good policy, after too many in a row the end
-                       └── interrupted: begun again
+                       ^   stopped: rollback to the last good policy; after too many in a row the run ends
+                       └── interrupted: restarted
 
     learner's state ──propose──> candidate ──accept──> last good ──(best score)──> best, on disk
 
-An examination is a comparison of the policy's mean action, and of fixed gains where their scores are not yet known;
-learning goes on meanwhile, the acting policy does not change. `evaluation.runner.TrialRunner` makes the trials.
+An examination is an evaluation of the policy's mean action on sines, at first also of fixed reference gains. Learning
+continues meanwhile, with the acting policy unchanged. `evaluation.runner.TrialRunner` runs the trials.
 
-A plant that goes by its own clock waits for the learner: each step acts on the weights after all updates that were due
-at its beginning, and examinations and checkpoints are of that state.
+A plant on its own clock waits for the learner: the weights of each step include all updates due at its start, and so do
+those of examinations and checkpoints.
 """
 
 from __future__ import annotations
@@ -38,12 +38,13 @@ from hydro_policy.task.cases import Case, ExamSettings, Score
 from hydro_policy.task.mdp import events
 
 CHANCE = 0.025
-"""Probability that a score passes for better by chance, over the comparisons of the run so far (Bonferroni)."""
+"""Significance level of the one-sided tests for a better score, over the run's tests so far (Bonferroni)."""
 
 LEAD = 16.0
-"""s that a policy, or the fixed gains, act before the first sine of an examination that follows no episode.
+"""Additional settling time [s] of each controller in an examination after arming, or with the fixed gains.
 
-What arming or other gains leave in the box's integral fades with K_p / K_i, which is 6 s for (90, 15) and up to 18 s.
+The state of the box's integral after arming, or under other gains, decays with the time constant K_p / K_i: 6 s for
+(90, 15), at most 18 s.
 """
 
 EXAMINED = "policy"  # name of the policy in an examination's scores
@@ -51,7 +52,7 @@ EXAMINED = "policy"  # name of the policy in an examination's scores
 
 @dataclass
 class Progress:
-    """Progress of a run; part of the checkpoint."""
+    """Counters and results of a training run; part of the checkpoint."""
 
     episode: int = 0  # episodes finished
     total_steps: int = 0
@@ -62,19 +63,19 @@ class Progress:
     rollbacks: int = 0
     examined: int = -1  # finished episodes at the last examination; -1: none yet
     reference_rmse: list[float] = field(default_factory=list)
-    """RMSE [N] of the fixed gains that scores are relative to, one per sine; empty until they are examined."""
+    """Force RMSE [N] of the fixed reference gains at each sine, for relative scores; empty before their examination."""
     best_score: float = math.inf
-    """Score of the best policy so far: mean over the sines of its RMSE over the reference's."""
+    """Score of the best policy so far: mean over the sines of its RMSE relative to that of the fixed gains."""
     passed_at: int = -1  # finished episodes when a policy first beat the reference at every sine; -1: not yet
     exams: list[dict[str, Any]] = field(default_factory=list)
     history: list[dict[str, float]] = field(default_factory=list)
 
 
 class TrainingPlan(Plan):
-    """Episodes and examinations, with the learner that they are for.
+    """Plan of a training run: alternates episodes and examinations, and accepts or rolls back the learner's agents.
 
-    `settings`: settings of the run. `learner`: running learner, which stores accepted agents. `outputs`: the graph.
-    `state`, `best`: `state()` and best agent of the run to continue, or None. `record`: record of events.
+    `settings`: settings of the run. `learner`: running learner, which stores accepted agents. `outputs`: outputs to the
+    graph. `state`, `best`: `state()` and best agent of a run to resume, or None. `record`: record of events.
     """
 
     training = True
@@ -112,7 +113,7 @@ class TrainingPlan(Plan):
 
     @property
     def trial(self) -> Trial | None:
-        """See `Plan`."""
+        """Present trial, as `Plan.trial`; None also for an aborted run."""
         return None if self.abort_reason else self._trial
 
     @property
@@ -137,7 +138,7 @@ class TrainingPlan(Plan):
             self.explorer.discard_action()
 
     def add(self, score: Score) -> str:
-        """See `Plan`: a policy that was stopped is rolled back."""
+        """Process a trial's score, as `Plan.add`; a stopped policy is rolled back to the last good one."""
         if score.stopped and score.controller in (EXAMINED, self.explorer.name):
             return self._stop(score.stopped)
         return super().add(score)
@@ -176,22 +177,22 @@ class TrainingPlan(Plan):
             learner.save(self.state(), best)
 
     def pause(self) -> None:
-        """See `Plan`: an examination begins anew."""
+        """Count an interruption, as `Plan.pause`; the examination restarts at its first trial."""
         self.progress.interruptions += 1
         self._fresh = True
         self.set_trials(self._in_turn())
 
     def prepare_step(self, *, exact: bool) -> None:
-        """See `Plan`."""
+        """Wait for the learner's due updates if the plant runs on its own clock (`exact`), as `Plan.prepare_step`."""
         self.learner.exact = exact
         self.learner.wait_for_updates()
 
     def poll(self) -> str:
-        """See `Plan`."""
+        """Restart a dead learner; returns the warning about it, or an empty text, as `Plan.poll`."""
         return self.learner.restart_if_dead() or ""
 
     def state(self) -> dict[str, Any]:
-        """Return the state for a checkpoint, as JSON types."""
+        """Return the plan's state for a checkpoint (progress, random state of the exploration), as JSON types."""
         progress = self.progress
         progress.total_steps = self.explorer.total_steps
         summary = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
@@ -200,10 +201,10 @@ class TrainingPlan(Plan):
     # ---------------------------------------------------------------------------------------------------- results
 
     def add_exam(self, scores: Sequence[Score], digest: str = "") -> bool:
-        """Add an examination completed by the policy of this digest; returns True if it is significantly the best.
+        """Record an examination of the policy with this digest; returns whether its score is significantly the best.
 
-        One in which the machine was held up makes no policy the best.
-        The first one is that of the initial policy: the run returns it, or one that is better by more than noise.
+        A disturbed examination (lost samples, late commands) makes no policy the best. The first one is of the initial
+        policy, which is the run's result unless a later policy is significantly better.
         """
         progress = self.progress
         reference = progress.reference_rmse or reference_rmse(self.settings.exam, scores)
@@ -225,9 +226,9 @@ class TrainingPlan(Plan):
         return best
 
     def _stop(self, reason: str) -> str:
-        """Return to the last good policy, which learns the penalty if it explored; returns the sentence for the user.
+        """Roll back to the last good policy; returns the message for the user.
 
-        Too many stops in a row: the run gives up.
+        Too many stops in a row end the run.
         """
         where = f"episode {self.explorer.current.episode}"
         if self.exam is not None:
@@ -250,13 +251,13 @@ class TrainingPlan(Plan):
     # ----------------------------------------------------------------------------------------------------- agents
 
     def start(self) -> None:
-        """Accept the initial agent as good until a better one is known; call when the learner is ready."""
+        """Accept the initial agent as the last good one if there is none yet; the learner must be ready."""
         if self._good is None:
             self.propose()
             self._accept()
 
     def propose(self) -> FloatArray | None:
-        """Take the learner's state as candidate; returns its actor's parameters, None if there is no state yet."""
+        """Make the learner's state the candidate; returns its actor's parameters, or None before the first state."""
         self._candidate = self.learner.snapshot()
         return None if self._candidate is None else actor_parameters(self._candidate)
 
@@ -279,16 +280,16 @@ class TrainingPlan(Plan):
 
     @property
     def improved(self) -> bool:
-        """Whether a policy trained here scored better than the initial one, by more than noise."""
+        """Whether a policy trained in this run scored significantly better than the initial one."""
         return any(exam["best"] and exam["episode"] > 0 for exam in self.progress.exams)
 
 
 def significantly_better(score: float, best: float, errors: Sequence[float], best_error: float = 0.0) -> bool:
-    """Return whether a score is below the best one by more than the noise of both.
+    """Return whether a score is significantly below the best one: one-sided z-test, Bonferroni-corrected (`CHANCE`).
 
-    `errors`: standard errors of all scores of the run, this one's last. Two runs of a sine alone give a poor estimate
-    of their scatter: the root of the mean square of all of them counts where a score's own is smaller. For a score of
-    single runs it is 0: unknown. `best_error`: that of the best score.
+    `errors`: standard errors of the run's scores, this one's last; 0: unknown (single runs). Their root mean square is
+    a lower bound on both errors of the test, since two repeats alone are a poor estimate of the scatter. `best_error`:
+    standard error of the best score.
     """
     known = [error for error in errors if error > 0.0]
     pooled = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
@@ -297,7 +298,7 @@ def significantly_better(score: float, best: float, errors: Sequence[float], bes
 
 
 def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[float]:
-    """Return the force RMSE [N] of the fixed gains; runs that had to be stopped count as no tracking at all."""
+    """Return the fixed gains' force RMSE [N] at each sine, mean over repeats; a stopped run has the reference's RMS."""
     nothing = settings.evaluation.amplitude / math.sqrt(2.0)
     return [
         float(np.mean([nothing if score.stopped else score.rmse for score in runs]))
@@ -308,8 +309,9 @@ def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[floa
 def verdict(scores: Sequence[Score], reference: Sequence[float]) -> tuple[list[float], float, float]:
     """Return the policy's force RMSE at each sine [N], mean over the repeats; its score; the score's standard error.
 
-    The score is the mean of its ratios to `reference`, the RMSE of the fixed gains [N]: below 1 the policy beats them
-    on average. Its error is by the scatter of repeats, 0 without; that of the reference is common to a run.
+    The score is the mean ratio of the policy's RMSE to `reference`, the RMSE of the fixed gains [N]: below 1 the policy
+    is better on average. The error is from the scatter of repeats, 0 without; the reference's, common to all scores of
+    a run, is excluded.
     """
     runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == EXAMINED])]
     rmse = [float(np.mean(one)) for one in runs]
@@ -326,5 +328,5 @@ def _by_case(scores: Sequence[Score]) -> list[list[Score]]:
 
 
 def training(plan: TrainingPlan, watch: PlantSupervisor) -> TrialRunner[TrainingPlan]:
-    """Return the runner of a training, whose monitor stops policies."""
+    """Return the trial runner of a training plan, with a safety monitor."""
     return TrialRunner(plan, watch, monitor=SafetyMonitor(plan.settings.monitor))

@@ -16,7 +16,7 @@ from typing import Annotated, Literal, cast
 import numpy as np
 import yaml
 
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping
 from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_sim.model.bench import NOMINAL
@@ -74,7 +74,7 @@ def save_schedule(segments: Sequence[Segment], path: str | Path) -> None:
     """Write a schedule in the format of `load_schedule`; missing folders are created."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"segments": [to_mapping(segment) for segment in segments]}, sort_keys=False)
-    write_whole(Path(path), text.encode())
+    write_atomic(Path(path), text.encode())
 
 
 @dataclass(frozen=True, kw_only=True)

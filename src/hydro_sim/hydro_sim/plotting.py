@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from cycler import cycler
 
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import StateArray
 
 if TYPE_CHECKING:  # matplotlib is imported with the first figure: commands that draw nothing start sooner
@@ -76,7 +76,7 @@ def figure(
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         content = BytesIO()
         drawing.savefig(content, format=Path(path).suffix[1:] or None)
-        write_whole(Path(path), content.getvalue())
+        write_atomic(Path(path), content.getvalue())
 
 
 def plot_field(axes: Axes, states: StateArray, field: str, **style: Any) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.conformance import command
-from hydro_bridge.conformance.command import FAIL, LEFT_OUT, NOT_JUDGED, PASS, run_cases, select_cases, shipped_cases
+from hydro_bridge.conformance.command import FAIL, INCONCLUSIVE, LEFT_OUT, PASS, run_cases, select_cases, shipped_cases
 from hydro_bridge.conformance.host import Host, NoFrameError
 from hydro_core.errors import UserError
 from hydro_sim.box import firmware
@@ -276,7 +276,7 @@ def test_a_box_whose_valve_is_not_connected_passes_all_but_the_sign() -> None:
     """It shows the current that it should: only the force tells, and that may stand by an overlap as well."""
     found = judged(InStep(Unconnected(profile("nominal"))))
     assert FAIL not in {outcome for outcome, _ in found.values()}
-    assert found["law.sign"][0] == NOT_JUDGED and "not connected" in found["law.sign"][1]
+    assert found["law.sign"][0] == INCONCLUSIVE and "not connected" in found["law.sign"][1]
 
 
 def test_a_bench_that_drifts_to_its_stop_passes_no_case_that_it_did_not_play() -> None:

@@ -74,7 +74,7 @@ def parse_cases(content: Any) -> tuple[Case, ...]:
     return msgspec.convert(content, tuple[Case, ...])
 
 
-PASS, FAIL, LEFT_OUT, NOT_JUDGED = "pass", "FAIL", "left out", "not judged"
+PASS, FAIL, LEFT_OUT, INCONCLUSIVE = "pass", "FAIL", "left out", "not judged"
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Result:
 
     case: Case
     outcome: str
-    """`PASS`, `FAIL`, `LEFT_OUT` or `NOT_JUDGED`."""
+    """`PASS`, `FAIL`, `LEFT_OUT` or `INCONCLUSIVE`."""
     found: str
     """Reason for an outcome other than `PASS`, or aspects that were not examined."""
 
@@ -118,7 +118,7 @@ def _run(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] | N
         outcome, found = _converse(case, host)
         if outcome != FAIL or host.silence <= READ_INTERVAL_MAX:
             return Result(case, outcome, found)
-    return Result(case, NOT_JUDGED, f"this host was silent for {1e3 * host.silence:.0f} ms; {found}")
+    return Result(case, INCONCLUSIVE, f"this host was silent for {1e3 * host.silence:.0f} ms; {found}")
 
 
 def _converse(case: Case, host: Host) -> tuple[str, str]:
@@ -158,7 +158,7 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
     except NotReportedError as missing:
         return LEFT_OUT, str(missing)
     except InconclusiveError as undecided:
-        return NOT_JUDGED, str(undecided)
+        return INCONCLUSIVE, str(undecided)
     notes = [note for seen, _ in checked for note in seen.notes]
     return (FAIL, silent) if silent else (PASS, "; ".join(notes))
 
@@ -227,8 +227,8 @@ def main() -> int:
     finally:
         port.close()
     found = [result.outcome for result in results]
-    table = Table(COLUMNS, title=", ".join(f"{found.count(one)} {one}" for one in (PASS, FAIL, LEFT_OUT, NOT_JUDGED)))
+    table = Table(COLUMNS, title=", ".join(f"{found.count(one)} {one}" for one in (PASS, FAIL, LEFT_OUT, INCONCLUSIVE)))
     for result in results:
         table.add(case=result.case.id, result=result.outcome, found=result.found, says=result.case.says)
     table.show(options.json)
-    return 1 if FAIL in found else _LATE if NOT_JUDGED in found else 0
+    return 1 if FAIL in found else _LATE if INCONCLUSIVE in found else 0

@@ -27,7 +27,7 @@ from math import inf, isclose
 
 from hydro_bridge.plant_clock import Pace
 from hydro_bridge.safety.guard import CommandGuard, intersect_limits
-from hydro_bridge.safety.plant_side import PlantSide
+from hydro_bridge.safety.plant_side import PlantInterface
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, ClockFrame, Frame, State
@@ -93,7 +93,7 @@ class LinkReport:
     """From sending a command frame to the first state frame that confirms it; up to one sample of it is the box's."""
 
 
-class Link(PlantSide):
+class Link(PlantInterface):
     """Host side of the line to one box.
 
     Parameters
@@ -101,7 +101,7 @@ class Link(PlantSide):
     port
         Opened and closed by `run`.
     guard, log, warn, pace
-        See `PlantSide`; the guard's limits are narrowed to those of the box on connecting.
+        See `PlantInterface`; the guard's limits are narrowed to those of the box on connecting.
     on_state
         Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE and PACED
         filled in.

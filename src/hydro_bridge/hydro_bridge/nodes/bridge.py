@@ -19,7 +19,7 @@ from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.plant_clock import Pace, PaceSettings
 from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
-from hydro_bridge.safety.box_info import bench_mismatches, known_box
+from hydro_bridge.safety.box_info import bench_mismatches, describe_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, describe_non_port
 from hydro_bridge.serial.protocol import BoxInfo, State
@@ -92,7 +92,7 @@ class BridgeNode(PlantNode):
             self.get_logger().warning(
                 f"this box is not what was expected: {self.link.foreign}: give the bridge its own bench.yaml by --bench"
             )
-        self.publish_box(known_box(info, self._bench, "bridge", self.link.details), self.link.law)
+        self.publish_box(describe_box(info, self._bench, "bridge", self.link.details), self.link.law)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -44,7 +44,7 @@ from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_d
 from hydro_bridge.ros.messages import subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import Mailbox, create_subscription
-from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.cli.console import bounded_number, command, make_parser
 from hydro_core.signals import STATUS_MASK, CorrectionStatus
 from hydro_msgs.msg import Authority, TrainingStatus
@@ -291,7 +291,7 @@ class DashboardNode(Node):
         if self._words_heard.get_publisher_count() <= 1:
             self._authority = self._word
 
-    def _on_box(self, box: KnownBox) -> None:
+    def _on_box(self, box: BoxDescription) -> None:
         info = box.info
         self._box = {
             "plant": box.plant,

@@ -4,7 +4,7 @@
 ::
 
     /hydro/gains, /hydro/law, /hydro/correction, /hydro/reference ──> guard ─┐
-    /hydro/claim, /hydro/arm ─────────────────────────────────────> lease    ├─ PlantSide (serial line, simulation)
+    /hydro/claim, /hydro/arm ─────────────────────────────────────> lease    ├─ PlantInterface (line, simulation)
     /hydro/answered ──────────────────────────────────────────────> pace ────┤
     /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law, /clock <─ publish_… ──┘
 
@@ -23,8 +23,8 @@ A filter in the plant's process is a `Corrector`: it is called with each sample 
 is published. Its corrections are published like any; the plant then has no subscription to other nodes' corrections.
 After an error it is called no more: the guard goes to base gains, as for any filter that is silent.
 
-Where the plant runs by its own clock (`PlantSide.paced`), times are the plant's, and its messages about a sample (end
-of the session by a trip, /clock, state of the law) are published before the sample.
+Where the plant runs by its own clock (`PlantInterface.paced`), times are the plant's, and its messages about a sample
+(end of the session by a trip, /clock, state of the law) are published before the sample.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ from hydro_bridge.ros.messages import (
     subscribe,
 )
 from hydro_bridge.ros.topics import create_publisher, create_subscription
-from hydro_bridge.safety.box_info import KnownBox
-from hydro_bridge.safety.plant_side import PlantSide
+from hydro_bridge.safety.box_info import BoxDescription
+from hydro_bridge.safety.plant_side import PlantInterface
 from hydro_bridge.serial.protocol import BoxLaw, LawState
 from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs import msg
@@ -103,7 +103,7 @@ class LeaseServer:
     itself.
     """
 
-    def __init__(self, node: Node, plant: PlantSide, tripped: Callable[[], bool]) -> None:
+    def __init__(self, node: Node, plant: PlantInterface, tripped: Callable[[], bool]) -> None:
         self._node, self._plant, self._tripped = node, plant, tripped
         self.lease = plant.guard.lease
         self._following = threading.Lock()
@@ -282,7 +282,7 @@ class PlantNode(Node):
         self._flags, self._tripped = 0, False
         self._beside_another = False
 
-    def connect(self, side: PlantSide) -> None:
+    def connect(self, side: PlantInterface) -> None:
         """Accept commands for `side`, and report its status."""
         self.side = side
         limits = side.guard.settings
@@ -363,7 +363,7 @@ class PlantNode(Node):
         if self._corrector is not None:
             self._corrector.publish()
 
-    def publish_box(self, box: KnownBox, law: BoxLaw | None) -> None:
+    def publish_box(self, box: BoxDescription, law: BoxLaw | None) -> None:
         """Publish the box's description and its compensated law, None if it has none, and set that law in the guard.
 
         Call at the start, and whenever another box may be connected.

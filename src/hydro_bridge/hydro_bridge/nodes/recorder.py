@@ -23,7 +23,7 @@ from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter, code_version
 from hydro_bridge.plant_clock import RECORDER_WINDOW
-from hydro_bridge.ros.answers import PaceResponder
+from hydro_bridge.ros.answers import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
@@ -70,7 +70,7 @@ class RecorderNode(Node):
         self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self._answers, self._answered = PaceResponder(self, RECORDER_WINDOW, self._heard[STATE]), -1
+        self._answers, self._answered = SampleAcknowledger(self, RECORDER_WINDOW, self._heard[STATE]), -1
         self._paced, self._offset, self._now = False, 0, 0  # ns: log time minus stamp of a paced plant, last log time
         self.get_logger().info(f"recording into {self._writer.folder}; {scheduling}")
 

@@ -14,7 +14,7 @@ _LOOK = 0.05  # s between two polls for a plant
 _ALIVE = 20  # polls after which a peer repeats its last answer, as a sign of life
 
 
-class PaceResponder:
+class SampleAcknowledger:
     """Acknowledges samples to a plant that runs by its own clock, on /hydro/answered.
 
     `node`: the node. `window`: number of samples that the plant may be ahead of this node. `states`: its subscription

@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from hydro_bridge.ros.topics import BOX, GRAPH, create_subscription
-from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.box_info import BoxDescription
 from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, LawState
 from hydro_core.signals import Law, LawCommand, ReferenceSignal, Waveform
 from hydro_msgs import msg
@@ -104,7 +104,7 @@ _NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.def
 _TEXTS = ("plant", "bench_digest", "bench")
 
 
-def box_to_message(box: KnownBox, stamp: Any) -> msg.BoxInfo:
+def box_to_message(box: BoxDescription, stamp: Any) -> msg.BoxInfo:
     """Return the message that describes a box; `stamp` is a builtin_interfaces/Time."""
     values = {name: float(getattr(box.info, name)) for name in _NUMBERS} | {name: getattr(box, name) for name in _TEXTS}
     message = msg.BoxInfo(firmware=box.info.name, integral=box.info.integral, **values)
@@ -145,12 +145,12 @@ def law_state_from_message(message: Any) -> LawState:
     return LawState(Law(message.law), *followed, coefficients, message.velocity_compensation, message.valve_gain_scale)
 
 
-def subscribe_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
+def subscribe_to_box(node: Node, on_box: Callable[[BoxDescription], None]) -> Subscription:
     """Call `on_box` with the box's description as soon as the plant node is discovered, and at each change."""
 
     def take(message: msg.BoxInfo) -> None:
         numbers = {name: getattr(message, name) for name in _NUMBERS}
         info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
-        on_box(KnownBox(info=info, **{name: getattr(message, name) for name in _TEXTS}))
+        on_box(BoxDescription(info=info, **{name: getattr(message, name) for name in _TEXTS}))
 
     return create_subscription(node, BOX, take)

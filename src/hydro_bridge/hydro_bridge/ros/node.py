@@ -37,7 +37,7 @@ from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from hydro_bridge.ros.keys import KEYSTORE, enclave_name, security_enabled
-from hydro_bridge.ros.topics import RIGHTS, hidden_node
+from hydro_bridge.ros.topics import ACCESS_RIGHTS, hidden_node
 from hydro_core.errors import UserError
 from hydro_core.process import endings, start
 from hydro_core.process.realtime import limit_run_time
@@ -110,7 +110,7 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
     in a file, that none of these nodes has, or that is addressed to no node.
     """
     here = [node.get_fully_qualified_name() for node in nodes]
-    ours = {node for table in RIGHTS.values() for node in table}
+    ours = {node for table in ACCESS_RIGHTS.values() for node in table}
     for option, value in pairwise(ros_arguments()[1]):
         if option in ("-p", "--param") and ":" in (rule := value.partition(":=")[0]):
             source, patterns = f"-p {value}", ["/" + rule.partition(":")[0].lstrip("/")]
@@ -126,7 +126,7 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
         reached = [pattern for pattern in patterns if any(re.fullmatch(forms[pattern], name) for name in here)]
         for pattern in patterns:
             name = pattern.rpartition("/")[2]
-            meant = name not in ours and get_close_matches(name, (*ours, *RIGHTS), 1, 0.6)
+            meant = name not in ours and get_close_matches(name, (*ours, *ACCESS_RIGHTS), 1, 0.6)
             if (not reached or meant) and pattern not in reached:
                 close = get_close_matches(pattern, here, 1, 0.5) or here
                 nodes_here = " and ".join(here)
@@ -212,7 +212,7 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
         raise SettingsError(f"ROS_DOMAIN_ID={domain}: must be a whole number from 0 to {DOMAIN_MAX}")
     restrict_to_localhost()
     keys, executable = security_enabled(), Path(sys.argv[0]).stem
-    enclave = ["--ros-args", "--enclave", enclave_name(executable)] if executable in RIGHTS else []
+    enclave = ["--ros-args", "--enclave", enclave_name(executable)] if executable in ACCESS_RIGHTS else []
     try:
         try:
             rclpy.init(args=["hydro", *enclave, *ros], signal_handler_options=SignalHandlerOptions.NO)

@@ -10,9 +10,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from hydro_bridge.ros.keys import enclave_name
-from hydro_bridge.ros.topics import RIGHTS
+from hydro_bridge.ros.topics import ACCESS_RIGHTS
 from hydro_core.cli.console import command, make_parser, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 
 VERSION = "0.2.0"
 """Version of the policy's format, by policy.xsd of package sros2."""
@@ -22,7 +22,7 @@ def policy_xml() -> bytes:
     """Return the policy as XML, an enclave for each executable; anything not named in it is denied."""
     policy = ElementTree.Element("policy", version=VERSION)
     enclaves = ElementTree.SubElement(policy, "enclaves")
-    for executable, nodes in RIGHTS.items():
+    for executable, nodes in ACCESS_RIGHTS.items():
         enclave = ElementTree.SubElement(enclaves, "enclave", path=enclave_name(executable))
         profiles = ElementTree.SubElement(enclave, "profiles")
         for name, allowed in nodes.items():
@@ -46,7 +46,7 @@ def main() -> None:
     """Entry point."""
     parser = make_parser("policy", __doc__)
     parser.add_argument("file", type=writable_file, metavar="FILE", help="to write")
-    write_whole(Path(parser.parse_args().file), policy_xml())
+    write_atomic(Path(parser.parse_args().file), policy_xml())
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names, types and quality of service of the graph's topics, shared by publishers and subscribers; access rights.
 
-`RIGHTS` is the source of security policies and keys. A graph test compares the running nodes with it, endpoint by
-endpoint (tests/test_graph_rights.py): a topic added to a node is added here as well.
+`ACCESS_RIGHTS` is the source of security policies and keys. A graph test compares the running nodes with it, endpoint
+by endpoint (tests/test_graph_rights.py): a topic added to a node is added here as well.
 """
 
 from __future__ import annotations
@@ -166,7 +166,7 @@ PARAMETER_SERVICES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rights:
+class AccessRights:
     """Access rights of a node: its topics and services, each by its absolute name."""
 
     publishes: tuple[str, ...] = ()
@@ -177,7 +177,7 @@ class Rights:
     """Services it calls."""
 
 
-def _with_rclpy(name: str, rights: Rights) -> Rights:
+def _with_rclpy(name: str, rights: AccessRights) -> AccessRights:
     """Return the rights extended by those that rclpy needs for any ordinary node of that name."""
     services = (f"/{name}/{service}" for service in (*PARAMETER_SERVICES, DESCRIPTION_SERVICE))
     return replace(rights, publishes=(*rights.publishes, LOG, PARAMETER_EVENTS), answers=(*rights.answers, *services))
@@ -185,13 +185,13 @@ def _with_rclpy(name: str, rights: Rights) -> Rights:
 
 _ARMING = (ARM_SERVICE, CLAIM_SERVICE)
 """Services of a plant. Our own programs call the second, under their names; the first is open to all."""
-_PLANT = Rights(
+_PLANT = AccessRights(
     publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS, CLOCK),
     subscribes=(*COMMANDS, ANSWERED),
     answers=_ARMING,
 )
 
-_CONTROLLER = Rights(
+_CONTROLLER = AccessRights(
     publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS, ANSWERED),
     subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
     answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
@@ -200,25 +200,27 @@ _CONTROLLER = Rights(
 _OWN = {
     "bridge": _PLANT,
     "sim": _PLANT,
-    "replayer": Rights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING),
-    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS, ANSWERED), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY)),
+    "replayer": AccessRights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING),
+    "filter": AccessRights(
+        publishes=(CORRECTION, DIAGNOSTICS, ANSWERED), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY)
+    ),
     "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
     "evaluate": _CONTROLLER,
     "commission": _CONTROLLER,
-    "collect": Rights(
+    "collect": AccessRights(
         publishes=(GAINS, REFERENCE, ANSWERED),
         subscribes=(STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
         answers=(OVERRIDE_SERVICE, END_SERVICE),
         calls=(CLAIM_SERVICE,),
     ),
-    "recorder": Rights(publishes=(DIAGNOSTICS, ANSWERED)),
-    "dashboard": Rights(
+    "recorder": AccessRights(publishes=(DIAGNOSTICS, ANSWERED)),
+    "dashboard": AccessRights(
         publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
         calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
     ),
-    "arm": Rights(calls=(CLAIM_SERVICE,)),
-    "override": Rights(calls=(OVERRIDE_SERVICE,)),
-    "watch": Rights(subscribes=(*GRAPH, CLOCK)),
+    "arm": AccessRights(calls=(CLAIM_SERVICE,)),
+    "override": AccessRights(calls=(OVERRIDE_SERVICE,)),
+    "watch": AccessRights(subscribes=(*GRAPH, CLOCK)),
 }  # fmt: skip
 _NODES = {"watch": "_ros2cli_*"}
 """Name of a node where it is not that of its executable."""
@@ -227,11 +229,11 @@ _FILTERED = replace(_PLANT, subscribes=tuple(topic for topic in _PLANT.subscribe
 _TOGETHER = {
     "bridge": _FILTERED,
     "sim": _FILTERED,
-    "filter": Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(BOX,)),
+    "filter": AccessRights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(BOX,)),
 }
 """Nodes of `filtered_plant`, one of the plants and the filter: messages between the two stay in the process."""
 
-RIGHTS: Mapping[str, dict[str, Rights]] = {
+ACCESS_RIGHTS: Mapping[str, dict[str, AccessRights]] = {
     **{
         executable: {(name := _NODES.get(executable, executable)): _with_rclpy(name, rights)}
         for executable, rights in _OWN.items()
@@ -246,5 +248,5 @@ for _name, _topics in {
     "commission": (CORRECTION,),
     "collect": (),
 }.items():
-    RIGHTS[_name][mailbox_name(_name)] = Rights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
+    ACCESS_RIGHTS[_name][mailbox_name(_name)] = AccessRights(publishes=(PARAMETER_EVENTS,), subscribes=_topics)
 """Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""

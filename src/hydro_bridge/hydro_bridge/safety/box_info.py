@@ -25,7 +25,7 @@ _FLOAT32 = 1e-6  # relative: HELLO carries float32
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownBox:
+class BoxDescription:
     """Description of a box: its HELLO, its plant node, and the bench of its force law."""
 
     info: BoxInfo
@@ -48,9 +48,9 @@ def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
     return Requirement(name="the box's description", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
 
-def known_box(
+def describe_box(
     info: BoxInfo, bench: Mapping[str, Any] | None, plant: str, details: BoxDetails | None = None
-) -> KnownBox:
+) -> BoxDescription:
     """Return the description of a box from its reports and its bench file; where they differ, the box's values apply.
 
     The bench's digest is that of the file unless the box contradicts it. If the box reports another digest, its bench
@@ -58,13 +58,13 @@ def known_box(
     """
     believed = details.bench_digest if details else ""
     if bench is None or (believed and believed != bench_digest.digest(bench)):
-        return KnownBox(info=info, plant=plant, bench_digest=believed)
+        return BoxDescription(info=info, plant=plant, bench_digest=believed)
     numbers = dict(bench)
     told = numbers.get("valve_current_max")
     if told is None or not isclose(info.valve_current_max, told, rel_tol=_FLOAT32):
         numbers["valve_current_max"] = info.valve_current_max
     text = yaml.safe_dump(numbers, sort_keys=False)
-    return KnownBox(info=info, plant=plant, bench_digest=bench_digest.digest(numbers), bench=text)
+    return BoxDescription(info=info, plant=plant, bench_digest=bench_digest.digest(numbers), bench=text)
 
 
 def bench_mismatches(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:

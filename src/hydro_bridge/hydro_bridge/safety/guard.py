@@ -4,7 +4,7 @@
 The guard trusts no sender. A non-finite value is dropped, one out of range is clamped, a stale one is replaced by the
 safe value (base gains, no correction); each case is counted, and each change is reported once in a sentence
 (`take_events`). If the filter reports that its model is not this bench's (MISMATCH), no correction passes, and only
-gains within `PAPER_RANGES`. If gains cease to arrive the plant is given up: reference 0 N, disarmed. Source:
+gains within `UNFILTERED_LIMITS`. If gains cease to arrive the plant is given up: reference 0 N, disarmed. Source:
 failure table of failures.md.
 
 The compensated law has limits and a safe record of its own (`BoxLaw`): its gains pass without a filter, and the
@@ -18,14 +18,14 @@ from math import inf, isfinite
 
 import numpy as np
 
-from hydro_bridge.safety.guard_settings import PAPER_RANGES, GuardSettings, intersect_limits, reference_error
+from hydro_bridge.safety.guard_settings import UNFILTERED_LIMITS, GuardSettings, intersect_limits, reference_error
 from hydro_bridge.safety.lease import Lease
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLE_PERIOD, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
 
-__all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "intersect_limits"]
+__all__ = ["DECISION_STATUSES", "CommandGuard", "GuardCounts", "GuardSettings", "intersect_limits"]
 
-DECIDED = frozenset(
+DECISION_STATUSES = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
 )
 """Statuses with a decision of the filter. NAN and STALE: it could not decide; BYPASSED: it is switched off or not made
@@ -214,7 +214,7 @@ class CommandGuard:
                 self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
         elif not isfinite(delta_u):
             self.counts.not_finite += 1
-        elif status not in DECIDED:
+        elif status not in DECISION_STATUSES:
             self.counts.undecided += 1
         elif self._fits(sequence):
             high = self.settings.delta_u_max
@@ -317,7 +317,7 @@ class CommandGuard:
             self._tell("stale gains", not gained, missed, "gains are fresh again")
         self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
         passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
-        gains, narrow = passed, PAPER_RANGES
+        gains, narrow = passed, UNFILTERED_LIMITS
         if self._mismatched:
             gains = (
                 min(max(passed[0], narrow.delta_kp_min), narrow.delta_kp_max),

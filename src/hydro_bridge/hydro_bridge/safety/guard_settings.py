@@ -51,7 +51,7 @@ class GuardSettings:
         return cls(delta_u_max=size.current / 2.5, reference_force_max=size.force * 10.0 / 3.0)
 
 
-PAPER_RANGES = GuardSettings()
+UNFILTERED_LIMITS = GuardSettings()
 """Ranges of delta_kp and delta_ki that every bench of this kind tolerates without a filter: the paper's, K_p 15 to 90
 and K_i 5 to 15 on base gains of 15 and 5. They apply, whatever the guard's limits, while the filter says MISMATCH."""
 

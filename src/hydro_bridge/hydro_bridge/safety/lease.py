@@ -27,7 +27,7 @@ SILENCE = 3.0
 HANDOVER_TIME = 10.0
 """Time [s] for which a released plant is reserved for the named heir."""
 
-BY_HAND = "a person disarmed the plant: arm it on the live page, or by `ros2 run hydro_bridge arm`"
+DISARMED_BY_PERSON = "a person disarmed the plant: arm it on the live page, or by `ros2 run hydro_bridge arm`"
 """Refusal of a holder's request to arm a plant that a person has disarmed."""
 
 _LATE = 0.5  # s in which commands of the previous epoch count as late, not as foreign
@@ -115,7 +115,7 @@ class Lease:
             return f"{holder} commands this plant now"
         if epoch not in (0, self.epoch):
             return "the plant was disarmed, tripped or changed hands since: look, and ask again"
-        return BY_HAND if claim and claim == self._barred else ""
+        return DISARMED_BY_PERSON if claim and claim == self._barred else ""
 
     def note_armed(self) -> None:
         """Note an arming, which lifts the bar of a person's disarming."""

@@ -16,7 +16,7 @@ from hydro_core.signals import Flag, flag_names
 Say = Callable[[str], None]
 
 
-class PlantSide(ABC):
+class PlantInterface(ABC):
     """Plant behind a plant node: arming, commands by the guard, and time stamps of its samples.
 
     `guard`: source of all commands. `log`, `warn`: loggers of changes and of faults; `warn` is `log` by default.

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table, UserError, add_json_argument, command, make_parser, plural
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 
 INDEX_FILE = "index.html"
 INDEX_MARKER = "<!-- hydro: a front page of runs -->"
@@ -71,7 +71,7 @@ def write_index(folder: Path) -> Path:
     content = made.get_template("runs.html").render(
         title="Runs", runs=list_runs(folder), folder=here.name, mark=INDEX_MARKER
     )
-    write_whole(index, content.encode())
+    write_atomic(index, content.encode())
     return index
 
 

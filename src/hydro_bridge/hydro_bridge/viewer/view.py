@@ -31,7 +31,7 @@ from hydro_bridge.dashboard import series, status
 from hydro_bridge.pages import environment
 from hydro_bridge.viewer.marks import REPORT_FILE, Mark, MarkCollector, read_windows, select_windows
 from hydro_core.cli.console import UserError, bounded_number, command, make_parser, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
 
 CLOCK_OFFSET_MAX = 2.0
@@ -298,7 +298,7 @@ def main() -> None:
     report = options.report or (beside if beside.is_file() else None)
     recorded = read_page(options.bag, (options.begin, options.end), report)
     page.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(page, render_page(recorded).encode())
+    write_atomic(page, render_page(recorded).encode())
     print(page)
     if options.open:
         webbrowser.open(page.absolute().as_uri())

@@ -23,7 +23,7 @@ from typing import Any, NoReturn, TypeVar
 from tqdm import tqdm
 
 from hydro_core.errors import UserError, is_file_error, user_message, writable_file, writable_folder
-from hydro_core.files.atomic import encode_json, write_whole
+from hydro_core.files.atomic import encode_json, write_atomic
 from hydro_core.process import endings
 
 __all__ = [
@@ -193,7 +193,7 @@ class Table:
         content = {"title": self.title, "columns": self.columns, "rows": self.rows}
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(Path(path), encode_json(content))
+            write_atomic(Path(path), encode_json(content))
         except OSError as error:
             raise UserError(f"{path} cannot be written: {error.strerror}") from None
 
@@ -233,7 +233,7 @@ def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> d
     return {name: value for name, value in said.items() if value is not _UNSAID}
 
 
-def reject_changed_options(
+def refuse_changed_options(
     parser: argparse.ArgumentParser, words: Sequence[str], what: str, begun: Mapping[str, Any]
 ) -> None:
     """Raise UserError if `words` contradict the options that `what` was started with.

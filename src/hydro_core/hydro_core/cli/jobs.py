@@ -31,7 +31,7 @@ from hydro_core.errors import UserError, is_file_error, user_message
 Arguments = Mapping[str, tuple[Any, ...]]
 """Arguments of each job, by its name."""
 Results = Generator[tuple[str, Any, Exception | None], None, None]
-ANSWERS_WITHIN, WORKER_WITHIN = 10.0, 600.0
+SCHEDULER_TIMEOUT, WORKER_TIMEOUT = 10.0, 600.0
 """Time-outs [s] for a scheduler's answer, and for its first worker, which a cluster's queue may delay."""
 DASK_SETTINGS = {
     "distributed.scheduler.allowed-failures": 0,
@@ -142,8 +142,8 @@ def _side_by_side(function: Callable[..., Any], missing: Arguments, at_once: int
         stack.enter_context(dask.config.set(DASK_SETTINGS))
         try:
             address = scheduler or stack.enter_context(LocalCluster(**local))
-            client = stack.enter_context(Client(address, timeout=ANSWERS_WITHIN))
-            client.wait_for_workers(1, timeout=WORKER_WITHIN)
+            client = stack.enter_context(Client(address, timeout=SCHEDULER_TIMEOUT))
+            client.wait_for_workers(1, timeout=WORKER_TIMEOUT)
         except (OSError, ValueError) as error:
             raise UserError(f"no scheduler with workers answers at {scheduler}: {error}") from error
         sent: dict[str, str] = {}

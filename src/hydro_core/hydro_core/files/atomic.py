@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_atomic(path: Path, content: bytes) -> None:
     """Write `content` to `path` atomically: the old file is replaced once the new one is on disk.
 
     Anything but a regular file (/dev/stdout, a pipe) is written directly. A link is kept and its target replaced; a

@@ -21,7 +21,7 @@ class InvalidTensorError(ValueError):
     """A tensor is missing, misshapen or not finite; the message is one sentence without the file's name."""
 
 
-def check_numbers(tensors: Mapping[str, Any]) -> None:
+def check_finite(tensors: Mapping[str, Any]) -> None:
     """Raise InvalidTensorError for the first float tensor with NaN, infinity or a number above `MAX_MAGNITUDE`."""
     for name, tensor in tensors.items():
         array = np.asarray(tensor)

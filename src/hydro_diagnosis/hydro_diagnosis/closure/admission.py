@@ -48,7 +48,7 @@ def admit(
     errors: dict[str, float | None] = {}
     for closed in candidates:
         held = holdout_errors(problem, holdout, closed.fit.claims, known)
-        share = share_closed(named, held) if harmless(named, held) else None
+        share = share_closed(named, held) if increases_no_error(named, held) else None
         errors[closed.form] = share
         if share is not None and share > PRACTICAL_SHARE:
             named_alone = {
@@ -69,7 +69,7 @@ def share_closed(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
     return 1.0 - gaps[1] / gaps[0] if gaps[0] > 0.0 else 0.0
 
 
-def harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+def increases_no_error(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
     """Return whether each held-out error is finite and at most 2 % above that of the named causes: windows are few."""
     for part in ("holdout", "equations"):
         for name, one in after.get(part, {}).items():

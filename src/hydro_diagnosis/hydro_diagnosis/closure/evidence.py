@@ -40,7 +40,7 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
     return True
 
 
-def barred_equations(problem: Problem, found: Fit) -> frozenset[str]:
+def excluded_blocks(problem: Problem, found: Fit) -> frozenset[str]:
     """Return the blocks in which a ruled-out cause would explain a quarter of a fit's remainder, noise subtracted."""
     blocks: set[str] = set()
     remaining = problem.layout.squares(found.residual) - problem.layout.count
@@ -89,7 +89,7 @@ THRESHOLD = 3.0 * DECISIVE
 """Least gain of a term in held-out deviance, and of any claim in BIC."""
 
 
-def without_idle_terms(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
+def prune_terms(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
     """Return the fit without insignificant claims, the least significant dropped first.
 
     `names_stay`: names are not dropped.

@@ -16,12 +16,12 @@ import numpy as np
 
 from hydro_diagnosis.closure.evidence import (
     THRESHOLD,
-    barred_equations,
     equals_ruled_out,
+    excluded_blocks,
     has_identified_shapes,
     held_out_gain,
+    prune_terms,
     within_form_error,
-    without_idle_terms,
 )
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim, Effect
@@ -59,7 +59,7 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
 
     `names`: causes that may be fitted jointly with a law though the judgement does not retain them.
     """
-    screen = Screen(problem, base, barred_equations(problem, base))
+    screen = Screen(problem, base, excluded_blocks(problem, base))
     by_law = _by_law(problem, base, screen, names)
     more = {one.effect.label for one in by_law.fit.cause_claims if one.effect.named} - {
         one.effect.label for one in base.claims
@@ -100,7 +100,7 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
             current = fit(weighed, taken.claims)
     if _terms(current) == _terms(base):
         return ClosureFit(base, "law", 0.0, problem, screen)
-    current = without_idle_terms(weighed, _merged(weighed, _exchanged(weighed, current, screen, names), screen))
+    current = prune_terms(weighed, _merged(weighed, _exchanged(weighed, current, screen, names), screen))
     return ClosureFit(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed, screen)
 
 
@@ -236,7 +236,7 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
         pays = current.score - better.score >= THRESHOLD and not within_form_error(problem, current, better)
         if pays and not equals_ruled_out(problem, better, better.claims[-1]):
             current, room = better, room - 1
-    current = without_idle_terms(problem, current, names_stay=True)
+    current = prune_terms(problem, current, names_stay=True)
     if {one.effect.label for one in current.claims} <= {one.effect.label for one in below.fit.claims}:
         return ClosureFit(below.fit, "smooth", 0.0, problem, screen)  # none that gains enough
     gain = below.gain + held_out_gain(problem, below.fit, current)

@@ -64,7 +64,7 @@ def with_values(bench: Bench, **values: float | None) -> Bench:
 
 
 @dataclass(frozen=True)
-class Oil:
+class ChamberInputs:
     """Inputs of the chamber equations at one instant or over one sample."""
 
     time: FloatArray
@@ -235,7 +235,7 @@ class Effect:
         """Supply pressure [Pa] at the valve for a flow `demand` [m3/s]."""
         return supply
 
-    def leaks(self, flows: Pair, oil: Oil, bench: Bench, memory: Memory, values: Values) -> Pair:
+    def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: Values) -> Pair:
         """Flows [m3/s] into chambers A and B, less the effect's leakage."""
         bound = self._bound(
             values, memory, numbers=bench, position=oil.position, velocity=oil.velocity, pressures=oil.pressures,

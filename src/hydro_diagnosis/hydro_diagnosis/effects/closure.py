@@ -15,7 +15,16 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, Oil, Pair, Values, blocks_of, substep_mean
+from hydro_diagnosis.effects.base import (
+    ChamberInputs,
+    Effect,
+    FloatArray,
+    Kinematics,
+    Pair,
+    Values,
+    blocks_of,
+    substep_mean,
+)
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.jit import njit
@@ -192,7 +201,7 @@ class Closure(Effect):
 class EdgeClosure(Closure):
     """Relative loss of the flow through the valve's edges; its memory is driven by the spool's mean position."""
 
-    def leaks(self, flows: Pair, oil: Oil, bench: Bench, memory: Memory, values: Values) -> Pair:
+    def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: Values) -> Pair:
         opened, closed = (substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
         past = self._remembering(Signals(current=substep_mean(oil.spool)), memory, values).memory
         openings = bench.valve_gain * opened, bench.valve_gain * closed

@@ -23,7 +23,7 @@ from hydro_sim.model.effects import base as physics
 from hydro_sim.model.effects import friction, motion, oil, sensing, valve
 
 
-class DeadTime(Effect):
+class TransportDelayCause(Effect):
     """Dead time u(t - T) of the command, exact for a current that is held between samples."""
 
     stage = 0
@@ -40,7 +40,7 @@ class DeadTime(Effect):
         return np.asarray(np.diff(delayed).reshape(spool.shape))
 
 
-class SpoolLag(Effect):
+class ValveLagCause(Effect):
     """Second-order spool dynamics, discretised exactly for a held current."""
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
@@ -119,7 +119,7 @@ def _softplus(over):
     return over + math.log1p(math.exp(-over)) if over > 0.0 else math.log1p(math.exp(over))
 
 
-class Droop(Effect):
+class SupplyDroopCause(Effect):
     """Droop of the supply pressure with the flow demand, after a first-order lag."""
 
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -163,7 +163,7 @@ class Calibration(Effect):
         return reading if (zero, one) == (0.0, 1.0) else (reading - zero) / (one - zero)
 
 
-class Amplifier(Effect):
+class SensorLagCause(Effect):
     """Second-order low-pass of a sensor's amplifier, inverted by derivatives of the smoothed reading."""
 
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -182,19 +182,19 @@ class Amplifier(Effect):
 
 
 CLASSES: dict[type[physics.Effect], type[Effect]] = {
-    valve.TransportDelay: DeadTime,
-    valve.ValveLag: SpoolLag,
+    valve.TransportDelay: TransportDelayCause,
+    valve.ValveLag: ValveLagCause,
     valve.ValveLagFirstOrder: SpoolLagFirstOrder,
     valve.ValveDeadband: Overlap,
-    valve.ValveDeadbandLopsided: Overlap,
+    valve.ValveDeadbandAsymmetric: Overlap,
     valve.ValveDeadbandSoft: SoftOverlap,
-    oil.SupplyDroop: Droop,
+    oil.SupplyDroop: SupplyDroopCause,
     friction.FrictionStribeck: Stribeck,
     friction.FrictionPresliding: Bristles,
     motion.BacklashPlay: Play,
     sensing.LoadCellGain: Calibration,
     sensing.LoadCellBias: Calibration,
     sensing.PressureSensorBias: Calibration,
-    sensing.SensorLag: Amplifier,
+    sensing.SensorLag: SensorLagCause,
 }
 """Subclasses of `Effect`, by the effect of the model; all other effects are plain `Effect`s."""

@@ -33,7 +33,7 @@ def bristle_force(position, stiffness, limit):
     return force
 
 
-def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
+def first_order_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
     """First-order lag of a held signal, from `start`: values at the begin of each step [s] and means over it, (n,)."""
     decay = float(np.exp(-step / time))
     begins, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[start])
@@ -59,7 +59,7 @@ class Memory:
         The signal is held between samples; the output is the mean over each sample.
         """
         begin = float(signal[0]) if start is None else start
-        self.traces[key], mean = held_lag(signal, self.step, time_constant, begin)
+        self.traces[key], mean = first_order_lag(signal, self.step, time_constant, begin)
         return mean
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:

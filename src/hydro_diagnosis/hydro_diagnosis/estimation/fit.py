@@ -233,7 +233,7 @@ def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
     return np.asarray(vector - columns @ (np.linalg.lstsq(columns / lengths, vector, rcond=1e-10)[0] / lengths))
 
 
-def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
+def add_claim(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
     """Return the fit with a further claim, from its Jacobian columns and those of the fit `found`."""
     claims = (*found.claims, claim)
     if problem.estimated:
@@ -242,7 +242,7 @@ def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: floa
     return fit(problem, claims, tolerance=tolerance, slopes=np.column_stack([found.jacobian, own]))
 
 
-def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
+def remove_claim(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
     """Return the fit without a claim, from the Jacobian of the fit `found`."""
     at = found.claims.index(claim)
     slopes = np.delete(found.jacobian, found.columns(claim), axis=1)

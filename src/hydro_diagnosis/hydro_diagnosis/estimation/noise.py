@@ -29,7 +29,7 @@ from hydro_diagnosis.preprocessing.smoothing import (
     VELOCITY_NOISE_GAIN,
     white_noise,
 )
-from hydro_diagnosis.significance import OUTLYING
+from hydro_diagnosis.significance import OUTLIER_FACTOR
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
@@ -150,7 +150,7 @@ class SegmentNoise:
     @cached_property
     def reversals(self) -> int:
         """Number of stops and reversals of the piston; encoder noise at rest does not count."""
-        slides = ~self._resting & (np.abs(self._model.v) > OUTLYING * VELOCITY_UNCERTAINTY)
+        slides = ~self._resting & (np.abs(self._model.v) > OUTLIER_FACTOR * VELOCITY_UNCERTAINTY)
         marks = self._resting.astype(int) - slides.astype(int)
         return int(np.count_nonzero(np.diff(marks[marks != 0], prepend=-1) == 2))
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.bench_numbers import available_connections, refuse_unconnected
+from hydro_diagnosis.bench_numbers import available_equations, require_equation
 from hydro_diagnosis.effects.base import (
     HYDRAULIC,
     LOAD,
@@ -178,8 +178,8 @@ class Problem:
         ]
         self.samples = sum(len(model.time) for model in self.models)
         have = set.intersection(*(set(model.channels) for model in self.models))
-        refuse_unconnected(have, bench)
-        present = {one.block for one in available_connections(have, bench)}
+        require_equation(have, bench)
+        present = {one.block for one in available_equations(have, bench)}
         self.blocks = tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
         self.layout = Layout.of(self.blocks, self.models)
         self.sensor_noise = noise or sensor_noise(self.models)

@@ -41,7 +41,7 @@ def estimable() -> dict[str, Effect]:
     return {name: found[name] for name in numbers() if name in found}
 
 
-def refuse_inestimable(names: Collection[str]) -> None:
+def require_estimable(names: Collection[str]) -> None:
     """Raise `InputError` if a name is not that of a bench parameter that can be estimated."""
     for name in names:
         if name not in estimable():

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Pair, acting, substep_mean
+from hydro_diagnosis.effects.base import ChamberInputs, Claim, FloatArray, Pair, acting, substep_mean
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
@@ -65,7 +65,7 @@ def nominal_flows(into_a, into_b, gain, spool, p_a, p_b, supply, tank):
 
 
 @njit
-def first_moments(gain, moment, spool, p_a, p_b, supply, tank):
+def flow_first_moments(gain, moment, spool, p_a, p_b, supply, tank):
     """Flows [m3/s] into chambers A and B, summed over a sample's substeps with weights `moment`, (substeps,)."""
     into_a, into_b = np.empty_like(p_a), np.empty_like(p_b)
     for k in range(len(p_a)):
@@ -122,7 +122,7 @@ def _nominal(bench, x, v, p_a, p_b, current):
 
 
 @njit
-def nominal_run(states, bench, state, begins, spool, step):
+def simulate_nominal(states, bench, state, begins, spool, step):
     """Simulate windows of the bench without effects by RK4: write `states`, (length, 4, n), from `state`, (4, n).
 
     `begins`: first sample of each; `spool`: A, shape (samples, substeps), held for a substep of `step` [s].
@@ -147,7 +147,7 @@ SUBSTEPS = 4
 """Substeps per sample of the spool's position: the current is held for a sample, the spool is not."""
 
 
-def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> Pair:
+def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[Claim], memory: Memory) -> Pair:
     """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
@@ -172,7 +172,7 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     return flows
 
 
-def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> Pair:
+def chamber_stiffnesses(bench: Bench, oil: ChamberInputs, claims: Sequence[Claim]) -> Pair:
     """Return the stiffnesses beta/V [Pa/m3] of the oil in both chambers under claims."""
     softer = acting(claims, "modulus")
     moduli: list[Any] = [bench.bulk_modulus, bench.bulk_modulus]
@@ -196,11 +196,11 @@ class ChamberRun:
     """Increment [N] of f_h in each sample, shape (n,)."""
 
 
-def force_arc(bench: Bench, oil: Oil, stiff: Pair, acceleration: FloatArray, step: float) -> FloatArray:
+def force_arc(bench: Bench, oil: ChamberInputs, stiff: Pair, acceleration: FloatArray, step: float) -> FloatArray:
     """`ChamberRun.arc` [N], (n,): dt times the integral of f_h'(s) (1/2 - s), s in a sample 0..1 (Euler-Maclaurin)."""
     moment = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
     moment = moment if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
-    flows = first_moments(
+    flows = flow_first_moments(
         bench.valve_gain, moment, oil.spool, *oil.pressures, bench.supply_pressure, bench.tank_pressure
     )
     per_interval = eq.force_rate(bench, stiff, flows, -acceleration * step / 12.0) * step

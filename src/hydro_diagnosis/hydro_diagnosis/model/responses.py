@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, Pair, substep_mean
+from hydro_diagnosis.effects.base import ChamberInputs, Claim, FloatArray, Pair, substep_mean
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
@@ -39,12 +39,12 @@ class Responses:
         self._nothing = np.zeros_like(model.time)
 
     @cached_property
-    def _oil(self) -> Oil:
+    def _oil(self) -> ChamberInputs:
         return self.model.oil(self.claims)
 
     @cached_property
     def _stiff(self) -> Pair:
-        return chambers.compliances(self.bench, self._oil, self.claims)
+        return chambers.chamber_stiffnesses(self.bench, self._oil, self.claims)
 
     @cached_property
     def _roots(self) -> list[FloatArray]:

@@ -29,10 +29,10 @@ from hydro_diagnosis.effects.base import (
     MOTION,
     PRESSURE,
     BoundedCache,
+    ChamberInputs,
     Claim,
     FloatArray,
     Kinematics,
-    Oil,
     Pair,
     acting,
 )
@@ -194,7 +194,7 @@ class SegmentModel:
 
     # -- chambers, from recorded current, position and pressures -------------------------------------------------------
 
-    def oil(self, claims: Sequence[Claim]) -> Oil:
+    def oil(self, claims: Sequence[Claim]) -> ChamberInputs:
         """Return position, velocity, chamber pressures and spool at the middle of each sample interval, shape (n,).
 
         The last value is repeated. The spool has shape (n, substeps).
@@ -206,7 +206,7 @@ class SegmentModel:
             "position", (), lambda claims: chambers.middle(self.channels["piston_position"])
         )
         velocity = self._cache.get_or_compute("velocity", (), lambda claims: chambers.middle(self.v))
-        return Oil(self.time, position, (p_a, p_b), spool, velocity)
+        return ChamberInputs(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
         """Spool position [A], shape (n, substeps); without claims it is constant in a sample: one substep.
@@ -242,14 +242,14 @@ class SegmentModel:
         arc = chambers.force_arc(bench, oil, stiff, self.a, self.step)
         return ChamberRun((innovations[0], innovations[1]), arc, force)
 
-    def built(self, bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[Pair, Pair]:
+    def built(self, bench: Bench, oil: ChamberInputs, claims: Sequence[Claim]) -> tuple[Pair, Pair]:
         """Return beta/V [Pa/m3] of both chambers, and the pressure increments [Pa] per sample in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
-        stiff, position = chambers.compliances(bench, oil, claims), self.channels["piston_position"]
+        stiff, position = chambers.chamber_stiffnesses(bench, oil, claims), self.channels["piston_position"]
         moved = np.diff(position, append=position[-1])
         return stiff, eq.pressure_rates(bench, stiff, (into_a * self.step, into_b * self.step), moved)
 
-    def _ahead_of_lag(self, oil: Oil, built: Pair, claims: Sequence[Claim]) -> Oil:
+    def _ahead_of_lag(self, oil: ChamberInputs, built: Pair, claims: Sequence[Claim]) -> ChamberInputs:
         """The oil with the true pressures of lagging sensors: the lag's error is that for the pressures built."""
         others = [claim for claim in claims if not claim.effect.lagged_channel.startswith("pressure")]
         pressures = list(oil.pressures)
@@ -259,7 +259,7 @@ class SegmentModel:
                 integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
                 swallowed = integral - self.reading(channel, integral, late)
                 pressures[index] = chambers.middle(self.true_signal(channel, others) + swallowed)
-        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
+        return ChamberInputs(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
 
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
         curved = [claim for claim in claims if claim.effect.nonlinear_channel == channel]

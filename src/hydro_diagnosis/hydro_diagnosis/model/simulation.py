@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, acting
+from hydro_diagnosis.effects.base import ChamberInputs, Claim, FloatArray, Kinematics, acting
 from hydro_diagnosis.effects.memory import ColumnMemory, Indices, Memory, StepMemory, WindowMemory
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -188,9 +188,9 @@ class Plant:
         """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `stiction` of this step; None: without dry friction."""
         x, v, p_a, p_b = state
         bench = self.bench
-        oil = Oil(time, x, (p_a, p_b), spool, v)
+        oil = ChamberInputs(time, x, (p_a, p_b), spool, v)
         into_a, into_b = chambers.net_flows(bench, oil, self.acting["hydraulic"], memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, self.acting["hydraulic"])
+        stiff_a, stiff_b = chambers.chamber_stiffnesses(bench, oil, self.acting["hydraulic"])
         motion = Kinematics(time, x, v, (p_a, p_b))
         against = self._dry(motion, stiction)
         level = self.level(motion) if self.acting["opposing_force"] else against
@@ -261,7 +261,7 @@ class Plant:
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
         if not any(self.acting.values()):  # all claims change numbers of the bench, the spool's path or sensors
-            chambers.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
+            chambers.simulate_nominal(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
             return states
         memory = self.memory(samples, step)
         for k in range(length):

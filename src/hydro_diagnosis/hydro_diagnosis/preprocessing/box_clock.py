@@ -24,7 +24,7 @@ BETWEEN = 10
 """Largest number of samples per row of a slow logger: its splines resolve no faster motion."""
 
 
-def on_box_clock(
+def resample_to_box_clock(
     name: str, start: float, step: float, rows: Rows, columns: Mapping[str, FloatArray], *, resampled: bool = False
 ) -> Segment:
     """Resample a stretch without long gaps to the box's clock.

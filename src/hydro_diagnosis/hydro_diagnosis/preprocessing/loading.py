@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.bags.location import exists, is_bag
-from hydro_diagnosis.bench_numbers import refuse_unconnected
+from hydro_diagnosis.bench_numbers import require_equation
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.io.topics import has_states
@@ -30,13 +30,13 @@ from hydro_diagnosis.recording import (
     UnusableRecordingError,
     named_in_full,
 )
-from hydro_diagnosis.wiring import Inspection, inspect_table
+from hydro_diagnosis.wiring import PlausibilityCheck, check_plausibility
 from hydro_sim.model.bench import Bench
 
 
 def load_dataset(
     recordings: Sequence[str | Path], holdout: Sequence[str | Path], bench: Bench, columns: ColumnMap | None = None,
-    inspection: Inspection | None = None,
+    inspection: PlausibilityCheck | None = None,
 ) -> tuple[list[Segment], list[Segment], list[str]]:  # fmt: skip
     """Return the segments to fit, the held-out segments, and notes on their quality; `columns`: as of `read_table`.
 
@@ -44,7 +44,7 @@ def load_dataset(
 
     Raises InputError if no recording can be diagnosed, or two share data: held-out data must not be fitted.
     """
-    inspection = Inspection() if inspection is None else inspection
+    inspection = PlausibilityCheck() if inspection is None else inspection
     in_full = named_in_full([*recordings, *holdout])
     to_fit, notes = _read(recordings, bench, columns, inspection, in_full)
     to_check, more_notes = _read(holdout, bench, columns, inspection, in_full, spare=True)
@@ -67,7 +67,7 @@ def load_dataset(
                 fitted.append(segment.cut(0, cut))
             if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= SHORTEST):
                 held.append(segment.cut(cut, len(segment)))
-    refuse_unconnected(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
+    require_equation(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
     _refuse_too_little(fitted, bench, notes)
     fitted = _informative(fitted, "fitted", bench, quality)
     return fitted, _informative(held, "checked on", bench, quality), quality
@@ -123,8 +123,8 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
 
 
 def _read(
-    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, inspection: Inspection, in_full: set[Path],
-    *, spare: bool = False,
+    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, inspection: PlausibilityCheck,
+    in_full: set[Path], *, spare: bool = False,
 ) -> tuple[list[Recording], list[str]]:  # fmt: skip
     """Recordings that can be diagnosed, and notes on their quality and on refused ones.
 
@@ -133,7 +133,7 @@ def _read(
     recordings, refused = list[Recording](), list[UnusableRecordingError]()
 
     def inspected(table: RawTable) -> RawTable:
-        shown = inspect_table(table, bench)
+        shown = check_plausibility(table, bench)
         inspection.doubts += shown.doubts
         inspection.units.update(shown.units)
         return table

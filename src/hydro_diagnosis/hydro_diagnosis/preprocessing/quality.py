@@ -24,10 +24,10 @@ from scipy.ndimage import uniform_filter1d
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.bench_numbers import has_spring, knows
 from hydro_diagnosis.io.columns import means, median_step
-from hydro_diagnosis.preprocessing.box_clock import Mask, Rows, on_box_clock
+from hydro_diagnosis.preprocessing.box_clock import Mask, Rows, resample_to_box_clock
 from hydro_diagnosis.preprocessing.smoothing import white_noise
 from hydro_diagnosis.recording import MEASURED, Recording, Segment, UnusableRecordingError
-from hydro_diagnosis.significance import OUTLYING, PRACTICAL_SHARE
+from hydro_diagnosis.significance import OUTLIER_FACTOR, PRACTICAL_SHARE
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
@@ -313,7 +313,7 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
             known = np.isfinite(pressure)
             noise, pressure = white_noise(pressure[known]), np.where(known, pressure, np.median(pressure[known]))
             for count in (1, AVERAGED):
-                outside |= uniform_filter1d(pressure, count) < least - OUTLYING * noise / count**0.5
+                outside |= uniform_filter1d(pressure, count) < least - OUTLIER_FACTOR * noise / count**0.5
     if not outside.any():
         return outside
     notes.append(
@@ -347,7 +347,7 @@ def _segments(
         else:
             bridged += length - len(at)
             start = float(min(at[0] - unique[0], 10**5) * step)
-            segments.append(on_box_clock(name, start, step, at, found, resampled=resampled))
+            segments.append(resample_to_box_clock(name, start, step, at, found, resampled=resampled))
     if bridged:
         notes.append(f"{bridged} missing samples were bridged by splines; they and their neighbours are not judged")
     if segments and abs(step - SAMPLE_PERIOD) > PRACTICAL_SHARE * SAMPLE_PERIOD:

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, acting
 from hydro_diagnosis.effects.closure import from_mapping, is_closure
@@ -51,7 +51,7 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
     """Write corrected.yaml of a bench and claims; unknown parameters of the bench are omitted."""
-    write_whole(path, corrected_yaml(corrected_bench(bench, claims)).encode())
+    write_atomic(path, corrected_yaml(corrected_bench(bench, claims)).encode())
 
 
 def corrected_yaml(bench: Bench) -> str:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.pages import environment
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, display_unit
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
@@ -110,7 +110,7 @@ def write_files(found: Diagnosis, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     found.report.write(folder)
     write_corrected(found.corrected, (), folder / "corrected.yaml")
-    write_whole(folder / "report.html", rendered(found).encode())
+    write_atomic(folder / "report.html", rendered(found).encode())
 
 
 def rendered(found: Diagnosis) -> str:

@@ -19,11 +19,11 @@ from hydro_diagnosis.estimation.fit import (
     Fit,
     Prospect,
     Signatures,
+    add_claim,
     fit,
     pack,
+    remove_claim,
     screen,
-    with_one_more,
-    without_one,
 )
 from hydro_diagnosis.estimation.intervals import all_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
@@ -117,7 +117,7 @@ class Shortlists:
             screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, [*again, *screened.waiting])
         now = [one for one in screened.waiting if one.gain >= promised and one.claim.effect.label != but]
         screened.waiting = [one for one in screened.waiting if one not in now]
-        screened.fits += [with_one_more(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
+        screened.fits += [add_claim(problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
         screened.fits.sort(key=lambda one: one.score)
         return [one for one in screened.fits if one.claims[-1].effect.label != but]
 
@@ -138,7 +138,7 @@ class Shortlists:
 
 POLISHED = 3
 """Largest number of candidates for a further claim that are fitted in full; the others by secants."""
-CONTENDING = 0.3
+REFIT_MARGIN = 0.3
 """Share of the best gain by which a candidate's secant fit may fall short and the candidate still be fitted in full;
 also the share of a claim's gain that a candidate must promise to first order to be tried at once as its replacement.
 """
@@ -232,7 +232,7 @@ class Search:
             elif self._exhausted or not self._swap(outcome, 0.0):
                 break
             for _ in range(ITERATIONS):
-                if self._exhausted or not self._swap(outcome, CONTENDING):
+                if self._exhausted or not self._swap(outcome, REFIT_MARGIN):
                     break
             ranked = [] if idle >= self.settings.patience else self._further(outcome)
         return outcome
@@ -266,14 +266,14 @@ class Search:
         fits = self._shortlists.extensions(problem, base, 0.0)
         if fits:
             best = fits[0].score
-            self._shortlists.polish(problem, base, best + CONTENDING * (base.score - best), POLISHED)
+            self._shortlists.polish(problem, base, best + REFIT_MARGIN * (base.score - best), POLISHED)
         better = [one for one in self._shortlists.extensions(problem, base, 0.0) if one.score <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
         if self._mending or not evidence or not form_error(problem, base, evidence[0]):
             return evidence
         if not self._completed(problem, base, evidence[0]):
             self._mended = True
-            evidence = [one for one in evidence[1:] if acts_elsewhere(problem, base, evidence[0], one)]
+            evidence = [one for one in evidence[1:] if acts_in_other_channels(problem, base, evidence[0], one)]
         return evidence
 
     def _completed(self, problem: Problem, base: Fit, found: Fit) -> bool:
@@ -297,11 +297,11 @@ class Search:
             problem = outcome.problem
             if claim not in outcome.fit.removable:
                 continue
-            label, base = claim.effect.label, without_one(problem, outcome.fit, claim)
+            label, base = claim.effect.label, remove_claim(problem, outcome.fit, claim)
             present = outcome.fit.score
             evidence = max(base.score - present, 0.0)
             self._shortlists.extensions(problem, base, promising * evidence, label)
-            self._shortlists.polish(problem, base, present + CONTENDING * evidence, kin=claim.effect.family)
+            self._shortlists.polish(problem, base, present + REFIT_MARGIN * evidence, kin=claim.effect.family)
             fits = self._shortlists.extensions(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
             better = []
@@ -354,7 +354,7 @@ def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
     return False
 
 
-def acts_elsewhere(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
+def acts_in_other_channels(problem: Problem, base: Fit, mended: Fit, other: Fit) -> bool:
     """Return whether the newest claim of `other` acts in channels in which that of `mended` removes little."""
     before, one, two = (problem.mean_squares(each.residual) for each in (base, mended, other))
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))

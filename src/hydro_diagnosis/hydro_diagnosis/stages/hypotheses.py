@@ -26,8 +26,8 @@ from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.significance import ITERATIONS
-from hydro_diagnosis.stages.reading import Case, Progress, Question, read
-from hydro_diagnosis.wiring import Doubt, Inspection, Repair, in_other_units, reversed_sign
+from hydro_diagnosis.stages.reading import Case, DiagnosisInput, Progress, read
+from hydro_diagnosis.wiring import AlternativeRepairs, PlausibilityCheck, Repair, in_other_units, reversed_sign
 
 if TYPE_CHECKING:
     from hydro_diagnosis.stages.naming import StageResult
@@ -188,12 +188,12 @@ class SearchResult:
     """Number of parameters of the causes."""
 
 
-def read_repaired(question: Question, progress: Progress) -> Case:
+def read_repaired(question: DiagnosisInput, progress: Progress) -> Case:
     """Read the recordings as they are, or repaired if that explains them better; `Case.wiring` states which and why.
 
     Raises InputError if they can be diagnosed neither as they are nor repaired.
     """
-    inspection = Inspection()
+    inspection = PlausibilityCheck()
     case: Case | None = None
     refusal = ""
     try:
@@ -252,7 +252,7 @@ def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Cas
     return _choose(case, _search_result(found.problem, found.holdout, claims), repairs, other, progress)
 
 
-def _plausible(question: Question, inspection: Inspection, progress: Progress) -> list[Repaired]:
+def _plausible(question: DiagnosisInput, inspection: PlausibilityCheck, progress: Progress) -> list[Repaired]:
     """Repairs of the fields with implausible values, with the smallest residuals for each set of remaining channels.
 
     At most eight combinations are tried.
@@ -260,7 +260,7 @@ def _plausible(question: Question, inspection: Inspection, progress: Progress) -
     best: dict[frozenset[str], Repaired] = {}
     units = inspection.units
     for repairs in islice(product(*_one_per_field(inspection.doubts)), 8):
-        further = Inspection()
+        further = PlausibilityCheck()
         try:
             case = read(_repaired(question, repairs, units), progress, further)
             if further.doubts:  # in millimetres and from mid-stroke, for instance
@@ -274,9 +274,9 @@ def _plausible(question: Question, inspection: Inspection, progress: Progress) -
     return list(best.values())
 
 
-def _one_per_field(doubted: Iterable[Doubt]) -> list[Doubt]:
+def _one_per_field(doubted: Iterable[AlternativeRepairs]) -> list[AlternativeRepairs]:
     """One doubt per field; of those of several recordings, the median."""
-    groups: list[tuple[set[str], list[Doubt]]] = []
+    groups: list[tuple[set[str], list[AlternativeRepairs]]] = []
     for doubt in doubted:
         fields, found = {one.field for one in doubt}, [doubt]
         for group in [group for group in groups if group[0] & fields]:
@@ -286,7 +286,7 @@ def _one_per_field(doubted: Iterable[Doubt]) -> list[Doubt]:
     return [sorted(found, key=lambda doubt: str(doubt[-1]))[len(found) // 2] for _, found in groups]
 
 
-def _repaired(question: Question, repairs: Sequence[Repair], units: Mapping[str, str]) -> Question:
+def _repaired(question: DiagnosisInput, repairs: Sequence[Repair], units: Mapping[str, str]) -> DiagnosisInput:
     """Question with the column map that repairs the recordings; `units`: of the fields' columns, if not SI."""
     given = ColumnMap.load(question.columns) or ColumnMap({})
     fields = [name for one in repairs for name in (one.field, one.exchanged) if name]
@@ -349,7 +349,7 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
     return replace(case, wiring=note)
 
 
-def _repair_note(repairs: Sequence[Repair], question: Question, beside: str) -> str:
+def _repair_note(repairs: Sequence[Repair], question: DiagnosisInput, beside: str) -> str:
     return (
         f'{_words(repairs)}: the recordings were diagnosed as repaired by --columns "{question.columns}" ({beside}); '
         "correct it at the rig or in the logger, or keep that map; --as-wired takes them as recorded"

@@ -28,18 +28,18 @@ from hydro_diagnosis.bench_numbers import (
     omission_notes,
     parse_bench,
     read_bench,
-    refuse_missing,
+    require_parameters,
     with_unknown,
 )
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, Machine, scale_bounds
 from hydro_diagnosis.estimation.problem import Budget, Problem
-from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, refuse_inestimable, starting_bench
+from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, require_estimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_diagnosis.recording import InputError, Segment, named_in_full
 from hydro_diagnosis.report.corrected_bench import claims_of
-from hydro_diagnosis.wiring import Inspection
+from hydro_diagnosis.wiring import PlausibilityCheck
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
 
@@ -91,7 +91,7 @@ EQUATIONS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Question:
+class DiagnosisInput:
     """Input of a diagnosis: recordings, baseline, and options."""
 
     recordings: Sequence[str | Path]
@@ -109,7 +109,7 @@ class Question:
 class Case:
     """Input of a diagnosis after reading: estimation problem, candidate effects and held-out segments."""
 
-    question: Question
+    question: DiagnosisInput
     problem: Problem
     candidates: list[Effect]
     held: list[Segment]
@@ -124,7 +124,7 @@ class Case:
     """Note on the wiring hypothesis taken, as recorded or repaired, if a mistake is suspected; else empty."""
 
 
-def read(question: Question, progress: Progress, inspection: Inspection | None = None) -> Case:
+def read(question: DiagnosisInput, progress: Progress, inspection: PlausibilityCheck | None = None) -> Case:
     """Read the recordings, check them against the bench file, initialise the parameters to be estimated.
 
     `inspection`: as of `load_dataset`.
@@ -132,17 +132,17 @@ def read(question: Question, progress: Progress, inspection: Inspection | None =
     Raises InputError if no recording can be diagnosed, or the bench file lacks parameters that they require.
     """
     estimate = tuple(dict.fromkeys(question.estimate))
-    refuse_inestimable(estimate)
+    require_estimable(estimate)
     given, origin = baseline(question.bench, question.model, estimate)
     candidates = _candidates(question.without)
     progress(stage_bar.READING)
-    inspection = Inspection() if inspection is None else inspection
+    inspection = PlausibilityCheck() if inspection is None else inspection
     fitted, held, quality = load_dataset(
         question.recordings, question.holdout, with_unknown(given, estimate), ColumnMap.load(question.columns),
         inspection,
     )  # fmt: skip
     channels = set.intersection(*(set(segment.channels) for segment in fitted))
-    refuse_missing(channels, given, estimate)
+    require_parameters(channels, given, estimate)
     believed, baseline_claims = given, claims_of(given)
     if estimate:
         progress("estimating " + ", ".join(estimate))

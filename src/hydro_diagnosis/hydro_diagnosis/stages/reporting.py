@@ -24,7 +24,7 @@ from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, Loo
 from hydro_diagnosis.selection.localisation import Place
 from hydro_diagnosis.selection.search import Search, SearchOutcome
 from hydro_diagnosis.significance import DECISIVE
-from hydro_diagnosis.stages.unclaimed import confirmed, number_estimates, undetectable_causes
+from hydro_diagnosis.stages.unclaimed import bench_parameter_estimates, confirmed, undetectable_note
 
 if TYPE_CHECKING:
     from hydro_diagnosis.stages.naming import StageResult
@@ -164,7 +164,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
     """Build the report, with its underlying data; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
     searched = found.by_curve is None
-    hidden = undetectable_causes(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
+    hidden = undetectable_note(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
     effects = describe(found)
     notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden, search.library))
     search.progress(stage_bar.FORECASTING)
@@ -179,7 +179,7 @@ def build_report(case: Case, search: Search, found: StageResult, begun: float) -
         closures=found.closures,
         curves=curve_reports(problem, assessment.fit.claims, found.curve, found.by_curve),
         accounted=found.accounted,
-        estimated=number_estimates(problem, assessment.fit, found.bounds, search.library, case.numbers),
+        estimated=bench_parameter_estimates(problem, assessment.fit, found.bounds, search.library, case.numbers),
         forecast=forecast,
         fit=found.proof,
         next_recording=found.next_recording,

@@ -12,15 +12,15 @@ from hydro_diagnosis.estimation.fit import Fit, cause, eligible_effects, orthogo
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import MEASURED
-from hydro_diagnosis.report_json import NumberEstimate
+from hydro_diagnosis.report_json import BenchParameterEstimate
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE, UNIDENTIFIED_HALF_WIDTH
 from hydro_sim.model.bench import Bench
 
 
-def number_estimates(
+def bench_parameter_estimates(
     problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect],
     numbers: Mapping[str, float | None],
-) -> list[NumberEstimate]:  # fmt: skip
+) -> list[BenchParameterEstimate]:  # fmt: skip
     """Report entries of the estimated bench parameters, in their order.
 
     `bounds`: intervals of the parameters of all claims; `numbers`: the bench file's values by name, None if absent.
@@ -51,7 +51,7 @@ def number_estimates(
             said = f"{name} cannot be told from {alike} by these recordings: it is left open."
         else:
             said = f"These recordings hold too little of {name} to tell it: it is left open."
-        entries.append(NumberEstimate(
+        entries.append(BenchParameterEstimate(
             name=name, value=value, unit=number.unit, ci95=[low, high] if sure else None, given=numbers[name],
             alike=others, sentence=said,
         ))  # fmt: skip
@@ -104,7 +104,7 @@ def confirmed(
     """Note on the bench file's parameters that are confirmed to within 5 %, to first order; empty for none.
 
     Each is tested jointly with the claims, as if the others were exact, and to no closer than the smallest claimable
-    change. `hidden`: result of `undetectable_causes`, of which none is confirmed.
+    change. `hidden`: result of `undetectable_note`, of which none is confirmed.
     """
     weight = problem.weight(found.residual)
     columns, left = found.jacobian * weight[:, None], found.residual * weight
@@ -123,7 +123,7 @@ def confirmed(
     return f"confirmed of the bench file, each if the others hold: {', '.join(said)}" if said else ""
 
 
-def undetectable_causes(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str:
+def undetectable_note(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str:
     """Note on causes undetectable because of missing rows, with their detection limits; empty if no row is missing.
 
     `threshold`: evidence in units of BIC that a claim needs beyond the penalty of its parameters.

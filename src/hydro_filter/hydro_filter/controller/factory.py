@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.files import site
 from hydro_core.settings import describe
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
@@ -103,7 +103,7 @@ class FilterChoice:
         """The metric's file, read at first access."""
         return ScheduledMetric.load(self.files["metric"])
 
-    def box_mismatch(self, box: KnownBox) -> str:
+    def box_mismatch(self, box: BoxDescription) -> str:
         """Return an error message if the filter is not for this running box; empty if it is, or if that is unknown."""
         theirs = BoxIdentity.of_box(box)
         if theirs.digest and theirs.digest != self.bench.digest:

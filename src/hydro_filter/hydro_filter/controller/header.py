@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from hydro_core.cli.console import command, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
 from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
@@ -98,5 +98,5 @@ def main() -> None:
     loop, parts = make_loop(truth, bench), loop_parts(metric, truth, bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     origin = f"Written by `ros2 run hydro_filter export_c` for the bench {bench.digest}: {told}."
-    write_whole(Path(options.out), render_header(parts, loop, metric.table, origin).encode())
+    write_atomic(Path(options.out), render_header(parts, loop, metric.table, origin).encode())
     print(f"{options.out}: {options.metric} metric for bench {bench.digest}")

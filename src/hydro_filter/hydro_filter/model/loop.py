@@ -45,7 +45,7 @@ REFERENCE_ACCELERATION_MAX = 2000.0 / 3.0
 """1/s^2, limit of f_r'' over the bench's force: about that of a sine of this amplitude at 4 Hz."""
 VELOCITY_NOISE_FLOOR = 0.025
 """1/s, velocity over the stroke below which the velocity's sign is noise."""
-FORCES_ALLOWED, PRESSURES_ALLOWED = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
+FORCE_ALLOWANCES, PRESSURE_ALLOWANCES = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
 """Residuals that the monitor's equations allow at any motion, shape (5,). Over the bench's force: model error of the
 load, dry friction, a load cell's drift; over `UNCERTAINTY` of the bench's pressure: the chambers."""
 
@@ -147,7 +147,7 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
         "points": len(forces), "first": positions[0], "step": positions[1] - positions[0],
         "level": level, "holds": level > 0.0 and not bristles, "creep": size.length * VELOCITY_NOISE_FLOOR,
         "lag": lag, "inertia": inertia, "gain": gain, "bias": bias,
-        "allowed": size.force * FORCES_ALLOWED + size.pressure * terms.UNCERTAINTY * PRESSURES_ALLOWED,
+        "allowed": size.force * FORCE_ALLOWANCES + size.pressure * terms.UNCERTAINTY * PRESSURE_ALLOWANCES,
         "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
         "dead_a": float(numbers["dead_volume_a"]), "dead_b": float(numbers["dead_volume_b"]),
         "stroke": float(numbers["stroke"]), "bend_max": size.force * REFERENCE_ACCELERATION_MAX,

@@ -45,7 +45,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from hydro_bridge.plant_clock import FILTER_WINDOW
-from hydro_bridge.ros.answers import PaceResponder
+from hydro_bridge.ros.answers import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
     Level,
@@ -63,7 +63,7 @@ from hydro_bridge.ros.messages import (
 )
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import AUTHORITY, CORRECTION, LAW_STATE, STATE, create_publisher, create_subscription
-from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.cli.console import UserError, command
 from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.process import endings
@@ -186,7 +186,7 @@ class FilterNode(Node):
         """Statuses when they were last reported."""
         self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
         self._loaded, self._files = self._load(choice), FileWatch(choice, self.settings)
-        self._box: KnownBox | None = None
+        self._box: BoxDescription | None = None
         self._identity: object = None
         """The box's description and assumed bench, once received."""
         self._foreign = ""
@@ -201,7 +201,7 @@ class FilterNode(Node):
         self._last: Any = None  # record of the last correction
         self._epoch = 0
         self._publisher: Publisher | None = None  # None as long as another filter answers
-        self._answers: PaceResponder | None = None
+        self._answers: SampleAcknowledger | None = None
         self._states: Subscription | None = None
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._advice = "" if realtime else ", or start it with --realtime"
@@ -222,7 +222,7 @@ class FilterNode(Node):
         self._authority = create_subscription(self, AUTHORITY, self._on_authority)
         self._states = subscribe(self, STATE, STATES, self._on_state)  # last: states are queued from now on
         if self._publisher is not None:
-            self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
+            self._answers = SampleAcknowledger(self, FILTER_WINDOW, self._states)
 
     def _load(self, choice: FilterChoice) -> LoadedFilter:
         """Compile now, not at the first sample, and report it: until then nothing is corrected."""
@@ -252,7 +252,7 @@ class FilterNode(Node):
             return
         self._publisher = create_publisher(self, CORRECTION)
         if self._states is not None:
-            self._answers = PaceResponder(self, FILTER_WINDOW, self._states)
+            self._answers = SampleAcknowledger(self, FILTER_WINDOW, self._states)
 
     def _poll_files(self) -> None:
         """Take new files over, if the plant is disarmed or gone and they have been written.
@@ -405,7 +405,7 @@ class FilterNode(Node):
             self.get_logger().warning(f"the model fits this bench again; before: {before}")
         return result
 
-    def _on_box(self, box: KnownBox) -> None:
+    def _on_box(self, box: BoxDescription) -> None:
         """Process a box's description, which may announce another bench from now on."""
         self._box, self._foreign = box, self._loaded.choice.box_mismatch(box)
         if self._boxes.get_publisher_count() > 1:  # one of them is foreign, or has just died

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 
 Bounds = tuple[float, float]
 
-TOLERANCES = (
+TOLERANCED_PARAMETERS = (
     "valve_gain", "bulk_modulus", "dead_volume_a", "dead_volume_b", "spring_stiffness", "supply_pressure",
     "spool_bandwidth",
 )  # fmt: skip
@@ -115,7 +115,7 @@ class CertifiedRegion:
         content = {**asdict(self), "assumed": ASSUMPTIONS, "period": SAMPLE_PERIOD}
         for cell in content["cells"]:
             cell["matrices"] = cell["matrices"].tolist()
-        write_whole(path, json.dumps(content, indent=1).encode())
+        write_atomic(path, json.dumps(content, indent=1).encode())
 
     @classmethod
     def load(cls, path: Path) -> CertifiedRegion:

@@ -241,7 +241,7 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
 
 HELD_OUT_EVERY = 5
 """Interval of the held-out rollouts: every fifth."""
-SLOW_RESERVE = 0.005
+SLOW_GAIN_MARGIN = 0.005
 """Reserve above the highest small K_p whose rollouts do not decay, over the compensated law's base K_p: with C_1 below
 1 these are slow, not unstable."""
 OVERLAP_WARNING = (
@@ -360,7 +360,7 @@ def _certify(
 def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDesign:
     """Return the design for the gains of stable rollouts that the law admits."""
     law, design = data.compensated, MetricDesign(velocity_compensation=data.velocity_compensation)
-    low, high = certified_range(rollouts) if law is None else certified_range(rollouts, SLOW_RESERVE * law.base_kp)
+    low, high = certified_range(rollouts) if law is None else certified_range(rollouts, SLOW_GAIN_MARGIN * law.base_kp)
     low, high = round(low), round(high)
     if law is not None:
         low = max(low, math.floor(law.base_kp + law.delta_kp_min), 1)

@@ -27,7 +27,7 @@ from hydro_filter.model.records import linearize
 from hydro_filter.region.facts import STATES, bench_numbers, containment_share, region_states
 from hydro_filter.region.proof import prove_cell
 from hydro_filter.region.statement import (
-    TOLERANCES,
+    TOLERANCED_PARAMETERS,
     Bounds,
     CertifiedRegion,
     ToleranceCell,
@@ -46,7 +46,7 @@ AMPLITUDES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 SECONDS, SETTLED = 6.0, 1000
 RANGE_MARGIN = 0.1
 """Margin at either end of a range, over its width."""
-SPLIT_TOLERANCES = (*TOLERANCES, "dead_time")
+SPLIT_TOLERANCES = (*TOLERANCED_PARAMETERS, "dead_time")
 """Tolerances that may be split: a bench has one value of each, so that every part may have a metric of its own."""
 RESERVES, FAST_RESERVES = (0.9, 0.6, 1.3, 2.5), (3.0, 5.0, 8.0, 1.5)
 """1/s, margins on lambda for the radius that the vertices leave out, tried in turn: for C_1 = 1, a slow loop, and
@@ -71,7 +71,7 @@ class RegionTarget:
     """lambda [1/s]."""
     tolerance: float = 0.0
     """Tolerance of each of `names`, to either side, as a share."""
-    names: tuple[str, ...] = TOLERANCES
+    names: tuple[str, ...] = TOLERANCED_PARAMETERS
     """Parameters of the bench that have the tolerance."""
     split: int = 1
     """Parts of each tolerance of `SPLIT_TOLERANCES`; every combination of parts has a metric of its own."""
@@ -117,7 +117,7 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget) -> Certifie
     sensors, began = Sensors.of_size(model.size), time.process_time()
     unit = make_loop(model, bench).scale[:LOOP_SIZE].tolist()
     band = (1.0 - wanted.tolerance, 1.0 + wanted.tolerance)
-    tolerances = {name: band if name in wanted.names else (1.0, 1.0) for name in TOLERANCES}
+    tolerances = {name: band if name in wanted.names else (1.0, 1.0) for name in TOLERANCED_PARAMETERS}
     tolerances["dead_time"] = (ours["dead_time"], ours["dead_time"] + wanted.dead_time)
     c_1 = 1.0 if wanted.law is None else wanted.law.velocity_compensation
     memory = ours["velocity_memory"]

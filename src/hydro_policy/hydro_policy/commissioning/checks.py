@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the recordings of a commissioning. Each returns what it found, or raises GateError with the reason."""
+"""Checks of commissioning recordings: functions that return a figure, or raise GateError with the reason."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hydro_policy.commissioning.record import GateError
 from hydro_policy.task.cases import Score
 from hydro_sim.model.bench import Bench
 
-LOST_MAX = 0.01  # share of lost samples, and of those for which commands were late, in a recording
-FOLLOWS = 0.8  # least correlation of two readings of the same motion
-SWING = (0.4, 1.5)  # least and largest swing of the load force over that of its reference
-STILL = 0.9  # RMSE of a sine over that of a force that stands, from which on the load force did not follow it
-SLOW = 0.5  # Hz, of the motion by which signs are checked
-_LONGEST_GAP = 1000  # samples missing in a row beyond which the recording was interrupted on purpose
+LOST_MAX = 0.01  # largest share of lost samples, and of samples with late commands, in a recording
+FOLLOWS = 0.8  # correlation that two signals of the same motion must exceed
+SWING = (0.4, 1.5)  # bounds of the load force's standard deviation over its reference's
+STILL = 0.9  # RMSE on a sine over the sine's RMS, above which the load force did not follow
+SLOW = 0.5  # frequency [Hz] of the motion for the sign check
+_LONGEST_GAP = 1000  # missing samples in a row from which a gap is an intended interruption, not a loss
 
 
 def sample_loss(states: StateArray, seconds: float) -> tuple[float, float]:
@@ -33,7 +33,7 @@ def sample_loss(states: StateArray, seconds: float) -> tuple[float, float]:
 
 
 def sensor_noise(states: StateArray, bench: Bench) -> tuple[dict[str, float], float]:
-    """Return the noise of each reading at rest, by field in its unit, and the hydraulic force [N] off the pressures."""
+    """Return each signal's noise at rest (std, SI) by field, and the hydraulic force's offset from pressures [N]."""
     most = bench.piston_area * bench.supply_pressure  # N, of the piston at full supply
     ranges = {
         "pressure_a": (-0.02 * bench.supply_pressure, 1.05 * bench.supply_pressure),
@@ -56,16 +56,16 @@ def sensor_noise(states: StateArray, bench: Bench) -> tuple[dict[str, float], fl
     return noise, off
 
 
-_MINUTE = 60.0  # s, within which a closed valve shall not move the force by the amplitude
+_MINUTE = 60.0  # s, in which the force may drift by at most the amplitude with the valve closed
 
 
 def creep(states: StateArray) -> float:
-    """Return how fast the load force moves at rest, behind a closed valve [N/s]."""
+    """Return the drift rate of the load force at rest with the valve closed [N/s]: slope of a linear fit."""
     return float(np.polyfit(states["time"] - states["time"][0], states["load_force"], 1)[0])
 
 
 def drift_warning(states: StateArray, amplitude: float) -> str:
-    """Return a warning if the piston, at rest, drifts out of reach of forces of `amplitude` [N]; empty: it does not."""
+    """Return a warning if the load force at rest exceeds `amplitude` [N], or drifts by it in a minute; else empty."""
     force, rate = float(np.median(states["load_force"])), creep(states)
     if abs(force) <= amplitude and _MINUTE * abs(rate) <= amplitude:
         return ""
@@ -76,9 +76,9 @@ def drift_warning(states: StateArray, amplitude: float) -> str:
 
 
 def channel_correlations(states: StateArray, bench: Bench) -> dict[str, float]:
-    """Return the correlations of readings that follow one another in a motion at `SLOW` Hz.
+    """Return the correlations of pairs of signals that must agree in a motion at `SLOW` Hz, by the pair's name.
 
-    The load force may come up to a quarter of a cycle after its reference: overlap and dry friction hold it.
+    The load force may lag its reference by up to a quarter of a period, through valve overlap and dry friction.
     """
     if not np.ptp(states["piston_position"]):
         raise GateError(
@@ -101,9 +101,9 @@ def channel_correlations(states: StateArray, bench: Bench) -> dict[str, float]:
 
 
 def require_tracking(states: StateArray, frequency: float) -> None:
-    """Raise GateError unless the load force follows a sine: of `SWING` of its size, within a quarter of a cycle.
+    """Raise GateError unless the load force tracks a sine: amplitude within `SWING`, lag up to a quarter of a period.
 
-    An overlap of the valve and dry friction may hold it far off: they are found later, by what the valve moves.
+    The bounds are wide, since valve overlap and dry friction are identified only later, by the diagnosis.
     """
     size = float(np.std(states["load_force"]) / np.std(states["reference_force"]))
     found = _follows(states, frequency)
@@ -120,22 +120,22 @@ def is_motion_blocked(states: StateArray) -> bool:
 
 
 def unusable_share(armed: StateArray) -> float:
-    """Return the share of a recording's armed samples that were lost, or for which commands were late."""
+    """Return the share of lost samples, and of samples with late commands, in the armed samples of a recording."""
     lost = np.diff(armed["sequence"].astype(np.int64)) - 1
     late = armed["flags"] & (Flag.FILTER_STALE | Flag.WATCHDOG) != 0
     return float((lost[lost < _LONGEST_GAP].sum() + late.sum()) / len(armed))
 
 
 def disturbed_share(scores: Sequence[Score]) -> float:
-    """Return the share of an evaluation's samples that were lost or in which base gains were held."""
+    """Return the share of an evaluation's samples that were lost, or under base gains in place of the controller's."""
     disturbed = sum(score.lost + score.held for score in scores)
     return float(disturbed / max(sum(score.samples for score in scores), 1))
 
 
 def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None:
-    """Raise GateError if the filter would say MISMATCH in a recording: its model predicts this bench too badly.
+    """Raise GateError if the filter reports MISMATCH in a recording: its model's prediction errors are too large.
 
-    `states`: samples of the bench, armed or not. `loop_filter`: A new one.
+    `states`: recorded samples, armed or disarmed. `loop_filter`: filter in its initial state.
     """
     compensated = LawState(Law.COMPENSATED, 0.0, 0.0, NEUTRAL, 0.0, 1.0)  # any law: only the model is judged
     law = compensated if loop_filter.missing_certificate(compensated=False) else None
@@ -153,7 +153,7 @@ def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None
 
 
 def _follows(states: StateArray, frequency: float) -> float:
-    """Return the largest correlation of load force and reference over delays of up to a quarter of a cycle."""
+    """Return the largest correlation of load force and reference over lags of up to a quarter of a period."""
     force, reference = states["load_force"], states["reference_force"]
     delays = range(0, min(round(0.25 / (frequency * SAMPLE_PERIOD)), len(force) // 2), 25)
     return max(float(np.corrcoef(force[delay:], reference[: len(force) - delay])[0, 1]) for delay in delays)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Record of a commissioning: DIR/commission.json (files.md), the page beside it, and which gates still hold.
+"""Record of a commissioning: DIR/commission.json (files.md), its page report.html, and the validity of its gates.
 
-A gate is passed as long as the files that it read and wrote are the ones that lie there, by their digests.
+A passed gate is valid while the files that it read and wrote have unchanged digests.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from hydro_bridge.pages import Section, results_page
 from hydro_core.cli.console import Table, UserError
-from hydro_core.files.atomic import encode_json, write_whole
+from hydro_core.files.atomic import encode_json, write_atomic
 from hydro_core.files.site import RECORD
 from hydro_policy.task.cases import Score, relative_scores
 
@@ -26,52 +26,52 @@ PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
 
 
 _FOUND = {"diagnosis": ("causes",), "metric": ("certified_gains",), "controllers": ("comparison", "watch")}
-"""Fields of a record that a gate fills."""
+"""Fields of `Record` filled by each gate, by the gate's name."""
 
 
 class GateError(Exception):
-    """A gate failed; the message is the reason, one sentence."""
+    """Failure of a commissioning gate; the message is the reason, one sentence."""
 
 
 class GateSkipped(Exception):  # noqa: N818 - no error
-    """A gate was not asked for; the message says how to ask for it."""
+    """Omission of an optional gate; the message names the option that requests it."""
 
 
 @dataclass(kw_only=True)
 class GateResult:
-    """Result of one gate."""
+    """Result of one commissioning gate."""
 
     name: str
-    status: str = PENDING  # passed, failed, skipped (not asked for) or pending
+    status: str = PENDING  # passed, failed, skipped (not requested) or pending
     seconds: float = 0.0  # wall time of its last run, s
-    reason: str = ""  # what was found, or why it failed, as a sentence
+    reason: str = ""  # findings, or reason of the failure, as a sentence
     files: dict[str, str] = field(default_factory=dict)
-    """SHA-256 of each file or folder of the site that it read or wrote, by its name."""
+    """SHA-256 of each file or folder of the site that the gate read or wrote, by name."""
 
 
 @dataclass(kw_only=True)
 class Record:
     """Record of a site's commissioning; the fields are the keys of commission.json."""
 
-    plant: str = ""  # the port, or `emulator`
+    plant: str = ""  # serial port of the box, or `emulator`
     gates: list[GateResult] = field(default_factory=list)
     amplitude: float = 0.0  # amplitude of the sines [N]
     base_gains: list[float] = field(default_factory=list)  # K_p [1/s], K_i [1/s^2] of the box
-    cell_noise: float = 0.0  # of the load cell at rest [N]
-    drift: str = ""  # of a piston that does not rest, as a sentence
+    cell_noise: float = 0.0  # standard deviation of the load cell's noise at rest [N]
+    drift: str = ""  # warning about a drift of the load force at rest; empty: none
     causes: list[dict[str, Any]] = field(default_factory=list)  # `effects` of the diagnosis' report.json
     certified_gains: dict[str, list[float]] = field(default_factory=dict)
     """Range of K_p [1/s] that the metric certifies, by force law: `paper`, `compensated`."""
     comparison: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """By controller: `name`, `rmse` [N] by reference (null: stopped) and `trips`, stopped runs."""
+    """Results by controller: `name`, `rmse` [N] by reference (null: stopped) and `trips`, number of stopped runs."""
     adopted: str = ""  # key of the best in `comparison`
-    watch: list[str] = field(default_factory=list)  # what to watch, in sentences
+    watch: list[str] = field(default_factory=list)  # points to observe in operation, as sentences
 
     @classmethod
     def load(cls, folder: Path, names: Sequence[str]) -> Record:
-        """Read the record of a site, with an entry for each of the gates `names`; a new one where there is none.
+        """Read the record of a site with the gates `names`; a new record if the site has none.
 
-        Raises UserError: the file is damaged, or of other gates.
+        Raises UserError: the file is damaged, or has other gates.
         """
         file = folder / RECORD
         if not file.is_file():
@@ -103,7 +103,7 @@ class Record:
 
     def write(self, folder: Path) -> None:
         """Write commission.json and report.html."""
-        write_whole(folder / RECORD, encode_json(self))
+        write_atomic(folder / RECORD, encode_json(self))
         causes = Table({"cause": "", "sentence": ""})
         for cause in self.causes:
             causes.add(cause=cause["id"], sentence=cause["sentence"])
@@ -117,17 +117,17 @@ class Record:
         ]
         shown = [section for section in sections if section.text or (section.table and section.table.rows)]
         about = {"plant": self.plant, "adopted": self.comparison.get(self.adopted, {}).get("name", "nothing yet")}
-        write_whole(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, shown).encode())
+        write_atomic(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, shown).encode())
 
     def table(self) -> Table:
-        """Return the gates as a table."""
+        """Return the table of the gates: status, wall time [s], findings."""
         table = Table({"gate": "", "status": "", "seconds": "s, wall time", "found": ""}, title="Gates")
         for gate in self.gates:
             table.add(gate=gate.name, status=gate.status, seconds=round(gate.seconds, 1), found=gate.reason)
         return table
 
     def comparison_table(self) -> Table:
-        """Return the comparison as a table."""
+        """Return the table of the comparison: force RMSE [N] by controller and reference, stopped runs."""
         cases = list(dict.fromkeys(case for entry in self.comparison.values() for case in entry["rmse"]))
         title = f"Force RMSE [N], sines of {self.amplitude:.0f} N"
         table = Table({"controller": "", **dict.fromkeys(cases, ""), "trips": "stopped runs"}, title=title)
@@ -141,7 +141,7 @@ class Record:
 
 
 def digests(folder: Path, names: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
-    """Return the SHA-256 of files and folders of a site, by name; empty text for one that is not there."""
+    """Return the SHA-256 of files and folders of a site, by name; empty for a missing file or an empty folder."""
     found = {}
     for name in names:
         path, total = folder / name, sha256()
@@ -154,9 +154,9 @@ def digests(folder: Path, names: Sequence[str] | Mapping[str, str]) -> dict[str,
 
 
 def controller_scores(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
-    """Return per controller of an evaluation its `name`, its `rmse` [N] by reference, and its number of `trips`.
+    """Return the results by controller: `name`, `rmse` [N] by reference, and `trips`, the number of stopped runs.
 
-    A stopped run has no RMSE: its reference is None. Repeats count by their mean.
+    An RMSE is the mean over repeats; None if one of them was stopped.
     """
     found: dict[str, dict[str, Any]] = {}
     for score in scores:
@@ -170,9 +170,9 @@ def controller_scores(scores: Sequence[Score]) -> dict[str, dict[str, Any]]:
 
 
 def best(entries: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the key of the best entry: the least mean over the references of RMSE over the smallest there.
+    """Return the key of the entry with the smallest mean ratio of its RMSE to the smallest RMSE on each reference.
 
-    Only entries without a stopped run count; empty if there is none.
+    Entries with a stopped run are excluded; empty if no entry is left.
     """
     whole = {key: [*entry["rmse"].values()] for key, entry in entries.items() if entry["rmse"] and not entry["trips"]}
     scores = relative_scores(whole)

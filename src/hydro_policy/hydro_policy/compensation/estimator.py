@@ -6,37 +6,37 @@ the closed loop from f_c to the measured force f is nearly the inverse of such a
 
     f_c = a_0 f + a_1 f' + a_2 f'' + a_3
 
-so the a of a least-squares fit of the f_c that acted on [f, f', f'', 1] make f follow f_r, whatever the bench is.
-Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Seven terms more are
+so the coefficients a of a least-squares fit of the applied f_c to [f, f', f'', 1] make f follow f_r on any bench.
+Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Seven further terms are
 
-    b_0 tanh(f_r' / r)           the valve's overlap, which wants a step of the current where the force turns
-    b_1 |f_r'|                   a_1 where it differs between the directions, a lopsided valve
-    b_2 f_r f_r', b_3 f_r |f_r'| and along the force: the chambers' volumes, and the valve's gain, which goes with the
-                                 square root of what the load leaves of the supply on its own side
-    c_j p_j'                     a_1 where it differs behind a reversal, as a load has it that yields: p_j is f_r behind
-                                 a play of half-width S_j (Prandtl-Ishlinskii model; Visintin 1994, Differential Models
-                                 of Hysteresis, III.2)
+    b_0 tanh(f_r' / r)           valve overlap: a step of the current at a reversal of the force
+    b_1 |f_r'|                   dependence of a_1 on the direction: an asymmetric valve
+    b_2 f_r f_r', b_3 f_r |f_r'| dependence of a_1 on the force: chamber volumes, and the valve's gain, proportional to
+                                 the square root of its pressure drop
+    c_j p_j'                     dependence of a_1 on the path after a reversal, as with a yielding load: p_j is f_r
+                                 behind a play of half-width S_j (Prandtl-Ishlinskii model; Visintin 1994, Differential
+                                 Models of Hysteresis, III.2)
 
-and go out as part of a_3, for the f_r and f_r' of the middle of the policy step in which they act. Here::
+and are sent as part of a_3, for the f_r and f_r' of the middle of the policy step in which they act. Here::
 
     f_c, f, terms (1 kHz) --the same state-variable filter--> F_c, phi            aligned to the sample
     100 Hz    A <- (1 - w) A + phi phi^T,  b <- (1 - w) b + phi F_c               w = dt / memory, by excitation
               a = argmin sum (F_c - phi^T a)^2 + weight |a - start|^2             within the law's limits
 
-All channels run through one filter: a derivative half a sample beside the rest is 5 % of a_1.
+All channels pass through the same filter: a misalignment of a derivative by half a sample would be 5 % of a_1.
 
-The box is told `BOX_SHARE` of a_2. The rest of a_2 f_r'' goes out within a_3, smoothed: where f_r itself depends on f,
-as in a hybrid simulation, the whole a_2 takes the damping of a resonance above the reference's frequencies.
+`BOX_SHARE` of a_2 is applied by the box. The rest of a_2 f_r'' is sent within a_3, smoothed: where f_r depends on f, as
+in a hybrid simulation, the full a_2 would remove the damping of a resonance above the reference's frequencies.
 
-A residual of the fit above `residual_threshold` shows that the bench has changed, and raises the forgetting rate.
+A residual of the fit above `residual_threshold` indicates a change of the bench, and raises the forgetting rate.
 
-A step does not count whose force no bench shows: a load cell that is stuck or jumps, a load out of contact.
+A step with an implausible force is excluded: a load cell that is stuck or jumps, a load out of contact.
 
-What is forgotten follows what is learnt: without excitation nothing is forgotten, a_1, a_2 and b hold, and a_0 and a_3
-return to 1 and 0.
+Forgetting follows excitation: without excitation nothing is forgotten, a_1, a_2, b and c hold, and a_0 and a_3 return
+to 1 and 0.
 
-With a known amplifier of the load cell, f = f_s / (1 + 2 d s / w + s^2 / w^2), the fit is on the force f_s in front of
-it instead, F_s = F + 2 d F' / w + F'' / w^2: then the force that the specimen feels follows f_r.
+With a known amplifier of the load cell, f = f_s / (1 + 2 d s / w + s^2 / w^2), the fit is on the force f_s at its input
+instead, F_s = F + 2 d F' / w + F'' / w^2: then the force on the specimen follows f_r.
 """
 
 from __future__ import annotations
@@ -59,33 +59,31 @@ STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # time [s] between two updates
 
 ORDER = 5  # of the state-variable filter: four derivatives, two of them for the load cell's amplifier
 
-SETTLED = 0.2  # time [s] after a gap in which the filter forgets it and nothing is learnt
+SETTLED = 0.2  # settling time [s] of the filter after a gap, in which the fit is not updated
 
-LEAD = 0.01  # time [s] from the last sample to that whose f_r' the valve's terms take
+LEAD = 0.01  # prediction horizon [s] of f_r' in the further terms, from the last sample
 
-PLAYS = (0.25, 0.5, 0.75)  # S_j over the usual amplitude of the force
+PLAYS = (0.25, 0.5, 0.75)  # S_j over `force_scale`
 
 START = np.array((1.0, 0.02, 1e-4, 0.0, *[0.0] * (4 + len(PLAYS))))
-"""a_0 to a_3, b_0 to b_3 and c_0 to c_2 to begin with: half of the usual lag, so wrong by no more than that on either
-side.
-"""
+"""Initial a_0 to a_3, b_0 to b_3, c_0 to c_2; a_1 is half the usual lag, which bounds its initial error by as much."""
 
 BOX_SHARE = 0.75
-"""Of a_2: with 1 two of 20 perturbed plants of `benchmarks.hybrid_simulation` are unstable, with 0.85 nearly so."""
+"""Share of a_2 applied by the box; 1 destabilises two of 20 plants of `benchmarks.hybrid_simulation`, 0.85 nearly."""
 
 PAST = 40  # samples of f_r' to which a cubic is fitted
 
 _CUBIC = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - PAST, 1), 4, increasing=True))
 SECOND: FloatArray = _CUBIC[1] + 2.0 * LEAD * _CUBIC[2]
-"""Weights of these samples in the f_r'' of `LEAD` behind the last one, shape (`PAST`,)."""
+"""Weights of the last `PAST` samples of f_r' in the predicted f_r'', `LEAD` after the last one, shape (`PAST`,)."""
 
 ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
-"""Flags of which ARMED alone must be set for samples to count."""
+"""Mask of the flags that decide on a sample's use: of these only ARMED may be set."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CompensatorSettings:
-    """Settings of the estimator."""
+    """Settings of the coefficient estimator `Compensator`."""
 
     bandwidth: Annotated[float, quantity("Hz", 1.0, 50.0)] = 15.0
     """Of each pole of the filter that force and command run through."""
@@ -129,13 +127,13 @@ class LoadCell:
 
     @classmethod
     def load(cls, path: Path) -> LoadCell:
-        """Read the cell of a bench file or of a diagnosis' corrected.yaml.
+        """Read the load cell's amplifier from a bench file or a diagnosis' corrected.yaml.
 
         Raises SettingsError: the file has no load cell with an amplifier, or one that cannot be compensated;
         ValueError: it is no bench file; OSError: it cannot be read.
         """
         bench = Bench.load(path)
-        for effect in bench.effects:  # it takes the place of the one among the numbers
+        for effect in bench.effects:  # an effect replaces `load_cell_bandwidth`
             if effect["id"] == "sensor_lag" and effect["sensor"] == "load_force":
                 return cls(**effect["parameters"])
         if bench.load_cell_bandwidth is None:
@@ -176,10 +174,10 @@ _SETTINGS = np.dtype([(each.name, np.float64) for each in fields(CompensatorSett
 
 
 class Compensator:
-    """Estimator for n benches at once; arrays have one row per bench.
+    """Least-squares estimator of the compensated law's coefficients for n benches; arrays have one row per bench.
 
-    `count`: number of benches n. `law`: limits of the coefficients. `cell`: amplifier in front of which the force is to
-    follow the reference; None: the measured force follows it.
+    `count`: number of benches n. `law`: compensated law, with the limits of the coefficients. `cell`: load cell whose
+    input force is to follow the reference; None: the measured force follows it.
     """
 
     def __init__(
@@ -215,7 +213,7 @@ class Compensator:
         )
         self._numbers = np.array([astuple(self.settings)], _SETTINGS)
         self.coefficients: FloatArray = np.empty((count, 4))
-        """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] to command, a_3 with all that it carries, shape (n, 4)."""
+        """Commanded a_0 [-], a_1 [s], a_2 [s^2] (`BOX_SHARE` of the fit), a_3 [N] (all other terms), shape (n, 4)."""
         self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)  # benches whose last step counted, shape (n,)
         self.frozen = np.zeros(count, bool)  # benches whose coefficients hold on request, shape (n,)
         self._memory = _Memory(
@@ -230,11 +228,11 @@ class Compensator:
             excitation=np.empty(count),
         )
         self.excitation: FloatArray = self._memory.excitation
-        """Mean square of f' over the memory, over that of a sine of `force_scale` and 1 Hz, shape (n,)."""
+        """Excitation: mean square of f' over the memory, relative to a sine of `force_scale` at 1 Hz, shape (n,)."""
         self.reset()
 
     def reset(self, rows: int | slice = slice(None)) -> None:
-        """Set the estimators of these rows to `START`, without memory of earlier samples."""
+        """Reset the estimators of these benches to `START`, without memory of earlier samples."""
         self.coefficients[rows] = START[:4] * (1.0, 1.0, BOX_SHARE, 1.0)
         for array in self._memory:
             array[rows] = 0
@@ -242,7 +240,7 @@ class Compensator:
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
-        """Benches with a coefficient at a limit, shape (n,)."""
+        """Whether a coefficient of each bench is at a limit, shape (n,)."""
         low, high = self._constants.lower, self._constants.upper
         found, level = self._memory.estimate, self.coefficients[:, 3:]
         at = ((found <= low) | (found >= high), (level <= low[3]) | (level >= high[3]))
@@ -256,13 +254,13 @@ class Compensator:
         reference_rate: FloatArray | None = None,
         reference: FloatArray | None = None,
     ) -> FloatArray:
-        """Take the samples of a policy step; return a copy of `coefficients`.
+        """Update the estimates with the samples of a policy step; return a copy of `coefficients`.
 
-        `commanded`, `measured`: f_c as it acted and f [N], shape (n, 10). `active`: benches whose samples count, shape
-        (n,); not while disarmed, saturated, tripped, or where samples are missing: the coefficients hold, and the
-        filter starts again behind it. `reference_rate`, `reference`: f_r' [N/s] and f_r [N], shape (n, 10); None: 0.
+        `commanded`, `measured`: applied f_c and measured f [N], shape (n, 10). `active`: whether each bench's samples
+        are used, shape (n,); False while disarmed, saturated or tripped, and for missing samples: the estimate holds,
+        and the filter restarts afterwards. `reference_rate`, `reference`: f_r' [N/s], f_r [N], shape (n, 10); None: 0.
 
-        A load cell that is stuck or jumps, and a load out of contact, count as samples missing do.
+        An implausible force (stuck or jumping load cell, load out of contact) is treated like missing samples.
         """
         absent = np.zeros_like(measured)
         rate, value = (absent if x is None else x for x in (reference_rate, reference))
@@ -274,7 +272,7 @@ class Compensator:
 
 
 def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:
-    """State-variable filter w^n / (s + w)^n, n = `ORDER`, over one policy step, by the trapezoidal rule at 1 kHz.
+    """Discretise the state-variable filter w^n / (s + w)^n, n = `ORDER`, over a policy step: trapezoidal rule, 1 kHz.
 
     Returns the transition matrix of (F, F', ...), shape (n, n), and the input matrix of the last sample before the step
     and the ten samples of the step, shape (11, n).

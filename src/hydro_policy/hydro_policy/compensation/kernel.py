@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of the adaptive compensation, compiled: samples of a policy step in, fit and coefficients out.
+"""Compiled kernels of the adaptive compensation: update of fit and coefficients by the samples of a policy step.
 
-The equations are those of `estimator`, whose arrays and settings come in.
+Equations, arrays and settings are those of `estimator`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hydro_sim.jit import njit
 
 @njit
 def update(settings, constants, memory, samples, active, frozen, counted, coefficients):
-    """Update the fits by a policy step, in place; `samples`: f_c, f, f_r', f_r of its samples, shape (n, 4, 10)."""
+    """Update fits and coefficients in place by a policy step; `samples`: f_c, f, f_r', f_r in SI, shape (n, 4, 10)."""
     signals = np.empty((memory.last.shape[1], SAMPLES_PER_STEP))
     transition, inputs, before = constants.transition, constants.inputs, np.empty(ORDER)
     for i in range(len(samples)):
@@ -65,7 +65,7 @@ def _play(plays, within, rate, seconds, into):
 
 @njit
 def _command(settings, constants, memory, rate, reference, coefficients, i):
-    """Coefficients for the next policy step; a_3 holds where f_r' is missing."""
+    """Compute the coefficients for the next policy step; a_3 holds where f_r' is missing."""
     found, past, added = memory.estimate[i], memory.rates[i], np.empty(len(START) - 4)
     if np.isnan(past).any():
         past[:] = rate[0]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimator on the samples of a live bench.
+"""Online adaptation of the compensated law: estimator and learned residual on the samples of a live bench.
 
     /hydro/law_state  f_c, as it acted ──┐ by sequence   ten samples of a policy step     Compensator
     /hydro/state      f, flags ──────────┴──────────────> complete, and all of them good ────────────> a_0 to a_3
 
-A policy step with a sample that is missing, or not good, holds the coefficients: disarmed, saturated, tripped, another
-law, commands that came late (FILTER_STALE says so under this law), or a force that no bench shows.
+The estimate holds over a policy step with a missing or unusable sample: disarmed, saturated, tripped, under another
+law, with late commands (FILTER_STALE under this law), or with an implausible force.
 
-With `learned` on, what `residual` has learnt is added to a_3.
+With `learned`, the prediction of the learned residual (`residual`) is added to a_3.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawComma
 from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 
-RECENT = 50  # samples for which the last message about the law holds; there is none while the paper's law acts
+RECENT = 50  # samples for which the last /hydro/law_state is valid; none is published under the paper's law
 
 _KEPT = RECENT // SAMPLES_PER_STEP + 2
-"""Policy steps under way: messages about the law that still count find their samples, on a busy machine too."""
+"""Incomplete policy steps that are buffered, so that valid law messages find their samples on a busy machine, too."""
 
 
 @dataclass
@@ -39,10 +39,10 @@ class _Step:
 
 
 class LiveCompensation:
-    """Adapts the compensated law of one box to its bench.
+    """Online estimator of the compensated law's coefficients for one box, with an optional learned residual.
 
-    `law`: the box's compensated law. `settings`, `cell`: see `Compensator`. `network`: of the learned residual; None:
-    there is none.
+    `law`: the box's compensated law. `settings`, `cell`: see `Compensator`. `network`: network of the learned residual;
+    None: the residual is zero.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class LiveCompensation:
         network: Network | None = None,
     ) -> None:
         self.law, self.cell = law, cell
-        self.uncounted_steps = 0  # policy steps whose samples did not count
+        self.uncounted_steps = 0  # policy steps whose samples were excluded from the estimate
         self._estimator = Compensator(1, settings, law, cell)
         self._residual = Residual(1, network, self._estimator.settings.force_scale)
         self._adapted = AdaptedLaw(self._estimator, self._residual)
@@ -61,7 +61,7 @@ class LiveCompensation:
         self._safe = safe_command(law)
         self._steps: dict[int, _Step] = {}
         self._last_step, self._last_law, self._last_sample = -1, -1, -1
-        self._take(_Step(), good=False)  # loads what is compiled, a second before anything is armed
+        self._take(_Step(), good=False)  # loads the compiled code, which takes a second, before arming
         self.uncounted_steps = 0
         self.reset()
 
@@ -75,7 +75,7 @@ class LiveCompensation:
 
     @property
     def frozen(self) -> bool:
-        """Whether a person holds the coefficients; set it to hold or to release them."""
+        """Whether the coefficients are frozen at a person's request; settable."""
         return bool(self._estimator.frozen[0])
 
     @frozen.setter
@@ -90,13 +90,13 @@ class LiveCompensation:
 
     @property
     def command(self) -> LawCommand:
-        """Law to command now."""
+        """Command of the compensated law with its present coefficients."""
         a_0, a_1, a_2, a_3 = self._adapted.coefficients[0].tolist()
         return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3))
 
     @property
     def health(self) -> dict[str, object]:
-        """Condition of the estimator for /diagnostics."""
+        """Status values of estimator and residual for /diagnostics, by name."""
         values = self._estimator.coefficients[0]
         return {
             **{f"a_{i}": float(value) for i, value in enumerate(values)},
@@ -109,7 +109,7 @@ class LiveCompensation:
         }
 
     def on_law_state(self, sequence: int, law: int, compensated_reference: float) -> None:
-        """Take the law of a sample: f_c [N]."""
+        """Process a sample's law state: the force law that acted, and its compensated reference f_c [N]."""
         self._last_law = sequence
         self._enter(sequence, slice(0, 1), compensated_reference, law == Law.COMPENSATED)
 
@@ -123,13 +123,13 @@ class LiveCompensation:
         reference: float = 0.0,
         holds: bool = False,
     ) -> None:
-        """Take a sample: f [N], flags, f_r' [N/s], f_r [N]; `holds`: the coefficients hold for another reason."""
+        """Process a sample: f [N], flags, f_r' [N/s], f_r [N]; `holds`: exclude its policy step from the estimate."""
         self._last_sample = sequence
         good = flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
         self._enter(sequence, slice(1, 4), (force, reference_rate, reference), good)
 
     def _enter(self, sequence: int, rows: slice, values: Any, good: bool) -> None:
-        """Enter signals of a sample; learn from its policy step once that is complete."""
+        """Store signals of a sample; update the estimate once its policy step is complete."""
         number, index = divmod(sequence - 1, SAMPLES_PER_STEP)
         if number not in self._steps:
             self._steps = {n: step for n, step in self._steps.items() if abs(number - n) < _KEPT}
@@ -140,7 +140,7 @@ class LiveCompensation:
         if not np.isfinite(step.signals[:2]).all():
             return
         del self._steps[number]
-        if number != self._last_step + 1:  # samples are missing: what is filtered starts again
+        if number != self._last_step + 1:  # samples are missing: the estimator's filter restarts
             self._take(step, good=False)
         self._last_step = number
         self._take(step, good=step.good)

@@ -1,34 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learned residual on the compensated law: a network that predicts what of the error repeats, and adds it to a_3.
+"""Learned residual of the compensated law: a network predicts the repeatable force error, and corrects it by a_3.
 
-What the law leaves repeats with the reference: friction and overlap where the force turns, a valve that is unlike to
-its two sides. A network trained on many drawn benches has learnt how benches err; on this one it sees::
+The compensated law's remaining error repeats with the reference: friction and overlap at reversals of the force, an
+asymmetric valve. The network is trained on many randomised benches; its inputs on the present bench are::
 
-    z        f_r' of the last 90 ms through tanh, f_r, f_r''            what the reference asks for
-    c z      correlation of past corrections with z                     how this bench has erred so far
-    a        coefficients of the law, and how a_3 moves                  what the estimator thinks of it
-    y, m     corrections needed of late, and mean over similar z         a memory of the last 4 s
+    z        f_r' of the last 90 ms through tanh, f_r, f_r''             the reference
+    c z      correlation of past needed corrections with z, times z      the bench's past errors
+    a        coefficients of the law, mean and spread of a_3             the estimator's state
+    y, m     recent needed corrections, and their mean over similar z    a memory of the last 4 s
 
 Every policy step (10 ms) it predicts the correction p [N] of the force that is needed 16 and 26 ms from the last
-sample. Where the reference repeats (`Period`) the corrections needed one to three periods ago take its place, the
-sooner the less the law's coefficients have changed since then (repetitive control: Longman 2000, Int. J. Control
-73(10), 930). The law's polynomial turns p into its share of a_3 (inverse model of the compensated loop)::
+sample. Where the reference is periodic (`Period`) the corrections needed one to three periods ago replace the
+prediction, weighted by how little the law's coefficients have changed since (repetitive control: Longman 2000, Int. J.
+Control 73(10), 930). The law's polynomial, an inverse model of the compensated loop, turns p into an addition to a_3::
 
     w = a_0 p + a_1 p'                    bounded, ramped in over 0.5 s, within the law's limits and rates of a_3
 
-Its authority, the share of p that is applied, follows the correlation of S(e) with p: where p is too large, or late
-for this bench, e has its opposite sign, and the authority shrinks until nothing of p is left in e; where p would help
-it grows again. Where w itself becomes large, the law is still being found, and less of p is applied: on soft springs
-with slow cells the two kept each other from settling.
+Its authority, the share of p that is applied, follows the correlation of S(e) with p: where p is too large or late for
+this bench, e has the opposite sign, and the authority shrinks until e no longer contains p; where p would reduce e it
+grows. A large w indicates coefficients that have not converged, and less of p is applied: on soft springs with slow
+load cells estimator and residual otherwise kept each other from converging.
 
-Samples that do not count, while the valve is at its limit, say, pause it for as long; what it knows of the bench stays.
+Excluded samples, of a saturated valve for instance, pause the residual; its memory of the bench is retained.
 
-The needed correction is what it should have been, y = S(e + p), known 40 ms later; S smooths with a Gaussian of 8 ms,
-p acts 8 ms behind the command. The law's estimator sees f_c and f as they are, w and its effect in them.
+The needed correction is the ideal one in hindsight, y = S(e + p), known 40 ms later; S smooths with a Gaussian of 8 ms,
+p acts 8 ms after the command. The law's estimator uses f_c and f with w and its effect included.
 
-No preview of the reference is needed: the box may follow any. Zero is the compensated law. Source of the scheme:
-iterative learning control (Bristow et al. 2006, IEEE Control Systems 26(3), 96) with the iteration replaced by a
-network over benches, as in rapid motor adaptation (Kumar et al. 2021, RSS XVII).
+No preview of the reference is needed: the box may follow any. A residual of zero leaves the compensated law. Source of
+the scheme: iterative learning control (Bristow et al. 2006, IEEE Control Systems 26(3), 96) with the iteration replaced
+by a network over benches, as in rapid motor adaptation (Kumar et al. 2021, RSS XVII).
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ from hydro_core.signals import SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_sim.files import weights
 
-LONGEST = 400  # policy steps, 4 s: of a period
-LEAST_WINDOW = 50  # policy steps over which a difference is averaged at least
+LONGEST = 400  # longest detectable period, policy steps (4 s)
+LEAST_WINDOW = 50  # shortest averaging window of a difference, policy steps
 PERIOD_DIFFERENCE, DISTINCT_DIFFERENCE = 0.01, 1.0
-"""Squared difference over the reference's variance: a lag below the first is a period if a shorter one exceeds the
-second."""
-_POWER = 1.0 / 300.0  # per step, of the variance
+"""Thresholds of the mean squared difference at a lag over the reference's variance: a lag below the first is a period
+if a shorter lag exceeds the second."""
+_POWER = 1.0 / 300.0  # averaging rate of mean and variance, per policy step
 
 
 class Period:
-    """Periods of the references of n benches; arrays have one row per bench."""
+    """Online detector of the period of n benches' references; arrays have one row per bench."""
 
     def __init__(self, count: int) -> None:
         self._lags = np.arange(1, LONGEST + 1)
@@ -61,12 +61,12 @@ class Period:
         self._difference: FloatArray = np.zeros((count, LONGEST))
         self._mean: FloatArray = np.zeros(count)
         self._variance: FloatArray = np.zeros(count)
-        self.steps: FloatArray = np.zeros(count)  # period [policy steps], shape (n,); 0: none is seen
+        self.steps: FloatArray = np.zeros(count)  # detected period [policy steps], shape (n,); 0: none
         self.trust: FloatArray = np.zeros(count)
-        """0 to 1: how alike the reference is to itself a period earlier, shape (n,)."""
+        """Confidence in the period, 0 to 1: similarity of the reference to itself a period earlier, shape (n,)."""
 
     def step(self, reference: FloatArray, age: npt.NDArray[np.int64]) -> None:
-        """Take a reference per policy step, shape (n,), and how many steps it has been known for, shape (n,)."""
+        """Update by one policy step: its reference, shape (n,), and the number of steps observed so far, shape (n,)."""
         change = _POWER * (age > 0)
         self._mean = np.where(age > 1, self._mean + change * (reference - self._mean), reference)
         self._variance = np.where(
@@ -92,53 +92,53 @@ class Period:
         self.trust = np.where(found, 1.0 - np.clip(least / (PERIOD_DIFFERENCE * power[:, 0]), 0.0, 1.0), 0.0)
 
 
-STRUCTURE = "residual"  # structure in the header of a weights file
+STRUCTURE = "residual"  # value of `structure` in the header of a weights file
 NOMINAL_SCALE = 300.0
-"""N, force scale of the benches on which it was trained; forces of another bench are brought to it."""
+"""Force scale [N] of the training benches; forces of another bench are scaled to it."""
 
-BACK = np.array((0, 5, 10, 20, 35, 55, 90))  # samples before the last one of which f_r' is seen
+BACK = np.array((0, 5, 10, 20, 35, 55, 90))  # lags of f_r' in z, samples before the last one
 LOOKAHEAD, HALF, SIGMA, PREDICTION_LATENCY = 16, 24, 8.0, 12
-"""Samples: from the last sample to that of the predicted correction; half length and standard deviation of the kernel
-S; from the begin of a policy step to the time at which its p acts.
+"""Horizon of the predicted correction from the last sample; half length and standard deviation of the kernel S; latency
+from the start of a policy step to the effect of its p; all in samples.
 
-In the graph a_3 acts from the fifth sample behind the one that it was decided on (`benchmarks.residual`)."""
+In the graph a_3 acts from the fifth sample after the one on which it was decided (`benchmarks.residual`)."""
 KERNEL = np.exp(-0.5 * (np.arange(-HALF, HALF + 1) / SIGMA) ** 2)
 KERNEL /= KERNEL.sum()
 DELAY = 4  # policy steps after which a needed correction is known
 BUFFER_STEPS = 12  # policy steps whose samples are buffered
-MEMORY = 400  # needed corrections that are remembered, 4 s
-LAGS = (0, 2, 5, 10, 20, 40)  # of the corrections needed of late, policy steps before the last one
-WIDTHS = (0.25, 0.6)  # of the kernels over similar z
+MEMORY = 400  # needed corrections in memory, 4 s
+LAGS = (0, 2, 5, 10, 20, 40)  # lags of the recent needed corrections, policy steps before the last one
+WIDTHS = (0.25, 0.6)  # widths of the Gaussian kernels for the mean over similar z
 REPEATS = (1.0, 0.5, 0.25)  # weights of the corrections needed one, two and three periods ago
 SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0  # of these corrections, over policy steps
 SMOOTHING_DELAY = DELAY + 1 + len(SMOOTHING) // 2
 """Policy steps after which the smoothed corrections of a step and the next are known."""
-SETTLING = BUFFER_STEPS + 100  # policy steps of the begin whose corrections are not repeated: the law settles
-STALE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since then at which one counts half
+SETTLING = BUFFER_STEPS + 100  # initial policy steps whose corrections are not repeated: the law converges
+STALE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since a correction at which its weight halves
 REPEAT_GAIN = 0.9  # share of a repeated correction that is applied
-FORGETTING = 0.01 / 1.5  # per policy step, of the correlations
+FORGETTING = 0.01 / 1.5  # forgetting rate of the correlations, per policy step
 
 TERMS = 3 * len(BACK) + 4  # entries of z
 INPUTS = 2 * TERMS + 6 + len(LAGS) + 2 * len(WIDTHS)
 OUTPUTS = 2
 WEIGHTING = np.array([0.5, 0.7, 1.0] * len(BACK) + [1.5, 0.7, 1.0, 0.0])
-"""Of z in the distance between two situations."""
+"""Weights of the entries of z in the distance between two situations, shape (`TERMS`,)."""
 
-WARM_UP, RAMP = 65, 50  # policy steps before it acts, and over which it is ramped in
+WARM_UP, RAMP = 65, 50  # policy steps before the residual acts, and over which it is ramped in
 PAUSE, RESTART_RAMP = 100, 15
-"""Policy steps: length of a pause that resets it, and of the ramp after a shorter pause."""
+"""Policy steps: length of a pause after which the warm-up restarts, and of the ramp after a shorter pause."""
 HALF_AUTHORITY_RMS, MEAN_SQUARE_RATE = 9.0, 0.03
-"""RMS of w [N at `NOMINAL_SCALE`] at which half of the prediction is applied; rate of its mean square per step."""
-PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0  # N at `NOMINAL_SCALE`, of p and of w
+"""RMS of w [N at `NOMINAL_SCALE`] at which half of the prediction is applied; averaging rate of its square per step."""
+PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0  # bounds of p and of w, N at `NOMINAL_SCALE`
 GAIN = 0.8  # share of the prediction that is applied
 PRODUCT_RATE, AUTHORITY_RATE = 0.01, 0.03
 """Per policy step: rate of the averaged products of S(e) and p, and of the authority that follows them."""
-LEAST_POWER = 0.01  # N^2 at `NOMINAL_SCALE`, of p, below which nothing is told of its effect
+LEAST_POWER = 0.01  # N^2 at `NOMINAL_SCALE`: regularisation, added to the mean square of p
 
 
 @dataclass(frozen=True)
 class Network:
-    """Perceptron of two hidden layers (SiLU) with its input's mean and spread."""
+    """Perceptron with SiLU hidden layers, and the mean and standard deviation that normalise its inputs."""
 
     mean: FloatArray
     spread: FloatArray
@@ -146,7 +146,7 @@ class Network:
 
     @classmethod
     def load(cls, path: Path | None = None) -> Network:
-        """Read a weights file; None: the one that comes with this package.
+        """Read a weights file; None: the file shipped with this package.
 
         Raises WeightsError: the file is missing, damaged, or of another structure.
         """
@@ -171,10 +171,10 @@ class Network:
 
 
 class Residual:
-    """Residuals of n benches at once; arrays have one row per bench.
+    """Learned residual in a_3 of n benches; arrays have one row per bench.
 
-    `count`: number of benches n. `network`: None: it records its inputs and needed corrections (`inputs`, `needed`) and
-    adds nothing. `scale`: usual amplitude of the force [N], `CompensatorSettings.force_scale`.
+    `count`: number of benches n. `network`: predictor; None: a residual of zero, with inputs and needed corrections
+    (`inputs`, `needed`) for training. `scale`: usual amplitude of the force [N], `CompensatorSettings.force_scale`.
     """
 
     def __init__(self, count: int = 1, network: Network | None = None, scale: float = NOMINAL_SCALE) -> None:
@@ -217,11 +217,11 @@ class Residual:
         coefficients: FloatArray,
         counted: npt.NDArray[np.bool_],
     ) -> FloatArray:
-        """Take the samples of a policy step; return a copy of `value` for the next one.
+        """Update with the samples of a policy step; return a copy of the residual `value` for the next one.
 
         `reference`, `rate`, `measured`: f_r [N], f_r' [N/s] and f [N], shape (n, 10). `coefficients`: a_0 to a_3 of the
-        law without a residual, shape (n, 4). `counted`: benches whose samples count (`Compensator.counted`), shape
-        (n,); others pause, and start again after `PAUSE` steps.
+        law without a residual, shape (n, 4). `counted`: whether each bench's samples are used (`Compensator.counted`),
+        shape (n,); other benches pause, for more than `PAUSE` steps with a restart of the warm-up.
         """
         finite = (np.isfinite(signal).all(axis=1) for signal in (reference, rate, measured, coefficients))
         fine: npt.NDArray[np.bool_] = np.all(tuple(finite), axis=0)
@@ -256,7 +256,7 @@ class Residual:
         return self.value.copy()
 
     def _learn(self) -> None:
-        """Enter the correction that was needed `DELAY` steps ago."""
+        """Compute the correction needed `DELAY` steps ago; update authority, correlations and memory by it."""
         first = (BUFFER_STEPS - DELAY) * SAMPLES_PER_STEP + LOOKAHEAD - 1 - HALF  # of S, among the kept samples
         at = (np.arange(first, first + len(KERNEL)) - PREDICTION_LATENCY) / SAMPLES_PER_STEP
         low = np.clip(np.floor(at).astype(int), 0, BUFFER_STEPS - 1)
@@ -332,9 +332,9 @@ class Residual:
 
 
 class AdaptedLaw:
-    """Coefficients to command to n benches: the estimator's a_0 to a_3, plus the learned residual in a_3.
+    """Adapted compensated law of n benches: the estimator's a_0 to a_3, plus the learned residual in a_3.
 
-    `estimator`: of the n benches. `residual`: of the same; None: the compensated law alone.
+    `estimator`: estimator of the n benches. `residual`: residual of the same benches; None: none is added.
     """
 
     def __init__(self, estimator: Compensator, residual: Residual | None = None) -> None:
@@ -342,11 +342,11 @@ class AdaptedLaw:
         self._low, self._high = estimator.law.coefficient_min[3], estimator.law.coefficient_max[3]
         self.learned = residual is not None  # whether the residual acts
         self.added: FloatArray = np.zeros(len(estimator.coefficients))
-        """To a_3 of the present policy step [N], shape (n,)."""
+        """Residual added to a_3 in the present policy step [N], shape (n,)."""
 
     @property
     def coefficients(self) -> FloatArray:
-        """Copy of a_0 to a_3, shape (n, 4)."""
+        """Coefficients a_0 to a_3 to command, residual included, shape (n, 4); a copy."""
         a = self.estimator.coefficients.copy()
         a[:, 3] += self.added
         return a
@@ -371,7 +371,7 @@ class AdaptedLaw:
         reference_rate: FloatArray,
         reference: FloatArray,
     ) -> None:
-        """Take the samples of a policy step, f_r [N] last (shape (n, 10)); the others as `Compensator.step` does."""
+        """Update estimator and residual with the samples of a policy step; arguments as of `Compensator.step`."""
         a = self.estimator.step(commanded, measured, active, reference_rate, reference)
         if self.residual is None or not self.learned:
             self.added[:] = 0.0

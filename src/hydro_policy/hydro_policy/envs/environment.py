@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task on a fleet of benches, as a training has it on a running one, without the graph's interruptions.
+"""Reinforcement-learning environment on a fleet of simulated benches, without the interruptions of a ROS graph.
 
-Observation, reward, gains and penalty are computed by the same functions of `task.mdp`; each episode starts from rest.
+Observations, rewards and gains are those of a training on a live bench (`task.mdp`); each episode starts from rest.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hydro_sim.model.sensors import Sensors
 
 @dataclass(frozen=True, kw_only=True)
 class Episodes:
-    """Draws the bench of each episode, by the episode's number."""
+    """Domain randomisation: the bench of each episode, as a function of seed and episode number."""
 
     source: Bench  # simulated bench
     believed: Bench  # bench that the boxes assume
@@ -55,27 +55,27 @@ class Episodes:
 
 @dataclass(frozen=True)
 class Transitions:
-    """Transitions of one step of all benches; first axis: bench."""
+    """Transitions of one policy step of all benches; first axis: bench."""
 
     observation: FloatArray  # observations acted upon, shape (n, 13)
     action: FloatArray  # shape (n, 2)
     reward: FloatArray  # shape (n,)
     following: FloatArray  # next observations, shape (n, 13)
-    terminated: npt.NDArray[np.bool_]  # whether the box tripped and its bench was reset, shape (n,)
+    terminated: npt.NDArray[np.bool_]  # whether the box tripped, shape (n,)
     samples: StateArray  # the ten samples, shape (n, 10)
 
     def rows(self) -> npt.NDArray[np.float32]:
-        """Return rows of the replay buffer, shape (n, width), without those that hold a non-finite value."""
+        """Return the transitions as rows of the replay buffer, shape (m, width), without those of non-finite values."""
         last = np.stack((self.reward, self.terminated), axis=1)
         rows = np.concatenate((self.observation, self.following, self.action, last), axis=1)
         return rows[np.isfinite(rows).all(axis=1)].astype(np.float32)
 
 
 class Environment:
-    """A fleet of benches with observations and rewards.
+    """Environment of n simulated benches: observations, rewards and terminations of their policy steps.
 
-    `fleet`: the benches. `task`: observation, reward, gains. `law`: force law of the boxes; the compensated one's
-    coefficients follow each bench.
+    `fleet`: the benches. `task`: observation, reward, gains. `law`: force law of the boxes; coefficients of the
+    compensated law are estimated online for each bench.
     """
 
     def __init__(self, fleet: VectorBench, task: TaskSettings, law: Law = Law.PAPER) -> None:
@@ -95,7 +95,7 @@ class Environment:
         return self.observation
 
     def begin_one(self, index: int, reference: ReferenceSignal, seed: int) -> None:
-        """Start a new episode on one bench."""
+        """Start a new episode on bench `index`, from rest."""
         self._references[index], self._seeds[index] = reference, seed
         self.fleet.begin(index, reference, seed, law=self.law)
         if self._adapted is not None:
@@ -104,7 +104,7 @@ class Environment:
         self.observation[index] = observe(first, np.zeros(ACTIONS), self.task.size)
 
     def step(self, actions: FloatArray, *, restart: bool = True) -> Transitions:
-        """Advance ten samples under `actions`, shape (n, 2); `restart`: tripped benches begin their episode anew."""
+        """Advance ten samples under `actions`, shape (n, 2); `restart`: restart the episode of tripped benches."""
         before = self.observation
         samples = self.fleet.step_adapted(self.task.gains.changes(actions), self._adapted).copy()
         error = samples["reference_force"] - samples["load_force"]

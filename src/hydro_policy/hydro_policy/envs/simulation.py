@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is simulated, by names and files: bench, box and filter of a pretraining or a Gymnasium environment."""
+"""Simulation set-up by names and files: bench, box and filter of a pretraining or a Gymnasium environment."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from hydro_sim.model.bench import Bench
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationSetup:
-    """Simulated bench, model and filter; together with config.yaml all that `--resume` needs."""
+    """Simulated bench, box and filter of a pretraining; with config.yaml the complete input of `--resume`."""
 
     model: str
-    """shipped, analytic (the nominal bench), or a bench file."""
+    """Simulated bench: shipped, analytic (the nominal bench), or a bench file."""
     box: str | None = None
-    """bench.yaml that the box believes in; None: the nominal bench."""
+    """bench.yaml assumed by the box; None: the nominal bench."""
     base_gains: list[float] | None = None
     """K_p [1/s], K_i [1/s^2] of the box; None: the paper's."""
     randomise: bool = False
@@ -31,22 +31,22 @@ class SimulationSetup:
     """Form of the force law's integral, `BoxConfig.integral`."""
 
     def simulated(self) -> Bench:
-        """The bench that is simulated."""
+        """Return the simulated bench."""
         if self.model == "analytic":
             return Bench.nominal()
         return learned_bench.read(None if self.model == "shipped" else self.model)
 
     def believed(self) -> Bench:
-        """Bench assumed by the box's force law."""
+        """Return the bench assumed by the box's force law."""
         return Bench.load(self.box) if self.box else Bench.nominal()
 
     def box_config(self) -> BoxConfig:
-        """Base gains and limits of the box."""
+        """Return the box's settings: base gains, limits, form of the integral."""
         box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
         return replace(box.of_bench(self.believed()), integral=self.integral)
 
     def made_for(self) -> MadeFor:
-        """Box that its policies are made for: the simulated one, whatever the plant."""
+        """Return the provenance of trained policies: bench assumed by the box, base gains, integral, learned bench."""
         box, model = self.box_config(), learned_bench.digest() if self.model == "shipped" else ""
         return MadeFor(
             box=self.believed().digest, model=model, base_kp=box.base_kp,
@@ -54,7 +54,7 @@ class SimulationSetup:
         )  # fmt: skip
 
     def pairing_error(self) -> str:
-        """Return why bench, model and filter do not belong together, in one sentence; empty if they do."""
+        """Return the reason why bench, box and filter are incompatible, in one sentence; empty if they are not."""
         box = BoxIdentity.of_file(self.box)
         remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --model FILE --box FILE"
         wrong = learned_bench.box_mismatch(None, box, remedy) if self.model == "shipped" else ""

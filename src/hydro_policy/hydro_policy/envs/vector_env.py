@@ -12,8 +12,8 @@ compiled functions. Gains act `gain_delay` samples after the step that chose the
 graph), and the valve follows its current `dead_time` samples late (0: the box's own loop).
 
 Plants of one kind are rows of arrays: a NamedTuple with two compiled functions, `advance` and `measurement`, dispatched
-on its type (numba's overloading). They are created and reset as usual; here only their memories are stacked. The
-contraction filter, if there is one, makes the next sample's correction of a sample, as in the graph.
+on its type (numba's overloading). They are created and reset as usual; here only their states are stacked. The
+contraction filter, if there is one, computes the next sample's correction from each sample, as in the graph.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ Records = npt.NDArray[np.void]
 
 
 class Analytic(NamedTuple):
-    """Rows of `AnalyticPlant`."""
+    """Stacked arrays of `AnalyticPlant`s, one row per bench."""
 
     constants: Records
     sensors: Records
@@ -103,26 +103,26 @@ KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] =
         _copy_analytic,
     )
 }
-"""Kinds of plants, with the functions that stack them and write one, its constants and memory, into a row. A benchmark
-may add its own."""
+"""Functions of each plant type: one stacks plants into arrays, one copies a plant's constants and state into a row. A
+benchmark may add a type."""
 
 
 _ARMED = np.uint32(Flag.ARMED)
 
 
 class FleetFilter(NamedTuple):
-    """Filter between policy and box, with one memory per bench; the box flags gains without one FILTER_STALE."""
+    """Filter between policy and box, with one state per bench; without a filter the box sets FILTER_STALE."""
 
-    fresh: bool  # whether there is one
-    decide: int  # address of the decision
+    fresh: bool  # whether a filter runs
+    decide: int  # address of the compiled decision function
     parts: Records
     memory: Records
-    seen: Records  # sample and decision of the bench whose turn it is, shape (1,) each
+    seen: Records  # buffers for the present bench's sample and decision, shape (1,) each
     made: Records
 
 
 def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
-    """Return the filter of a kind for `count` benches, designed for the bench `believed`."""
+    """Return a filter of this kind for `count` benches, designed for the bench `believed`."""
     parts = default_filter(believed).parts if kind == "learned" else np.zeros(1, filter_records.FILTER)
     seen, made = np.zeros(1, filter_records.SAMPLE), np.zeros(1, filter_records.DECISION)
     memory = filter_records.new_memories(count)
@@ -132,7 +132,7 @@ def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
 DEAD_TIME_MAX = 8  # maximum delay of a command, samples
 
 LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held", np.float64, (DEAD_TIME_MAX + 1,))])
-"""Transport between policy, box and valve: delays in samples, and the currents in transit, newest first."""
+"""Transport delays between policy, box and valve [samples], and the currents in transit [A], newest first."""
 
 
 class VectorBench:
@@ -205,14 +205,14 @@ class VectorBench:
         self.compensated[index, -1] = box["acting"]["reference"][0]
 
     def set_reference(self, index: int, reference: ReferenceSignal) -> None:
-        """Command another reference from the next sample on; the box fades into it."""
+        """Command a new reference from the next sample on; the box cross-fades to it."""
         self.commands[index]["reference"] = signal_record(reference)
 
     def step(self, changes: FloatArray, coefficients: FloatArray | None = None) -> StateArray:
         """Advance ten samples; returns `samples`.
 
         `changes`: gain changes (delta_kp, delta_ki), shape (benches, 2). `coefficients`: of the compensated reference,
-        shape (benches, 4); absent: as they were.
+        shape (benches, 4); None: unchanged.
         """
         if coefficients is None:
             coefficients = self.commands["shaping"][:, :COEFFICIENTS]
@@ -225,7 +225,7 @@ class VectorBench:
         return self.samples
 
     def step_adapted(self, changes: FloatArray, adapted: AdaptedLaw | None) -> StateArray:
-        """Advance ten samples as `step`; a law that is given commands its coefficients and learns of the samples."""
+        """Advance ten samples as `step`, with coefficients of `adapted`, updated afterwards; None: unchanged ones."""
         if adapted is None:
             return self.step(changes)
         samples = self.step(changes, adapted.coefficients)
@@ -237,7 +237,7 @@ class VectorBench:
 
 @njit
 def _exchange(code, settings, box, command, filters, i, measurement, sample):
-    """Run one sample of the box: command in, state out, and the filter's correction for the next command."""
+    """Advance the box by one sample: command in, state out, and the filter's correction for the next command."""
     time = box[0].sequence * SAMPLE_PERIOD
     firmware.receive(code.receive, box, settings, command, time)
     firmware.tick(code.tick, box, settings, measurement, time, sample)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parallel evaluation runs without a graph: each bench of a fleet runs one case under one controller.
 
-As in `evaluation.runner`: start from rest, settling, then whole periods over which e counts.
+As in `evaluation.runner`: settling, then a measured part of whole periods; the runs start from rest.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Chooser = Callable[[FloatArray], FloatArray]
 
 @dataclass
 class PolicyChooser:
-    """Mean action of a policy, on every bench."""
+    """Chooser that applies the mean action of a policy on every bench."""
 
     policy: Policy
     gains: GainRange
@@ -80,7 +80,7 @@ def run(
     compensator: Compensator | None = None,
     residual: Residual | None = None,
 ) -> Iterator[Step]:
-    """Run `cases[i]` on bench i, step by step; with a compensator the boxes run the compensated law."""
+    """Run `cases[i]` on bench i, yielding each policy step; with a compensator under the compensated law."""
     law = Law.PAPER if compensator is None else Law.COMPENSATED
     adapted = None if compensator is None else AdaptedLaw(compensator, residual)
     for index, case in enumerate(cases):

@@ -18,27 +18,27 @@ PAPERS_LAW = LawCommand()
 
 
 class Controller:
-    """Chooses gains at 100 Hz."""
+    """Base class of controllers: gain changes at 100 Hz, under a force law."""
 
     name: str  # for tables
-    reach: GainRange  # of the gain changes that it may request
-    fixed: tuple[float, float] | None = None  # K_p [1/s], K_i [1/s^2] in all, if it does not change them
+    reach: GainRange  # range of the gain changes that it may request
+    fixed: tuple[float, float] | None = None  # constant total gains K_p [1/s], K_i [1/s^2]; None: they vary
 
     @property
     def law(self) -> LawCommand:
-        """Force law that it needs, as of now."""
+        """Force law to command for this controller, with the present coefficients."""
         return PAPERS_LAW
 
     def reset(self) -> None:
-        """Reset before a run; nothing where there is no state."""
+        """Reset the controller's state before a run; by default there is none."""
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
-        """Return (delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
+        """Return the gain changes (delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
         raise NotImplementedError
 
 
 class FixedGains(Controller):
-    """Fixed gains, given as totals (K_p, K_i); the box's base gains are subtracted. `kind`: for tables."""
+    """Controller of fixed total gains (K_p, K_i); the box's base gains are subtracted. `kind`: name for tables."""
 
     def __init__(
         self, proportional: float, integral: float, base: tuple[float, float] = BASE, kind: str = "fixed"
@@ -55,7 +55,7 @@ class FixedGains(Controller):
 
 
 class Compensated(Controller):
-    """Base gains of the compensated law, whose coefficients follow the bench.
+    """Controller under the compensated law: its base gains, with coefficients estimated online.
 
     `compensation`: estimator of the coefficients. `base`: base gains of the paper's law, to which `reach` is relative
     as any controller's. `learned`: whether the learned residual is added.
@@ -71,7 +71,7 @@ class Compensated(Controller):
 
     @property
     def law(self) -> LawCommand:
-        """The compensated law with the present coefficients."""
+        """Command of the compensated law with its present coefficients."""
         return self._compensation.command
 
     def reset(self) -> None:
@@ -104,7 +104,7 @@ class PolicyController(Controller):
 
 
 def policy_controller(path: Path) -> PolicyController:
-    """Load the policy of a run's folder, or of a file. Raises ValueError: neither exists."""
+    """Return the controller of a policy loaded from a run's folder or a file. Raises ValueError: no usable policy."""
     policy, gains, _ = load_policy(policy_file(path))
     return PolicyController(policy, gains, f"policy {path.name if path.is_dir() else path.stem}")
 

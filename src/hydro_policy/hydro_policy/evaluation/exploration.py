@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exploration: the controller of a training episode, a hundred times a second, and the episode's statistics."""
+"""Exploration: controller of a training episode at 100 Hz, and statistics of the episode."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SETTLING_STEPS = 50  # initial steps of an episode excluded from its RMSE: the r
 
 @dataclass(kw_only=True)
 class EpisodeRecord:
-    """Sums over one episode."""
+    """Statistics of one training episode: return, force RMSE, lag, overridden steps."""
 
     episode: int
     amplitude: float = 0.0
@@ -42,7 +42,7 @@ class EpisodeRecord:
     overridden_steps: int = 0
 
     def add(self, step: Step, reward: float) -> None:
-        """Add one step."""
+        """Add a policy step and its reward."""
         self.steps += 1
         self.whole_steps += step.whole
         self.episode_return += reward
@@ -68,14 +68,14 @@ class EpisodeRecord:
 
 
 class Explorer(Controller):
-    """Controller that learns: it acts by policy steps, and appends their transitions to the replay buffer.
+    """Exploring controller: draws the policy's action in each step, and appends the transitions to the replay buffer.
 
-    An episode goes on where the one before it ended, and under gains that a person holds, which are not learnt from.
+    An episode continues from the final state of the previous one, and through an override, which is not learnt from.
     Its end is a truncation: the next state's value is bootstrapped. Only a trip by the box or a stop by the monitor is
     a termination.
 
-    `settings`: settings of the run. `replay`: of the transitions. `outputs`: the graph. `new_weights`, `wake`: return
-    the actor's parameters if they are newer; tell the learner of a transition.
+    `settings`: settings of the run. `replay`: replay buffer. `outputs`: outputs to the graph. `new_weights`: returns
+    the actor's parameters if they are newer, else None. `wake`: notifies the learner of a transition.
     """
 
     name = EXPLORING
@@ -100,7 +100,7 @@ class Explorer(Controller):
         self._action: FloatArray = np.zeros(ACTIONS)
 
     def act(self, step: Step) -> None:
-        """Act on a step under the newest policy, then store the transition, so that gains leave at once."""
+        """Publish the newest policy's gains for a step, then store the transition, which would delay the gains."""
         parameters = self._new_weights()
         if parameters is not None:
             self.policy.load_flat(parameters)
@@ -121,7 +121,7 @@ class Explorer(Controller):
     def hold(self, gains: tuple[float, float], step: Step | None = None, *, under_way: bool = False) -> None:
         """Publish these gain changes instead of the policy's; the transitions that follow are not stored.
 
-        The step that they end is still the policy's and is stored. `under_way`: whether it is one of an episode.
+        The step that ends with them was under the policy, and is stored. `under_way`: whether an episode is running.
         """
         if self._observation is not None and step is not None:
             after = observe(step.sample, self._action, self.task.size)
@@ -133,7 +133,7 @@ class Explorer(Controller):
         self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # previous action in the policy's observation
 
     def terminate(self, sample: FloatArray) -> None:
-        """Store the last action's transition as terminal, with the penalty: its result had to be stopped."""
+        """Store the last action's transition as terminal, with the trip penalty, after a trip or stop."""
         if self._observation is not None:
             after = observe(sample, self._action, self.task.size)
             after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
@@ -142,7 +142,7 @@ class Explorer(Controller):
         self.discard_action()
 
     def discard_action(self) -> None:
-        """Discard the last action: the next sample does not follow from it."""
+        """Discard the last action, without a transition: the next sample is not its result."""
         self._observation = None
 
     def _end_step(

@@ -27,7 +27,7 @@ Gains = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class GridSettings:
-    """Range and resolution of the grid."""
+    """Settings of the grid search: range and resolution of the gains."""
 
     kp_min: Annotated[float, quantity("1/s", 0.0, 500.0)] = 60.0
     """K_p begins to rise there: not so low that the monitor stops a run for its lag."""
@@ -53,7 +53,7 @@ class GridSettings:
 
 
 def coarse_grid(gains: GainRange, base: tuple[float, float]) -> GridSettings:
-    """Return a grid of five pairs up to the end of this authority on a box with these base gains."""
+    """Return a coarse grid, five values of K_p at one K_i, up to the largest total gains of `gains` and `base`."""
     kp_max, ki = base[0] + gains.delta_kp_max, min(30.0, base[1] + gains.delta_ki_max)
     kp_min = min(60.0, kp_max)
     return GridSettings(
@@ -63,12 +63,12 @@ def coarse_grid(gains: GainRange, base: tuple[float, float]) -> GridSettings:
 
 
 class GridSearch:
-    """Chooses the next pair of gains; independent of the bench."""
+    """Grid search over pairs (K_p, K_i): proposes pairs, takes their RMSE; independent of the bench."""
 
     def __init__(self, settings: GridSettings) -> None:
         self.settings = settings
         self.tried: dict[Gains, FloatArray] = {}
-        """RMSE [N] on each reference; infinite where the run was stopped."""
+        """Force RMSE [N] on each reference by pair (K_p, K_i); infinite where the run was stopped."""
         self._pairs = self._search()
         self._next = next(self._pairs, None)
 
@@ -101,7 +101,7 @@ class GridSearch:
 
     @property
     def scores(self) -> dict[Gains, float]:
-        """Mean over the references of RMSE over the smallest RMSE there; infinite if a run was stopped."""
+        """Score by pair: mean over references of RMSE relative to the smallest there; infinite if a run was stopped."""
         return {**dict.fromkeys(self.tried, np.inf), **relative_scores(self.tried)}
 
     @property
@@ -111,7 +111,7 @@ class GridSearch:
 
     @property
     def best(self) -> Gains:
-        """Pair with the smallest score; one that was stopped if none was `any_completed`."""
+        """Pair with the smallest score; without `any_completed` a stopped one."""
         scores = self.scores
         return min(scores, key=scores.__getitem__)
 
@@ -122,7 +122,7 @@ class GridSearch:
 
 
 class GridPlan(Plan):
-    """The trials of a search, a pair of gains after the other: one on each reference, until one is stopped.
+    """Plan of a grid search: for each pair of gains a trial on each reference, until one is stopped or disturbed.
 
     `settings`: the grid. `evaluation`: references and lengths. `base`: base gains of the box, K_p [1/s], K_i [1/s^2].
     """
@@ -141,7 +141,7 @@ class GridPlan(Plan):
                     measure=self.evaluation.measured_time(case),
                 )  # fmt: skip
                 self.done += 1
-                if score.stopped or score.disturbed:  # one in which the machine was held up tells nothing
+                if score.stopped or score.disturbed:  # a disturbed trial is not informative
                     rmse = [np.inf] * len(cases)
                     break
                 rmse.append(score.rmse)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hydro_bridge.pages import Section
 from hydro_core.cli.console import Table
-from hydro_core.files.atomic import encode_json, write_whole
+from hydro_core.files.atomic import encode_json, write_atomic
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
@@ -49,11 +49,11 @@ def table(session: TrialRunner[Comparison]) -> Table:
 
 
 def best(session: TrialRunner[Comparison]) -> str:
-    """Return a sentence that names the best controller and its lead; empty where fewer than two completed every run.
+    """Return a sentence on the best controller and its margin; without two to compare the reason, or an empty text.
 
-    The best has the smallest mean over the references of RMSE divided by the smallest RMSE of any controller there. The
-    RMSE is that of the force on the specimen if the law compensates the load cell (`LiveCompensation.cell`) and it is
-    known. A controller with a disturbed run is left out.
+    The best has the smallest mean over the references of RMSE relative to the smallest RMSE of any controller there.
+    The RMSE is that of the force on the specimen if the law compensates the load cell (`LiveCompensation.cell`) and it
+    is known. A controller with a stopped or disturbed run is left out.
     """
     cases = [case.name for case in session.plan.settings.cases]
     names = dict.fromkeys(score.controller for score in session.scores)
@@ -118,18 +118,18 @@ def write_json(session: TrialRunner[Comparison], path: Path, notes: Mapping[str,
     about = {"settings": session.plan.settings, "units": units, "warnings": session.warnings}
     content = {**notes, **about, "runs": runs}
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, encode_json(content))
+    write_atomic(path, encode_json(content))
 
 
 def sections(session: TrialRunner[Comparison], picture: Path) -> list[Section]:
-    """Return the sections of a page; `picture` is that of `plot`."""
+    """Return the sections of an evaluation's page; `picture`: file written by `plot`."""
     shown = table(session)
     found = [Section(heading=shown.title, text=" ".join([best(session), *session.warnings]).strip(), table=shown)]
     return [*found, Section(heading="Tracking at the fastest sine", picture=picture)] if picture.is_file() else found
 
 
 def plot(session: TrialRunner[Comparison], path: Path) -> None:
-    """Draw the paper's two figures at the fastest sine: tracking and error of the controllers, gains of the first."""
+    """Draw the paper's two figures at the fastest sine: tracking and errors of all controllers, gains of the first."""
     sines = session.plan.settings.frequencies
     case = f"{max(sines):g} Hz" if sines else session.plan.settings.cases[0].name
     traces = {t.controller: t for t in session.traces if t.case == case}

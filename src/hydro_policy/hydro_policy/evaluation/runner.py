@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runner of trials: makes a plan's trials one after another on a live plant, without ROS.
+"""Trial runner: runs the trials of a plan one after another on a live plant, independent of ROS.
 
-trial     a new reference, seconds to settle, then those over which e = f_r - f_l counts; or an episode, whose
-          controller learns (`exploration`), of a number of policy steps
+trial     a new reference, settling, then measurement of e = f_r - f_l; or a training episode of a number of policy
+          steps under an exploring controller (`exploration`)
 failure   the box trips, or the monitor requests a stop: the trial counts as stopped, and a second of calm follows
-pause     the plant is lost, disarmed, or a person takes the gains: the trial is begun again. An episode goes on under a
-          person's gains
-unheld    the box trips at once under base gains, several times: all trials under this force law count as stopped
-hold-up   corrections, commands or samples came late, or the box heard nothing for so long that it tripped: the trial is
-          begun again, `REPEATS` times at most
+pause     the plant is lost, disarmed, or overridden: the trial restarts. An episode continues under an override
+unstable  the box trips at once under base gains, several times: all trials under this force law count as stopped
+disturbed corrections, commands or samples came late, or the box tripped without commands: the trial restarts, `REPEATS`
+          times at most
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ from hydro_policy.task.cases import DISTURBED_SHARE_MAX, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, hold_flags
 from hydro_sim.files import load_force
 
-REPEATS = 2  # times that a run is started again in which the machine was held up
+REPEATS = 2  # largest number of restarts of a disturbed trial
 
 SILENCE = "the box heard nothing for too long and tripped: the machine was held up"
 
 BUSY = "if the machine is busy, close other programs"
-REPLACED = 0.5  # the same above which a run tells nothing of its controller
+REPLACED = 0.5  # share of samples under base gains above which a run is no measurement of its controller
 
 UNFILTERED = "no filter of this bench decides, or it comes late (`ros2 topic echo /diagnostics` tells)"
 
 LAW_TRIALS = 3
-"""Times that a plant is armed with another law than the one commanded, before the runs under that are given up."""
+"""Largest number of armings under another law than the commanded one; after more, its trials count as stopped."""
 NOT_TAKEN_UP = "the plant does not take up the force law that is commanded"
 FROZEN = "A person had frozen the coefficients of the compensated law."
 ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed again with that"
@@ -51,7 +50,7 @@ ANOTHER_LAW = "the next controller needs another force law: the plant is disarme
 
 @dataclass
 class _Run:
-    """Data of the present trial."""
+    """State of the running trial."""
 
     trial: Trial
     first: int
@@ -62,10 +61,7 @@ class _Run:
 
 
 class Rest:
-    """Rest phase of `seconds` s.
-
-    It finishes once the plant has been disarmed, with every requirement of `watch` met, for that long. It arms nothing.
-    """
+    """Session at rest: finished after `seconds` s disarmed with all requirements of `watch` met; it arms nothing."""
 
     def __init__(self, seconds: float, watch: PlantSupervisor) -> None:
         self.watch, self.override, self.finished = watch, watch.override, False
@@ -89,7 +85,7 @@ class Rest:
 
 
 class Phase(IntEnum):
-    """Values of `TrainingStatus.phase`."""
+    """Phase of a session, with the values of `TrainingStatus.phase`."""
 
     WAITING = 0
     TRAINING = 1
@@ -102,13 +98,13 @@ P = TypeVar("P", bound=Plan)
 
 
 class TrialRunner(Generic[P]):
-    """Makes a plan's trials.
+    """Runner of a plan's trials on a live plant; a session of the node.
 
-    `plan`: the trials. `watch`: supervision of the plant. `monitor`: stops a trial that goes wrong before the box has
-    to; None: only the box does. `compensation`: estimator of the controller under the compensated law, if there is one.
+    `plan`: plan of the trials. `watch`: supervisor of the plant. `monitor`: safety monitor, to stop a trial before the
+    box trips; None: none. `compensation`: online estimator for controllers under the compensated law, if there are any.
     `felt`: file of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one. `record`, `kind`:
-    takes each score, but of a training, as an event of this kind. Those that it has of an interrupted run are taken
-    from it: their trials are not made again.
+    record of the scores, except those of a training, as events of this kind. Scores in it from an interrupted run are
+    reused, and their trials skipped.
     """
 
     def __init__(
@@ -145,7 +141,7 @@ class TrialRunner(Generic[P]):
 
     @property
     def finished(self) -> bool:
-        """Whether all trials are made."""
+        """Whether all trials of the plan are completed."""
         return self.plan.trial is None
 
     @property
@@ -210,7 +206,7 @@ class TrialRunner(Generic[P]):
         return step is not None
 
     def _hold(self, trial: Trial, gains: tuple[float, float], sequence: int, step: Step | None) -> bool:
-        """Send gains that are not the controller's: an episode goes on, any other trial is begun again once it may."""
+        """Publish gains that are not the controller's: an episode continues, any other trial restarts afterwards."""
         if isinstance(trial.controller, Explorer):
             if step is not None:
                 trial.controller.hold(gains, step, under_way=self._run is not None)
@@ -221,7 +217,7 @@ class TrialRunner(Generic[P]):
         return sequence % SAMPLES_PER_STEP == 0 and self._publish(gains)
 
     def _pause(self, run: _Run | None, why: str) -> None:
-        """Leave the trial that was under way, which is begun again; nothing if there was none."""
+        """Interrupt the running trial, which restarts later; nothing if there was none."""
         self._run = None
         if run is None:
             return
@@ -237,9 +233,9 @@ class TrialRunner(Generic[P]):
     def _follow_law(
         self, trial: Trial, compensation: LiveCompensation, sequence: int, sample: FloatArray, flags: int, now: float
     ) -> None:
-        """Command the law of the present controller, or the next; a plant armed with another is disarmed first.
+        """Command the force law of the present or next controller; a plant armed with another is disarmed first.
 
-        While a person holds the gains, nothing changes. A plant that does not take up the law ends the runs under it.
+        Under an override the law is left unchanged. Trials under a law that the plant does not adopt count as stopped.
         """
         law = trial.controller.law
         holds = self._run is None or law.law is Law.PAPER or self.watch.mismatched
@@ -273,7 +269,7 @@ class TrialRunner(Generic[P]):
             self._outputs.report(warning, warning=True)
 
     def on_correction(self, after: float, status: int) -> None:
-        """Process the filter's result of a sample: M_c [1/s] under its correction, and the status."""
+        """Process the filter's result for a sample: M_c [1/s] under its correction, and the status."""
         self.watch.on_correction(status)
         if self.monitor is not None:
             self.monitor.on_correction(after, status)
@@ -331,7 +327,7 @@ class TrialRunner(Generic[P]):
         if share > DISTURBED_SHARE_MAX:
             what = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
             late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: {BUSY}"
-        elif missed > DISTURBED_SHARE_MAX:  # an adapting law learns nothing from these
+        elif missed > DISTURBED_SHARE_MAX:  # the estimator of an adapted law excludes these
             late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY}"
         if late and share <= REPLACED and self._again(trial, late):
             return
@@ -382,7 +378,7 @@ class TrialRunner(Generic[P]):
         self._outputs.report(told, warning=True)
 
     def _on_trip(self, flags: int, sample: FloatArray) -> None:
-        """Attribute a trip to the run, or to nobody under gains held by a person, or where the machine was held up."""
+        """Attribute a trip to the running trial, except under an override, or after late samples or commands."""
         silent, run = not flags & FAULTS, None if self.override.active else self._run
         if run is not None and not (silent and (self.plan.training or self._again(run.trial, SILENCE))):
             self._stop(run.trial, SILENCE if silent else self.watch.condition, sample)
@@ -398,4 +394,4 @@ class TrialRunner(Generic[P]):
 
 
 Session = Rest | TrialRunner[Any]
-"""Session: controls a plant by its samples."""
+"""Session types: objects that process the plant's samples and command it, one at a time."""

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials, and the plans that say which is next: a comparison of controllers over references, repeat by repeat.
+"""Trials, and plans (sequences of trials) such as a comparison of controllers over references.
 
-A trial is one controller over one reference: seconds to settle, then seconds that count. Its result is a
-`task.cases.Score`. `runner.TrialRunner` makes them on a plant; `gain_search` and `collect` have plans of their own.
+A trial is a run of one controller on one reference: a settling time, then a measured time. Its result is a
+`task.cases.Score`. `runner.TrialRunner` runs the trials on a plant; `gain_search`, `training_plan` and `nodes.collect`
+have further plans.
 """
 
 from __future__ import annotations
@@ -16,23 +17,23 @@ from hydro_policy.task.cases import Case, EvaluationSettings, Score
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One controller over one reference."""
+    """Run of one controller on one reference, with a settling and a measured time."""
 
     controller: Controller
     case: Case
     repeat: int = 0
-    settle: float  # s that do not count
-    measure: float  # s that count
+    settle: float  # settling time, not measured, s
+    measure: float  # measured time, s
     is_scored: bool = True
     """Whether it is scored, and repeated if disturbed; otherwise only its end is reported to the plan."""
 
     @property
     def name(self) -> str:
-        """For sentences: `fixed (90, 15) at 2 Hz`."""
+        """Name for messages: `fixed (90, 15) at 2 Hz`."""
         return f"{self.controller.name} at {self.case.name}"
 
     def empty_score(self, why: str = "") -> Score:
-        """Return this trial's score without figures; `why`: reason of a stop, empty if there was none."""
+        """Return a score of this trial without figures; `why`: reason of a stop, empty if there was none."""
         return Score(
             controller=self.controller.name, case=self.case.name, frequency=self.case.signal.frequency,
             repeat=self.repeat, stopped=why,
@@ -43,8 +44,8 @@ class Plan:
     """Sequence of trials, with hooks that `runner.TrialRunner` calls between them."""
 
     training: bool = False  # whether trials follow each other without a gap, and their samples are not stored
-    total: float = 0.0  # trials, or s of them, for a progress bar; 0: not known
-    done: float = 0.0  # how many of them are over
+    total: float = 0.0  # number of trials, or their duration [s], for a progress bar; 0: unknown
+    done: float = 0.0  # completed part of `total`
 
     def set_trials(self, trials: Generator[Trial, Score, None]) -> None:
         """Set the generator of the trials; it yields each trial, and is sent its score."""
@@ -52,7 +53,7 @@ class Plan:
 
     @property
     def trial(self) -> Trial | None:
-        """The trial that is due; None: no more."""
+        """Present trial, running or next; None: the plan is complete."""
         return self._trial
 
     def add(self, score: Score) -> str:
@@ -64,11 +65,11 @@ class Plan:
         return ""
 
     def begin(self, trial: Trial) -> None:
-        """Prepare the trial that was due, which begins now, or begins again."""
+        """Prepare the start, or restart, of the present trial."""
         return
 
     def pause(self) -> None:
-        """Note that the plant was disarmed, or lost, during a trial."""
+        """Handle the interruption of a trial: the plant was disarmed, or lost."""
         return
 
     def prepare_step(self, *, exact: bool) -> None:
@@ -81,12 +82,12 @@ class Plan:
 
 
 class Comparison(Plan):
-    """All controllers over all cases. Controllers follow each other closely, so that drift affects all alike.
+    """Comparison of all controllers on all cases, interleaved, so that drift of the bench affects all alike.
 
-    Those of the compensated law are last, since the plant is disarmed for another law.
+    Controllers under the compensated law are last, since a change of the law requires disarming.
 
-    `settings`: references and lengths of the trials. `controllers`: at least one. `lead`: s that each controller's
-    first trial settles longer; then each controller makes all its trials before the next.
+    `settings`: references and lengths of the trials. `controllers`: at least one. `lead`: additional settling time [s]
+    of each controller's first trial; if not 0, controllers are not interleaved.
     """
 
     def __init__(self, settings: EvaluationSettings, controllers: Sequence[Controller], lead: float = 0.0) -> None:
@@ -118,5 +119,5 @@ class Comparison(Plan):
 
     @property
     def seconds(self) -> float:
-        """Bench time of all trials, s."""
+        """Duration of all trials on the bench, s."""
         return sum(trial.settle + trial.measure for trial in self.trials)

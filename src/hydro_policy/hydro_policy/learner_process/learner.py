@@ -7,7 +7,7 @@
     transition   -> replay buffer -------------------------->  batches, updates
     policy       <- `latest`: counters, networks, moments <--  after each chunk of updates; a successor starts there
     good policy  -> `good`: the same ----------------------->  continues from there on a rollback
-    rollbacks    <> `status`: asked for, done; updates, temperature, losses
+    rollbacks    <> `status`: requested, done; updates, temperature, losses
     requests     -> pipe: wake, save, end ------------------>  checkpoints; faults come back
 
 All but the pipe are shared memory, so that nothing is lost when the learner dies.
@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, save_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import Losses, ReplayBuffer, Sac, actor_parameters, dump, restore
@@ -35,20 +35,20 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from hydro_sim.files.pairing import with_provenance
 
-CHUNK = 8  # updates between two publications and looks at the pipe, some 1 to 2 ms
-_IDLE = 0.05  # s between two looks for work without a wake
+CHUNK = 8  # updates between two publications and polls of the pipe, some 1 to 2 ms
+_IDLE = 0.05  # s between two polls of an idle learner without a wake
 
 CONTEXT = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
 
 
 class Latest:
-    """The newest value of an int64 array in shared memory, for one writer and any number of readers.
+    """Double buffer in shared memory for the newest int64 array, with one writer and any number of readers.
 
         [ version, to the end of its cache line | sum, value of the even versions | sum, value of the odd ones ]
 
-    A writer killed halfway leaves the other value whole; the sum shows a value that was being written when read.
+    A writer killed halfway leaves the other value intact; the checksum detects a value read while it was written.
 
-    `memory`: writable buffer of `nbytes` bytes, zero at first.
+    `memory`: writable buffer of `nbytes` bytes, initially zero.
     """
 
     def __init__(self, memory: object) -> None:
@@ -62,13 +62,13 @@ class Latest:
         return 8 * (8 + 2 * (1 + length))
 
     def publish(self, value: NDArray[np.int64]) -> None:
-        """Make `value` the newest."""
+        """Publish `value` as the newest array."""
         version = int(self._version[0]) + 1
         self._slots[version % 2, 1:], self._slots[version % 2, 0] = value, value.sum()
         self._version[0] = version
 
     def read(self) -> NDArray[np.int64] | None:
-        """Return the newest value; None if there never was one."""
+        """Return the newest intact array; None if there is none."""
         version = int(self._version[0])
         for each in range(version, max(version - 2, 0), -1):
             slot: NDArray[np.int64] = self._slots[each % 2].copy()
@@ -79,18 +79,18 @@ class Latest:
 
     @property
     def changed(self) -> bool:
-        """Whether there is a newer value than the last one read here."""
+        """Whether a newer array has been published since the last `read` of this object."""
         return bool(self._version[0] > self._seen)
 
 
 _COUNTS = ("updates", "alpha", "ready", "checkpoints", "rollbacks", "rollbacks_asked")
 STATUS = np.dtype([(name, np.float64) for name in (*_COUNTS, *Losses._fields)])
-"""Progress of a learner: updates done, alpha, 1 once there are weights, checkpoints written, rollbacks done and asked
-for, which the acting process counts, losses."""
+"""Record of a learner's status: updates, alpha, 1 once weights are published, checkpoints written, rollbacks done and
+requested (the latter written by the acting process), losses."""
 
 
 class LearnerMemory:
-    """Shared memory of both processes; created by the acting process and passed to each learner."""
+    """Shared memory of acting and learner process; created by the acting process and passed to each learner."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.capacity, length = settings.replay_capacity, len(agent(settings).state)
@@ -116,7 +116,7 @@ def agent(settings: TrainingSettings, blob: bytes | None = None) -> Sac:
 
 
 WAKE, END = "wake", "end"
-"""Requests. WAKE, once a transition is stored: an idle learner looks for work only now and then."""
+"""Requests to the learner. WAKE: a transition was stored; without it an idle learner polls at intervals."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class LearnerFault:
 
 
 class Learner:
-    """State of the learning loop, independent of the process."""
+    """Learning loop: updates, publication, rollback, checkpoints; independent of the process."""
 
     def __init__(self, memory: LearnerMemory, settings: TrainingSettings, run: RunDirectory | None = None) -> None:
         self.settings, self._run, self.sac = settings, run, agent(settings)
@@ -148,11 +148,11 @@ class Learner:
 
     @property
     def pending_updates(self) -> int:
-        """Updates that are due for the transitions so far and not done yet."""
+        """Number of updates that are due for the transitions so far, and not done yet."""
         return self.settings.updates_due(self.replay.produced) - self.sac.updates
 
     def work(self) -> int:
-        """Roll back if asked, perform up to `CHUNK` of the pending updates and publish; returns how many were done."""
+        """Roll back if requested, perform up to `CHUNK` pending updates and publish; returns their number."""
         self._obey()
         count = min(self.pending_updates, CHUNK)
         if count > 0:
@@ -161,7 +161,7 @@ class Learner:
         return max(count, 0)
 
     def publish(self) -> None:
-        """Publish the state, then the status: who sees the number of updates finds their weights.
+        """Publish the state, then the status, so that a reader of the update count finds its weights.
 
         Raises FloatingPointError: the networks hold NaN or infinity: nothing is published, the supervisor restarts from
         the last state.
@@ -179,9 +179,9 @@ class Learner:
             self.roll_back()
 
     def roll_back(self) -> None:
-        """Continue from the last good state; the updates done stay counted, or they would be due again.
+        """Restore the last good state; the update count is retained, or its updates would be due again.
 
-        Transitions of the failed policy stay in the replay buffer: they are what there is to learn from.
+        Transitions of the failed policy remain in the replay buffer, since they show its failure.
         """
         asked, good = self._status["rollbacks_asked"], self._good.read()
         if good is not None:
@@ -189,7 +189,7 @@ class Learner:
             self.sac.state[:] = good
             self.sac.updates = updates
         self.publish()
-        self._status["rollbacks"] = asked  # last: who sees the count finds the weights
+        self._status["rollbacks"] = asked  # last: a reader of the count finds the weights
 
     def save(self, request: SaveRequest) -> None:
         """Write the checkpoint and, if it has changed, the policy's file. Raises OSError: as `write_run`."""
@@ -223,7 +223,7 @@ def write_run(
         run.save_settings(settings)
     if best is not None:
         run.best.mkdir(parents=True, exist_ok=True)
-        write_whole(run.best / "learner.safetensors", with_provenance(best, settings.made))
+        write_atomic(run.best / "learner.safetensors", with_provenance(best, settings.made))
     if best is None and (run.best / "learner.safetensors").exists():
         return
     policy = Policy(settings.sac, settings.task.size)
@@ -242,7 +242,7 @@ def compile_updates(settings: SacSettings) -> None:
 def run_learner(
     memory: LearnerMemory, settings: TrainingSettings, run: RunDirectory, requests: Connection, niceness: int
 ) -> None:
-    """Run the learner process; it ends on `END` from the pipe, or when the acting process is gone."""
+    """Run the learner process; it ends on `END` from the pipe, or after the acting process has died."""
     for number in (signal.SIGINT, signal.SIGHUP):  # sent to the whole terminal; the acting process ends this one
         signal.signal(number, signal.SIG_IGN)
     os.nice(niceness)
@@ -268,7 +268,7 @@ def run_learner(
                     break
                 last = request
                 save(request)
-    except EOFError:  # the acting process died: save what was learnt
+    except EOFError:  # the acting process died: save the agent
         if last is not None:
             save(last)
     except Exception as error:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supervision of the learner process by the acting process: start, watch, restart, stop.
 
-It waits only in `stop`, and where the plant waits as well (`exact`).
+Calls block only in `stop`, and while the plant waits as well (`exact`).
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, TrainingSe
 from hydro_policy.sac.sac import Losses, dump
 
 NICENESS = 10  # of a learner for which the plant does not wait
-SETTLE_TIMEOUT = 60.0  # s of wall clock within which a learner that is waited for has done what is due
+SETTLE_TIMEOUT = 60.0  # longest wait for a learner's due updates, s of wall clock
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
-_GLANCE = 2e-4  # s between two looks at the progress of a learner that is waited for
+_GLANCE = 2e-4  # polling period of the learner's progress during a wait, s
 
 
 class LearnerError(UserError):
-    """The learner dies repeatedly, cannot start, or cannot write a checkpoint."""
+    """Fatal failure of the learner: it dies repeatedly, cannot start, or cannot write a checkpoint."""
 
 
 class LearnerSupervisor:
-    """Owns the shared memory and one learner process at a time.
+    """Supervisor of the learner: owns the shared memory and one learner process at a time.
 
     `settings`: settings of the run. `run`: folder of the checkpoints. `resumed`: checkpoint to resume, or None.
     `start`: initial agent, as returned by `sac.dump`, or None: freshly initialised networks. `real_time`: whether the
-    plant does not wait for it, so that it gives way to what acts.
+    plant does not wait for the learner, which then has a lower priority than the acting processes.
 
-    Raises ValueError: the agent of the checkpoint, or the initial one, is not whole.
+    Raises ValueError: the agent of the checkpoint, or the initial one, is damaged or of another architecture.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class LearnerSupervisor:
         self._deaths: list[float] = []  # times, s
         self.restarts = 0
         self.exact = False
-        """Whether the plant waits for it: what is read and saved comes after all updates that are due."""
+        """Whether the plant waits for the learner: then reads and checkpoints include all updates that are due."""
         self._start()
 
     @property
@@ -99,12 +99,12 @@ class LearnerSupervisor:
 
     @property
     def updates(self) -> int:
-        """Gradient updates so far."""
+        """Number of gradient updates so far."""
         return int(self._status["updates"])
 
     @property
     def checkpoints(self) -> int:
-        """Checkpoints written since the start."""
+        """Number of checkpoints written since the start."""
         return int(self._status["checkpoints"])
 
     @property
@@ -131,7 +131,7 @@ class LearnerSupervisor:
         return bool(self._status["rollbacks"] >= self._status["rollbacks_asked"])
 
     def snapshot(self) -> bytes | None:
-        """Return the learner's whole state; None before the first."""
+        """Return the learner's complete state, as `sac.dump`; None before the first."""
         self.wait_for_updates()
         return dump(self._copy) if self._read() else None
 
@@ -142,7 +142,7 @@ class LearnerSupervisor:
         return state is not None
 
     def wake(self) -> None:
-        """Tell the learner that a transition was stored."""
+        """Notify the learner of a stored transition."""
         self._ask(WAKE)
 
     def wait_for_updates(self) -> None:
@@ -157,11 +157,11 @@ class LearnerSupervisor:
             time.sleep(_GLANCE)
 
     def save_policy(self, good: bytes) -> None:
-        """Store this state as the last good one."""
+        """Store an agent, as returned by `sac.dump`, as the last good state."""
         self._good.publish(agent(self._settings, good).state)
 
     def roll_back(self) -> None:
-        """Make the learner return to the last good state."""
+        """Request a rollback of the learner to the last good state."""
         self._status["rollbacks_asked"] += 1  # of this learner or its successor
         self.wake()
 
@@ -174,7 +174,7 @@ class LearnerSupervisor:
         return asked
 
     def restart_if_dead(self) -> str | None:
-        """Restart a dead learner from its last state; returns the message for the user.
+        """Restart a dead learner from its last state; returns a message for the user, None if the learner runs.
 
         Raises LearnerError: it keeps dying, cannot start, or cannot write a checkpoint.
         """
@@ -199,7 +199,7 @@ class LearnerSupervisor:
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
 
     def stop(self, trainer: dict[str, Any]) -> None:
-        """Write the last checkpoint and end the process; if it is dead or hangs, the checkpoint is written from here.
+        """Write the last checkpoint and end the process; for a dead or hanging learner this process writes it.
 
         Raises LearnerError: the checkpoint cannot be written.
         """

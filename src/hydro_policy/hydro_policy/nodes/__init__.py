@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Executables and thin ROS nodes: they move messages and hold no mathematics."""
+"""Executables and ROS nodes: message passing and process management, without mathematics."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of a trainer and its companions on terminal and log, and what a companion's end means for the session."""
+"""User messages of a node and its companion processes on terminal and log; supervision of the companions."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hydro_core.cli.console import print_above_progress
 
 @dataclass
 class RepeatFilter:
-    """Passes the first few occurrences of a sentence, numbers aside, and counts the rest."""
+    """Rate limiter for messages: passes the first few occurrences of a sentence, numbers aside, and counts the rest."""
 
-    most: int  # of a sentence within 10 s
+    most: int  # largest number of occurrences of a sentence within 10 s
     said: dict[str, tuple[float, int]] = field(default_factory=dict)
     """Start of the period and count, by sentence."""
 
@@ -91,12 +91,12 @@ UNRECORDED = "acting goes on unrecorded"
 
 @dataclass
 class CompanionWatch:
-    """Reports a companion that ended by itself, once."""
+    """Watch over companion processes: reports each unexpected end once."""
 
     running: list[Companion]
-    unrecorded: str = UNRECORDED  # what the end of a recorder means
+    unrecorded: str = UNRECORDED  # consequence of the recorder's end, for the message
     refused: str = ""
-    """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
+    """Message of a companion that rejected its input, and will not return; empty: none."""
     lost: str = ""  # message about an essential companion that ended, and its consequence
 
     def poll(self) -> list[str]:

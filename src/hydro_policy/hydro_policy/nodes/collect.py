@@ -4,7 +4,7 @@
 ros2 run hydro_policy collect --out BAG [--seconds S] [--seed N] [--schedule FILE] [--bench FILE] [--rearm auto|ask]
 ros2 run hydro_policy collect --write-schedule FILE [--seconds S] [--seed N]
 
-The still bench is recorded first, and the plant is left disarmed with a reference of 0 N, whatever happens.
+The bench at rest is recorded first, and the plant is left disarmed with a reference of 0 N in any case.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
 SECONDS = 600.0  # s of a schedule, by default
-REST = 1.0  # s recorded before arming: the still bench
+REST = 1.0  # s of the bench at rest, recorded before arming
 TRIPS_IN_A_ROW = 3
-AUTHORITY_WITHIN = 5.0  # s for the plant to grant the lease: longer than it keeps that of one who was killed
+AUTHORITY_WITHIN = 5.0  # timeout for the lease on the plant, s: longer than it keeps the lease of a killed node
 TRIPPED = 3  # exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there
 
 
 class SchedulePlan(Plan):
-    """A schedule's segments, each a trial without a score, until `TRIPS_IN_A_ROW` in a row have tripped the plant.
+    """Plan of a schedule: each segment an unscored trial, until `TRIPS_IN_A_ROW` in a row have tripped the plant.
 
     `schedule`: segments with total gains. `base`: base gains of the box, K_p [1/s] and K_i [1/s^2].
     """
@@ -139,7 +139,7 @@ def main() -> int:
 
 
 def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
-    """Record while the schedule plays; returns it as it ended."""
+    """Play the schedule while it is recorded; returns its plan, with the trips and the time played."""
     with Ending() as stack:
         node = GraphNode("collect", alone_within=AUTHORITY_WITHIN)
         stack.callback(leave_graph, node)

@@ -71,23 +71,23 @@ PAPER_ONLY = (
 FIXED_SHARES = (0.5, 0.9)  # K_p of the fixed gains that are compared, over the largest certified
 
 
-# Everything moves under the compensated law without a filter until there is one of this bench: it tracks with 0.3 to
-# 2.5 times the valve's gain believed (safety.md). What moves are trials, run by `TrialRunner` on one plant
-# (`site_runs`); a gate reads their results and their recording. What only computes is a process of its own.
+# Until this bench has a filter, all motions are under the compensated law without one: it tracks with 0.3 to 2.5 times
+# the valve gain assumed (safety.md). Motions are trials, run by `TrialRunner` on one plant (`site_runs`), of which a
+# gate reads results and recording. Computations run as separate processes.
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """A gate: its check returns what it found, or raises GateError with the reason."""
+    """Gate of a commissioning: `run` returns its findings as a sentence, or raises GateError with the reason."""
 
     name: str
     run: Callable[[Site], str]
     files: tuple[str, ...]  # files and folders of the site that it reads and writes
-    recordings: tuple[str, ...] = ()  # and its recordings
+    recordings: tuple[str, ...] = ()  # recordings of the site that it reads and writes
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a result (raises GateError where there is none)."""
+    """Read a JSON file of results. Raises GateError: the file is missing or damaged."""
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -96,7 +96,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def link(at: Site) -> str:
-    """Conformance at rest, then ten seconds of samples: rate, loss, latency, box against bench file, its laws."""
+    """Gate of the link: conformance and ten seconds at rest, for rate, loss, latency, the box's bench and laws."""
     report = at.folder / site.REPORTS / "conformance.json"
     report.unlink(missing_ok=True)
     words = ("--port", at.free_port(), "--bench", str(at.bench), "--json", str(report))
@@ -123,7 +123,7 @@ def link(at: Site) -> str:
 
 
 def sensors(at: Site) -> str:
-    """Noise and plausibility of each reading at rest, and the hydraulic force against the pressures."""
+    """Gate of the sensors: noise and plausibility of each signal at rest, hydraulic force against pressures."""
     bench = Bench.load(at.bench)
     states = _states(at.recording(AT_REST))
     noise, off = checks.sensor_noise(states, bench)
@@ -143,7 +143,7 @@ def sensors(at: Site) -> str:
 
 
 def signs(at: Site) -> str:
-    """Correlations of the readings in a slow motion of a fifth of the amplitude, larger if an overlap blocks it."""
+    """Gate of the signs: correlations of signals in a slow motion of 0.2 times the amplitude, larger if blocked."""
     for share in (0.2, 0.5, 1.0):
         _tracking_rmse(at, "signs", EvaluationSettings(frequencies=(checks.SLOW,)), share)
         if not checks.is_motion_blocked(_armed(at.recording("signs"))):
@@ -153,7 +153,7 @@ def signs(at: Site) -> str:
 
 
 def gains(at: Site) -> str:
-    """Tracking of half of the amplitude, then all of it, at 1 Hz."""
+    """Gate of the gains: tracking of a 1 Hz sine under the compensated law, at half and at full amplitude."""
     found = []
     for share in (0.5, 1.0):
         rmse = _tracking_rmse(at, "gains", EvaluationSettings(frequencies=(1.0,)), share)
@@ -163,7 +163,7 @@ def gains(at: Site) -> str:
 
 
 def excitation(at: Site) -> str:
-    """Two recordings, one of them held out; again where samples were lost or commands late."""
+    """Gate of the excitation: training and held-out recordings, repeated for lost samples or late commands."""
     told = []
     for name, settings in (("training", TRAINING), ("held_out", HELD_OUT)):
         for _ in range(ATTEMPTS):
@@ -179,7 +179,7 @@ def excitation(at: Site) -> str:
 
 
 def diagnosis(at: Site) -> str:
-    """Diagnosis of the effects that the bench file lacks."""
+    """Gate of the diagnosis: identification of the effects that the bench file lacks; an unknown one fails it."""
     out = at.folder / site.REPORTS / "diagnosis"
     training, held_out = (str(at.recording(name)) for name in ("training", "held_out"))
     words = (training, "--holdout", held_out, "--bench", str(at.bench), "--out", str(out), "--quiet")
@@ -196,7 +196,7 @@ def diagnosis(at: Site) -> str:
 
 
 def metric(at: Site) -> str:
-    """Metric of the bench as found, its certified range, and its filter on the held-out recording: no MISMATCH."""
+    """Gate of the metric: contraction metric of the diagnosed bench, certified gains, no MISMATCH on held-out data."""
     out = at.folder / site.METRIC
     held_out = at.recording("held_out")
     words = ("--model", str(at.folder / site.MODEL), "--bench", str(at.bench), "--out", str(out))
@@ -215,7 +215,7 @@ def metric(at: Site) -> str:
 
 
 def policy(at: Site) -> str:
-    """Policy pretrained on the bench as found, with --policy."""
+    """Gate of the policy, with --policy: pretraining on the diagnosed bench."""
     shutil.rmtree(at.folder / POLICY, ignore_errors=True)
     if not at.policy:
         raise GateSkipped("--policy trains one in simulation")
@@ -224,7 +224,7 @@ def policy(at: Site) -> str:
 
 
 def controllers(at: Site) -> str:
-    """Comparison behind the filter: base and fixed gains, compensated law with and without residual, the policy."""
+    """Gate of the controllers: evaluation behind the filter, of fixed gains, compensated law, residual, policy."""
     kp, ki = at.record.base_gains
     top = at.record.certified_gains.get("paper", (kp, kp))[1]
     fixed = [(kp, ki), *((round(share * top), 3.0 * ki) for share in FIXED_SHARES if share * top > kp)]
@@ -260,7 +260,7 @@ def controllers(at: Site) -> str:
 
 
 def comparison(at: Site) -> str:
-    """Adoption of the best controller."""
+    """Gate of the comparison: adoption of the best controller, without those under which the piston stood."""
     entries = at.record.comparison
     still = checks.STILL * at.record.amplitude / 2.0**0.5
     stood = {

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluation on a live plant: start it, search fixed gains if requested, run all controllers, write the results.
 
-Each trial is recorded in run.json of the evaluation's folder; a resumed evaluation makes those that are missing.
+Each trial is recorded in run.json of the evaluation's folder; a resumed evaluation runs the missing ones.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
 def required_gain_range(
     controllers: Sequence[Controller], grid: GridSettings | None = None, base: tuple[float, float] | None = None
 ) -> GainRange:
-    """Range of gain changes that the guard must allow on a box with these base gains."""
+    """Return the range of gain changes that the guard must pass for controllers and grid, on a box with base gains."""
     base = base or BASE
     ranges = [controller.reach for controller in controllers] or [FixedGains(*base, base).reach]
     if grid is not None:
@@ -83,7 +83,7 @@ def required_gain_range(
 
 @contextmanager
 def evaluation_folder(options: argparse.Namespace) -> Iterator[RunDirectory]:
-    """Create runs/NAME, by default evaluate- with date and time, which is removed if it stays empty; or resume one."""
+    """Create runs/NAME, by default evaluate- with date and time, and remove it if it stays empty; or resume one."""
     parent = Path(options.runs)
     run = RunDirectory(options.resume or parent / (options.name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
     first = not options.resume and not parent.exists()
@@ -107,7 +107,7 @@ def evaluation_folder(options: argparse.Namespace) -> Iterator[RunDirectory]:
 
 @contextmanager
 def remove_rejected(run: RunDirectory, node: GraphNode, *, made: bool = True) -> Iterator[None]:
-    """Remove the folder of a run, if it was `made` for it, whose companions rejected their input."""
+    """Remove the folder of a run, if it is new (`made`), after a companion process has rejected its input."""
     try:
         yield
     except CompanionError:
@@ -120,7 +120,7 @@ def remove_rejected(run: RunDirectory, node: GraphNode, *, made: bool = True) ->
 
 
 def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
-    """Conditions of the measurement: plant, filter and bench of the command line, and the code version."""
+    """Return the conditions of a measurement: plant, filter and bench of the command line, code version."""
     told: dict[str, Any] = {"plant": options.plant}
     if options.plant != "external":  # else those of the running graph
         told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
@@ -136,7 +136,7 @@ def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
 def report_results(
     results: TrialRunner[Comparison], run: RunDirectory, notes: Mapping[str, Any], json: Path | None = None
 ) -> list[Section]:
-    """Print the table; write figures and plot into the run's folder, the figures also to `json`; returns its page."""
+    """Print the table, write figures (also to `json`) and plot into the run's folder; returns sections of its page."""
     if not results.scores:
         return []
     under = ", ".join(f"{name} {value}" for name, value in notes.items())
@@ -245,7 +245,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
 
 
 def begin_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
-    """Return the record of an evaluation, whose first event describes the comparison."""
+    """Return the record of an evaluation; raises UserError if its first event describes another comparison."""
     record = RunRecord(run.record)
     known = json.loads(encode_json(about))
     if record.events and any(record.events[0].get(key) != value for key, value in known.items()):
@@ -259,12 +259,13 @@ def compare_on(
     grid: GridSettings | None = None, searched: EvaluationSettings | None = None, rearm: bool = False,
     compensated: bool = True, cell: LoadCell | None = None, learned: bool = False, record: RunRecord | None = None,
 ) -> TrialRunner[Comparison] | None:  # fmt: skip
-    """Run an evaluation on a running node; after a signal the results so far are returned, None before there are any.
+    """Run a comparison on a running node; returns its runner, unfinished after a signal, None if that ended the search.
 
-    `grid`, `searched`: of a search for the best fixed gains, which are compared, too, and its references (default:
-    `settings`). `rearm`: whether the plant may be armed without a person behind that search. `compensated`, `cell`,
-    `learned`: whether the box's compensated law is compared, too, if it has one; with `cell` for the force in front of
-    that; if `learned` also with the learned residual. `record`: takes each trial, and has those made before.
+    `grid`, `searched`: grid search for the best fixed gains, which are then compared, and its references (default:
+    `settings`). `rearm`: whether the plant may be armed without a person after that search. `compensated`: whether the
+    box's compensated law is compared, if it has one. `cell`: load cell whose input force follows the reference under
+    that law. `learned`: whether it is also run with the learned residual, unless there is a `cell`. `record`: record of
+    the trials, of which earlier ones are reused.
     """
     controllers = list(controllers)
     if grid is not None:
@@ -291,7 +292,7 @@ def compare_on(
 def search_on(
     node: GraphNode, grid: GridSettings, settings: EvaluationSettings, watch: PlantSupervisor, record: RunRecord
 ) -> GridPlan:
-    """Search the best fixed gains on the plant by short trials; after a signal it is not at its end."""
+    """Search the best fixed gains on the plant by short trials; returns the plan, unfinished after a signal."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     plan = GridPlan(grid, short, node.override.base)
     monitor = SafetyMonitor(rescale(MonitorSettings(), NOMINAL, node.size))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ROS node of trainer, evaluate, collect and commission: states in; gains, reference and arming out.
 
-A person acts on its run by two services: gains held by hand (/hydro/override), frozen coefficients.
+It offers two services to a person: manual override of the gains (/hydro/override), freezing of the coefficients.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from hydro_bridge.plant_clock import COMMANDER_WINDOW
-from hydro_bridge.ros.answers import PaceResponder
+from hydro_bridge.ros.answers import SampleAcknowledger
 from hydro_bridge.ros.commander import LEASE_WAIT_MAX, Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, RosoutLogger, Status, publisher_conflicts
@@ -45,8 +45,8 @@ from hydro_bridge.ros.topics import (
     create_publisher,
     create_subscription,
 )
-from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
-from hydro_bridge.safety.lease import BY_HAND
+from hydro_bridge.safety.box_info import BoxDescription, box_info_requirement
+from hydro_bridge.safety.lease import DISARMED_BY_PERSON
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import terminal_lines
@@ -90,35 +90,35 @@ class GainTiming:
 
 
 class Ending(ExitStack):
-    """Stack of a run's clean-up calls, which signals do not interrupt."""
+    """Exit stack of a run's clean-up calls, which signals do not interrupt."""
 
     def __exit__(self, *error: Any) -> bool | None:
-        """Undo all, the last first."""
+        """Run the clean-up calls, the last first, with signals ignored."""
         with endings.signals_ignored():
             return super().__exit__(*error)
 
 
 TICK = 0.05  # s
 NICE = -15
-"""Before all ordinary processes, below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
+"""Niceness: before all ordinary processes, after bridge and filter, whose deadline is 1 ms; that of gains is 10 ms."""
 
 
-SILENT = 60.0  # s of wall clock without a sample after which the time of a plant that goes by its own clock runs on
+SILENT = 60.0  # s of wall clock without a sample after which the time of a plant on its own clock advances anyway
 _TICK_SAMPLES = round(TICK / SAMPLE_PERIOD)
 
 
 class GraphNode(Node):
-    """Moves messages between the graph and one session at a time; implements `supervision.plant_supervisor.Outputs`.
+    """ROS node between the graph and one session at a time; implements `supervision.plant_supervisor.Outputs`.
 
     It commands the plant only while it holds the lease: a new node waits, and sends nothing, as long as the plant
     reports another holder. States of two plants are ignored.
 
-    A plant that goes by its own clock waits for the answer to each policy step: it is given once the session has seen
-    the step, ticked where a tick is due, the plant has answered all requests, and recorder and learner are there. What
-    is decided in a step goes out with the answer.
+    A plant on its own clock waits for the answer to each policy step. It is sent, with the step's commands, once the
+    session has processed the step and a tick that is due, the plant has answered all requests, and recorder and learner
+    are ready.
 
     `name`: name of the node. `realtime`: request SCHED_FIFO while a session runs; processes started then (a restarted
-    learner) stay ordinary. `alone_within`: s that it waits for the present holder of the plant.
+    learner) stay ordinary. `alone_within`: longest wait for another node's lease on the plant, s.
     """
 
     def __init__(self, name: str, *, realtime: bool = True, alone_within: float = LEASE_WAIT_MAX) -> None:
@@ -129,12 +129,12 @@ class GraphNode(Node):
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
         """Requirements of this node's sessions before arming, besides those of every session."""
-        self.corrected = False  # whether a correction has arrived, of those that are listened to
+        self.corrected = False  # whether a correction has arrived since `listen_to_corrections`
         self.timing = GainTiming()
         self.override = GainOverride(report=self.warn)
-        self.box: KnownBox | None = None  # description of the plant's box, once received
-        self.box_fault: Callable[[KnownBox], str] = lambda box: ""
-        """Returns why a box is not the one of this run, or nothing; called at each description of a box."""
+        self.box: BoxDescription | None = None  # description of the plant's box, once received
+        self.box_fault: Callable[[BoxDescription], str] = lambda box: ""
+        """Function that returns why a box is not the expected one, or an empty text; called at each box description."""
         self.law: BoxLaw | None = None  # the box's compensated law, once received; None: not yet, or it has none
         self.compensation: LiveCompensation | None = None
         """Estimator that follows the box's compensated law; see `compensate`."""
@@ -153,7 +153,7 @@ class GraphNode(Node):
         self._unhandled: list[tuple[Any, float]] = []  # samples while no session runs, with their arrival [s]
         self._owed: int | None = None  # sample whose answer is due to a plant that waits
         self._early: list[Any] = []  # corrections of samples that were not handled yet
-        self._two_plants, self._crowd = False, ""  # whose samples came since the last tick; warned of
+        self._two_plants, self._crowd = False, ""  # whether two plants sent samples since the last tick; last warning
         self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._gains_out = 0.0
@@ -166,7 +166,7 @@ class GraphNode(Node):
         self._states = subscribe(self, STATE, STATES, self._on_state)
         self._mailbox = Mailbox(name)
         self._corrections: Subscription | None = None  # read at each policy step
-        self._answers = PaceResponder(self, COMMANDER_WINDOW, self._states)
+        self._answers = SampleAcknowledger(self, COMMANDER_WINDOW, self._states)
         subscribe_to_box(self, self._on_box)
         create_subscription(self, BOX_LAW, self._on_box_law)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -199,7 +199,7 @@ class GraphNode(Node):
     def wait_for_plant(self, *, law: bool = False) -> bool:
         """Wait for a plant that describes its box, and check that it is the expected one; False after a signal.
 
-        Nothing is published and nothing is armed meanwhile. `law`: wait for what it says about its force laws, too.
+        Nothing is published and nothing is armed meanwhile. `law`: wait for the description of its force laws, too.
 
         Raises CompanionError: the box is not the expected one, or a companion rejected its input or has ended;
         NotReadyError: no plant appeared in time, or its box was not described.
@@ -256,7 +256,7 @@ class GraphNode(Node):
             raise failure
 
     def fail(self, error: Exception) -> None:
-        """End the session by an error, which is raised there: in a callback rclpy would print it, too."""
+        """End the session with an error, raised by the call that spins: in a callback rclpy would print it, too."""
         self._failure = self._failure or error
         self._finish()
 
@@ -275,7 +275,7 @@ class GraphNode(Node):
         return self._heard is not None and bool(self._heard.flags & Flag.ARMED)
 
     def now(self) -> float:
-        """Time [s] of this session: the monotonic clock's, or the plant's own."""
+        """Return the session's time [s]: of the monotonic clock, or of the plant's own clock."""
         if not self.paced:
             return time.monotonic()
         return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENT)
@@ -298,7 +298,7 @@ class GraphNode(Node):
             self._corrections = self._mailbox.subscribe(CORRECTION, GRAPH[CORRECTION][0], GRAPH[STATE][1])
 
     def compensate(self, compensation: LiveCompensation) -> None:
-        """Pass the force law of each sample to an estimator, tell its health, and let a person freeze it. Call once."""
+        """Connect an online estimator: law states in, diagnostics out, a service to freeze it. Call once."""
         self.compensation = compensation
 
         def freeze(request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
@@ -324,7 +324,7 @@ class GraphNode(Node):
         super().destroy_node()
 
     def enable_step_publishing(self) -> None:
-        """Publish the policy's result of each step on /hydro/policy from now on."""
+        """Publish a PolicyStep for each policy step on /hydro/policy from now on."""
         self._steps = create_publisher(self, POLICY)
 
     def listen_for_enter(self, typed: queue.SimpleQueue[str] | None = None) -> None:
@@ -366,7 +366,7 @@ class GraphNode(Node):
         known = None if self.box is None else BoxIdentity.of_box(self.box).size
         return known or NOMINAL
 
-    def _on_box(self, box: KnownBox) -> None:
+    def _on_box(self, box: BoxDescription) -> None:
         self.box = box
         if wrong := self.box_fault(box):
             self.fail(CompanionError(wrong))
@@ -434,7 +434,7 @@ class GraphNode(Node):
         return Time(sec=sec, nanosec=nanosec)
 
     def _read_corrections(self, before: float = math.inf) -> None:
-        """Pass the corrections that have arrived to the session; of a plant that waits, those of samples before.
+        """Pass the arrived corrections to the session; on a plant's own clock those of samples up to `before` - 2.
 
         A correction may come after the sample that follows it, but not after the next but one.
         """
@@ -528,7 +528,7 @@ class GraphNode(Node):
             self._unarmed_since = math.inf
             return
         now = self.now()
-        if response.message == BY_HAND:  # for as long as the person wants
+        if response.message == DISARMED_BY_PERSON:  # for as long as the person wants
             self.warn(response.message)
             if self._session is not None:
                 self._session.watch.defer_to_person(now)

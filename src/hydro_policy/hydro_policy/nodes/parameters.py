@@ -23,7 +23,7 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
 
 
 def keep_overridden(node: Node, before: T, after: T, prefix: str = "") -> T:
-    """Return the settings `after`, with the values of `before` for parameters that the user has set."""
+    """Return the settings `after`, but with the values of `before` where the user has set the ROS parameter."""
     kept: dict[str, Any] = {}
     for name in (field.name for field in fields(before)):  # type: ignore[arg-type]
         value = getattr(before, name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options of a run's plant, and the box that they name."""
+"""Command-line options of a run's plant, and checks of its box against them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_origin, get_type_hints
 
 from hydro_bridge.plant_clock import parse_pace
 from hydro_bridge.ros.companion import add_dashboard_option
-from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.cli.console import UserError
 from hydro_core.files import site
 from hydro_core.settings import read_yaml
@@ -41,7 +41,7 @@ def _option(*only: str, **words: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
 # fmt: off
 @dataclass(frozen=True, kw_only=True)
 class PlantOptions:
-    """The plant and the companion processes of a run: each option of the command line, and what the run adds."""
+    """Options of a run's plant and companion processes: those of the command line, and those added by the run."""
 
     plant: Annotated[str, _option(choices=PLANTS, default="external",
         help="start the other nodes, too: sim (sim with filter, recorder), emulator (emulator, bridge with filter, "
@@ -132,7 +132,7 @@ def restore_plant_options(result: argparse.ArgumentParser, run: RunDirectory, sa
 
 
 def apply_site(options: argparse.Namespace) -> None:
-    """Set the options that --site takes the place of (raises UserError)."""
+    """Set the options that --site replaces: bench, base gains, filter, model. Raises UserError: one is given, too."""
     files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL} --metric {site.METRIC}"}
     files |= {"model": site.MODEL} if options.plant == "sim" else {}
     site.apply_site_option(options, bench=site.BENCH, **files)
@@ -141,7 +141,7 @@ def apply_site(options: argparse.Namespace) -> None:
 
 
 def load_cell(options: argparse.Namespace) -> LoadCell | None:
-    """Return the load cell of --load-cell."""
+    """Return the load cell of --load-cell, or None. Raises UserError: --law paper, which does not use it."""
     if options.load_cell is not None and getattr(options, "law", LAWS[0]) == "paper":
         raise UserError("--load-cell is of no use with --law paper")
     return None if options.load_cell is None else LoadCell.load(options.load_cell)
@@ -171,7 +171,7 @@ PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --b
 def expected_box(options: argparse.Namespace) -> BoxIdentity:
     """Return the expected box: by --bench and --base-gains, or the nominal one.
 
-    Of a plant that runs already nothing is expected but what --bench says.
+    Of a plant that runs already only the bench of --bench is expected, if it is given.
     """
     plant_options(options)
     if options.model is not None and not options.model.is_file():
@@ -184,8 +184,8 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
     return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
 
 
-def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
-    """Return why the box is not the expected one, with the options that would fit it; empty if it is."""
+def box_mismatch(plan: BoxIdentity, box: BoxDescription) -> str:
+    """Return the reason why the box is not the expected one, with the options that fit it; empty if it is."""
     if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
         told = BoxIdentity.of_box(box).description
         planned = f"the box believes {told}, this run was planned for bench {plan.description}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant of a run: the processes that it consists of.
+"""Processes of a run's plant.
 
 --plant sim         sim with filter, recorder
 --plant emulator    emulator, bridge with filter, recorder
@@ -7,10 +7,10 @@
 --plant external    none: everything runs already
 
 The filter is in the plant's process (`hydro_filter.nodes.filtered_plant`). With `--filter none` there is no filter: the
-compensated law needs none, and of the paper's law base gains are in force.
+compensated law needs none, and under the paper's law base gains are in force.
 
-The guard is widened to the policy's range of gains, and told which filter that range relies on. A recording gets the
-bench file, and digests of all weights involved.
+The guard is widened to the policy's range of gains, with the filter that this relies on as a parameter. A recording
+contains the bench file, and digests of all weights involved.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ LOAD_FORCE = "load_force"
 
 
 def describe_policy(path: Path) -> str:
-    """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings."""
+    """Return a policy file's identity as text: digest of its weights, as in diagnostics, and SHA-256 of the file."""
     return f"policy {path}: weights {load_policy(path)[0].digest()}, SHA-256 {_digest(path)}"
 
 
@@ -80,9 +80,10 @@ def start_companions(
 def start_plant(
     stack: ExitStack, node: GraphNode, options: PlantOptions, gains: GainRange, folder: Path, *, page: bool
 ) -> str:
-    """Start page, plant and companions, which `node` watches; returns what the filter leaves uncovered (safety.md).
+    """Start dashboard, plant and companions, watched by `node`; returns a warning about a bypassed filter, or empty.
 
-    `gains`: range that the guard has to pass. `folder`: of port and pipes of an emulator, and of its load force.
+    `gains`: range of gain changes that the guard has to pass. `folder`: folder for port, pipes and load force of an
+    emulator. `page`: whether the dashboard is wanted.
     """
     start_dashboard(stack, node, wanted=page, keep=node.announcer.write_log)
     if options.plant == "external":
@@ -101,8 +102,8 @@ def start_plant(
 def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:
     """Return (package, executable, arguments) of each companion, in starting order.
 
-    A guard that is widened to the range `gains` is given the filter on which that relies, with its metric named, and
-    reports it: it is never widened silently, nor without a filter.
+    A guard that is widened to the range `gains` has the filter and the metric that this relies on as a parameter, and
+    reports them; without a filter it is never widened.
     """
     if options.plant == "external":
         return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress on the terminal and on topics: TrainingStatus at 2 Hz, /diagnostics at 1 Hz."""
+"""Progress of a session on terminal and topics: progress bar, TrainingStatus at 2 Hz, /diagnostics at 1 Hz."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix
 class TrialProgress:
     """Progress bar of a plan's trials, until `close`.
 
-    `label`: of the bar. `total`: trials, or s of them; 0: not known. `bar_format`: as of tqdm.
+    `label`: label of the bar. `total`: its full length; 0: the plan's total, if known. `bar_format`: as of tqdm.
     """
 
     def __init__(self, session: TrialRunner[Any], label: str, total: float = 0.0, bar_format: str = "") -> None:
@@ -37,13 +37,13 @@ class TrialProgress:
         self._bar: tqdm[None] = progress(total=self._total or None, label=label, bar_format=form)
 
     def close(self) -> None:
-        """Show where it ended."""
+        """Draw the final state, and close the bar."""
         self.tick()
         self._redraw()
         self._bar.close()
 
     def tick(self) -> None:
-        """Redraw; call every 50 ms."""
+        """Redraw the bar; call every 50 ms."""
         self._redraw()
 
     def _redraw(self) -> None:
@@ -61,7 +61,7 @@ class TrialProgress:
 
 
 class TrainingProgress(TrialProgress):
-    """Progress bar, topic and diagnostics of one training."""
+    """Progress bar, TrainingStatus and diagnostics of one training; reports each finished episode and examination."""
 
     def __init__(self, node: GraphNode, session: TrialRunner[TrainingPlan]) -> None:
         self._node, self._plan, self._learner = node, session.plan, session.plan.learner

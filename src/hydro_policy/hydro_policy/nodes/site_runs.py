@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a commissioning runs on a site: trials and executables.
+"""Trials and executables of a commissioning on a site.
 
-Trials are made on one plant: the emulator, if it is emulated, a bridge, and the node that commands. The emulator runs
-until the end; the bridge, with the filter in its process, and the node until another filter is needed, or the port, or
-the machine. Each motion has a recording of its own, and leaves the plant disarmed.
+Trials run on one plant: emulator (of an emulated bench), bridge, and commanding node. The emulator runs until the end;
+bridge, with the filter in its process, and node until another filter, the free port or the free machine is needed. Each
+motion has its own recording, and leaves the plant disarmed.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.pairing import BoxIdentity
 
-TRUTH = "truth.yaml"  # what the emulated bench of a site is made of; where there is none, the emulator's own
+TRUTH = "truth.yaml"  # truth of a site's emulated bench; without the file the emulator's default
 EMULATED = "emulator"
 PORT_WITHIN = 60.0  # s, for the emulator's port
 ENDS_WITHIN = 30.0  # s, for a recorder to complete its recording
 
 
 class Site:
-    """The folder of one bench, and what runs on it, until `close`.
+    """Site of one bench: its folder, and the processes and trials on it, until `close`.
 
-    `folder`: of the site. `record`: what is known of it; its plant is the serial port of the box, or `EMULATED`.
-    `rearm`: whether the plant is armed without a person. `policy`: whether a policy is to be trained. `log`: takes what
-    all processes say, warnings of which are also shown.
+    `folder`: folder of the site. `record`: record of its commissioning; its plant is the serial port of the box, or
+    `EMULATED`. `rearm`: whether the plant is armed without a person. `policy`: whether a policy is to be trained.
+    `log`: file for the output of all processes, whose warnings are also shown.
     """
 
     def __init__(self, folder: Path, record: Record, *, rearm: bool, policy: bool, log: IO[str]) -> None:
@@ -66,7 +66,7 @@ class Site:
         self._stack, self._connection = ExitStack(), ExitStack()
 
     def close(self) -> None:
-        """End all that runs on it."""
+        """End all processes of the site."""
         with self._stack:
             self._disconnect()
 
@@ -75,9 +75,9 @@ class Site:
         return self.folder / site.RECORDINGS / name
 
     def run(self, package: str, executable: str, *words: str, loud: bool = True) -> str:
-        """Run an executable that needs the machine or the port for itself to its end; returns its last line.
+        """Run an executable to its end, with exclusive use of machine and port; returns its last line of output.
 
-        Its output goes into the log, and to the terminal if it is `loud`.
+        The output goes into the log, and to the terminal if `loud`. Raises GateError: its exit status is not 0.
         """
         self._disconnect()
         self._log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
@@ -95,7 +95,7 @@ class Site:
         return said
 
     def free_port(self) -> str:
-        """Return the port, which nothing of ours uses; an emulated one appears at the first call."""
+        """Return the serial port, released by bridge and node; the first call starts the emulator, if any."""
         self._disconnect()
         if self.record.plant != EMULATED or self._emulator is not None:
             return self._port
@@ -123,11 +123,11 @@ class Site:
         self, name: str, settings: EvaluationSettings, controllers: Sequence[Controller] = (), *,
         words: Sequence[str] = NO_FILTER, learned: bool = False, policies: Sequence[Path] = (),
     ) -> TrialRunner[Comparison]:  # fmt: skip
-        """Run the trials of a comparison with the compensated law, write their report, and return them.
+        """Run a comparison with the compensated law, and write its report; returns the runner with the results.
 
-        `name`: of recording and report. `settings`, `controllers`: references and lengths; controllers besides that
-        law. `words`: of the filter's command line. `learned`: whether that law is also run with the learned residual.
-        `policies`: files whose digests the recording keeps.
+        `name`: name of recording and report. `settings`: references and lengths. `controllers`: controllers besides
+        the compensated law. `words`: the filter's command line. `learned`: whether that law is also run with the
+        learned residual. `policies`: policy files whose digests the recording contains.
         """
         run = RunDirectory(self.folder / site.REPORTS / name)
         shutil.rmtree(run.path, ignore_errors=True)
@@ -157,9 +157,9 @@ class Site:
     def _recorded(
         self, name: str, reach: GainRange, words: Sequence[str] = NO_FILTER, policies: Sequence[Path] = ()
     ) -> Iterator[tuple[GraphNode, Requirement]]:
-        """Give the node, and the requirement of its recorder; the plant is left disarmed, before the recording ends.
+        """Record to `name`: yields node and recorder's requirement; disarms the plant before the recording ends.
 
-        The node commands the plant behind a bridge with this filter, for this range of gains.
+        The node commands the plant behind a bridge with the filter `words`, for the range of gains `reach`.
         """
         options = PlantOptions(
             plant="bench", port=self._port, bench=self.bench, filter=tuple(words), policies=tuple(policies)

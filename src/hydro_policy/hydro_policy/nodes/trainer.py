@@ -13,13 +13,13 @@ from pathlib import Path
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_core.cli.console import FIXED_ON_RESUME, command, explicit_options, make_parser, reject_changed_options
+from hydro_core.cli.console import FIXED_ON_RESUME, command, explicit_options, make_parser, refuse_changed_options
 from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_site, restore_plant_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run_directory import RunDirectory
 
 DEMO = {"plant": "emulator", "configuration": "wide", "episodes": 6, "exam_every": 3, "evaluate": True}
-"""The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
+"""Options of --demo: a short training on the emulator over the serial link, recorded and evaluated, in 6 minutes."""
 
 EPILOG = """\
 examples:
@@ -86,7 +86,7 @@ def parse_options(words: Sequence[str]) -> argparse.Namespace:
         run = RunDirectory(options.resume)
         begun = {"start": FIXED_ON_RESUME, "configuration": FIXED_ON_RESUME, "seed": run.load_settings().seed}
         place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
-        reject_changed_options(parser(), words, str(run.path), {**begun, **place})
+        refuse_changed_options(parser(), words, str(run.path), {**begun, **place})
         restore_plant_options(result, run, explicit_options(parser(), words))
         options = result.parse_args(words)
     apply_site(options)

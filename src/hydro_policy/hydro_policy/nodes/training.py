@@ -56,16 +56,17 @@ from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mis
 from hydro_sim.model.bench import NOMINAL
 
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
-"""Updates per step. From scratch: above the paper's 1, since bench time is costly; a good agent would degrade."""
+"""Gradient updates per policy step: from scratch more than the paper's 1, since bench time is costly; with an agent 1,
+since more would degrade it."""
 
 
 def prepare(
     options: argparse.Namespace, node: GraphNode
 ) -> tuple[RunDirectory, TrainingSettings, Checkpoint | None, InitialAgent | None, bool]:
-    """Prepare a new run with its folder and first checkpoint, or one to resume; last, whether its folder is new.
+    """Prepare a new or resumed run; returns directory, settings, checkpoint, initial agent, whether its folder is new.
 
-    Invalid input is refused before anything is created. Where the plant runs already its box is awaited, whose base
-    gains the configuration's range of total gains is then relative to.
+    Invalid input is refused before anything is created. With an external plant the box is awaited, since the gain
+    changes for the configuration's range of total gains follow from its base gains.
     """
     start, checkpoint, box = None, None, expected_box(options)
     if options.plant != "external":
@@ -128,7 +129,7 @@ def prepare(
 
 
 def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpoint) -> None:
-    """Raise ValueError, one sentence that names the file, unless the run can be resumed from its folder."""
+    """Raise ValueError, one sentence that names the damaged file, unless the run can be resumed from its folder."""
     best = run.best / AGENT
     agents = {run.latest / AGENT: checkpoint.learner} | ({best: best.read_bytes()} if best.is_file() else {})
     for path, agent in agents.items():
@@ -148,7 +149,7 @@ def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpo
 
 
 def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: InitialAgent | None) -> None:
-    """Write the first checkpoint, of the initial agent, before anything moves."""
+    """Write the first checkpoint: the initial agent, and an empty replay buffer."""
     agent = start.agent if start else dump(Sac(OBSERVATIONS, ACTIONS, settings.sac))
     nothing = ReplayBuffer(OBSERVATIONS, ACTIONS, settings.sac.batch_size + 128)
     write_run(run, settings, agent, nothing, {})
@@ -211,7 +212,7 @@ LEFT_OUT = (
 
 
 def train(options: argparse.Namespace) -> int:
-    """Prepare, train, evaluate. In any case: disarm, write a checkpoint, stop the companions, in this order."""
+    """Run a training: prepare, train, evaluate; at any end disarm, write a checkpoint, stop companions, in order."""
     began = time.monotonic()
     with Ending() as stack:
         node = GraphNode("trainer")
@@ -289,7 +290,7 @@ def train(options: argparse.Namespace) -> int:
 def drive(
     options: argparse.Namespace, node: GraphNode, session: TrialRunner[TrainingPlan], start: InitialAgent | None
 ) -> tuple[bool, TrialRunner[Comparison] | None]:
-    """Train, then evaluate if requested; returns whether all was completed, and the evaluation or None."""
+    """Train, then evaluate if requested; returns whether both were completed, and the evaluation's runner or None."""
     plan, rearm, cell = session.plan, may_rearm(options), load_cell(options)
     if not rearm:
         node.listen_for_enter()

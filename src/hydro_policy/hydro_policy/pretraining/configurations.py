@@ -14,15 +14,15 @@ from hydro_sim.model.bench import NOMINAL
 WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)  # K_p from 15 to 300, K_i from 5 to 100: the box's limits
 
 WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, trip_penalty=100.0)
-"""Root of the paper's reward with less weight on e', whose noise would hide the small errors of slow sines."""
+"""Task of `wide`: root of the paper's reward with less weight on e', whose noise masks small errors of slow sines."""
 
 CONFIGURATIONS = ("paper", "wide")
 
 
 def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE, size: Size = NOMINAL) -> TrainingSettings:
-    """Return one of `CONFIGURATIONS` for 160 episodes on a bench of this size.
+    """Return the training settings of one of `CONFIGURATIONS`, 160 episodes, for a bench of this size.
 
-    The total gain range is the same whatever the base gains of its box.
+    The range of total gains is independent of the box's base gains.
 
     Raises ValueError: the configuration is unknown.
     """

@@ -21,7 +21,7 @@ from hydro_sim.box.box import Integral
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     result = make_parser("pretrain", __doc__)
     where = result.add_mutually_exclusive_group(required=True)
     where.add_argument("--out", type=writable_folder, metavar="RUN", help="folder of a new run")

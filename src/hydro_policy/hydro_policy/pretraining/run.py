@@ -20,8 +20,8 @@ from tqdm import tqdm
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_options, progress, reject_changed_options
-from hydro_core.files.atomic import write_whole
+from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_options, progress, refuse_changed_options
+from hydro_core.files.atomic import write_atomic
 from hydro_core.process import endings
 from hydro_core.settings import SettingsError, from_mapping, read_yaml
 from hydro_core.size import rescale
@@ -60,7 +60,7 @@ def pretrain(options: argparse.Namespace) -> int:
     pretraining = Pretraining(simulation, source.simulated(), source.believed())
     if not options.resume:
         run.create().save_settings(settings)
-        write_whole(run.path / SOURCE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
+        write_atomic(run.path / SOURCE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
     elif any(run.latest.glob("*")):  # else interrupted during the first round: it starts again
         best = run.path / AGENT
         pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
@@ -89,7 +89,7 @@ def pretrain(options: argparse.Namespace) -> int:
 
 
 def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, SimulationSetup]:
-    """Return the settings of the command line; total gains are the configuration's, whatever the box's base gains."""
+    """Return training settings and simulation set-up of the command line."""
     model = options.model or "shipped"
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
     chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
@@ -110,14 +110,14 @@ def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, S
 
 
 def resumed_settings(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
-    """Return the settings of a resumed run; raises UserError if `words` contradict them. Only --episodes may change."""
+    """Return the settings of a resumed run; raises UserError if `words` change any of them but --episodes."""
     source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.made_for())
     begun = {
         **asdict(source), "configuration": FIXED_ON_RESUME, "hidden": settings.sac.hidden_size,
         "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
     }  # fmt: skip
-    reject_changed_options(parser(), words, str(run.path), begun)
+    refuse_changed_options(parser(), words, str(run.path), begun)
     episodes = explicit_options(parser(), words).get("episodes", settings.episodes)
     if episodes != settings.episodes:
         settings = replace(settings, episodes=episodes)
@@ -146,7 +146,7 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
         asked.append(number)
 
     def each_step(transitions: Transitions) -> None:
-        if asked:  # looked at between steps: an exception raised anywhere could be dropped in a finalizer
+        if asked:  # polled between steps: an exception raised anywhere could be dropped in a finalizer
             raise endings.Terminated(asked[-1])
         bar.update(len(transitions.reward))
 
@@ -156,7 +156,7 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
         scalars.add("pretraining", entry)
         if pretraining.finished or time.monotonic() > due:
             best = pretraining.best or dump(pretraining.sac)
-            write_whole(run.path / AGENT, with_provenance(best, settings.made))
+            write_atomic(run.path / AGENT, with_provenance(best, settings.made))
             policy = Policy(settings.sac, settings.task.size)
             policy.load_flat(actor_parameters(best))
             notes = {
@@ -198,7 +198,7 @@ def curve_table(pretraining: Pretraining) -> Table:
 
 
 def draw_curve(pretraining: Pretraining, path: Path) -> None:
-    """Draw the episodes' return, and RMSE of the mean action relative to that of the fixed gains, against episodes."""
+    """Draw the learning curve: return, and RMSE of the mean action relative to that of fixed gains, over episodes."""
     history, reference = pretraining.history, pretraining.reference_rmse
     episodes = np.array([entry["episode"] for entry in history])
     rmse = np.array([entry["rmse"] for entry in history], np.float64)

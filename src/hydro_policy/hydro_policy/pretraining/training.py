@@ -6,7 +6,7 @@
     round     one episode on every bench of the fleet, all from rest, references as in `trainer`
     step      all benches act, ten samples pass, transitions are stored, the pending updates are made
     after     examination of the mean action on four sines of 300 N, for the learning curve and the best policy;
-              with drawn benches also on eight of those that no episode uses
+              with drawn benches also on eight held-out ones
 
 A round's references, benches and noise follow from the seed and the episode's number alone, so that an interrupted and
 resumed run ends with the same weights as an uninterrupted one.
@@ -39,14 +39,14 @@ from hydro_sim.model.bench import Bench
 REFERENCE_GAINS = (90.0, 15.0)  # K_p, K_i of the paper's controller III, which scores are relative to
 
 COMPLETION_SHARE_MIN = 0.02
-"""Minimum share of drawn benches on which the reference gains do not trip, so that there is a basis of comparison."""
+"""Smallest share of drawn benches on which the reference gains do not trip, since scores are relative to them."""
 
 TRIPPED = 10.0  # score of a run in which the box trips, in RMSE of the reference gains
 
 
 @dataclass(frozen=True, kw_only=True)
 class PretrainSettings:
-    """Settings of a pretraining: the training's, and the simulation's."""
+    """Settings of a pretraining: those of the training, and those of the simulation."""
 
     training: TrainingSettings = field(default_factory=TrainingSettings)
     benches: Annotated[int, quantity("-", 1, 256)] = 8
@@ -66,7 +66,7 @@ class PretrainSettings:
 
 
 class Pretraining:
-    """Complete state of a pretraining.
+    """Pretraining of a policy on simulated benches: fleet, learner, replay buffer and results.
 
     `settings`: see `PretrainSettings`. `source`: simulated bench. `believed`: bench assumed by the box.
     """
@@ -94,7 +94,7 @@ class Pretraining:
         if settings.randomisation is not None:
             self._draw_examined(fixed, settings.randomisation)
         self.reference_rmse: FloatArray = self._reference[0]
-        """RMSE of the reference gains on the known bench [N], shape (cases,); where they trip, that of no tracking."""
+        """RMSE of the reference gains on the known bench [N], shape (cases,); where they trip, the RMS of a sine."""
 
     @property
     def finished(self) -> bool:
@@ -147,7 +147,7 @@ class Pretraining:
         self.policy.load_flat(self.sac.actor_parameters())
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
-        """Examine the mean action: adds an entry to `history`, and updates the best agent."""
+        """Evaluate the policy's mean action; adds an entry to `history`, and updates the best agent."""
         rmse = self._rmse(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains), self._examined)
         ratio = np.where(np.isnan(rmse), TRIPPED, rmse / self._reference)
         score = float(ratio.mean())
@@ -163,7 +163,7 @@ class Pretraining:
         )  # fmt: skip
 
     def _draw_examined(self, fixed: Chooser, randomisation: Randomisation) -> None:
-        """Draw the benches that policies are examined on, of those on which the reference gains do not trip."""
+        """Draw the held-out benches of the examinations, only ones on which the reference gains do not trip."""
         wanted, seed = self.settings.examined, self.settings.training.seed
         for number in range(round(wanted / COMPLETION_SHARE_MIN)):
             drawn = events.stream_seed(seed, number, events.EXAMINED)

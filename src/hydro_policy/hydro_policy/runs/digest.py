@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Digest of a run: what two runs of one seed have in common under the plant's clock.
+"""Digest of a run's results, equal for two runs of the same seed on a plant with its own clock.
 
 SHA-256 over, in order::
 

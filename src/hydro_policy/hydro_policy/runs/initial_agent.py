@@ -27,13 +27,13 @@ REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale"
 
 @dataclass(frozen=True)
 class InitialAgent:
-    """An initial agent."""
+    """Pretrained agent from which a training starts, with the settings that it is valid for."""
 
     agent: bytes  # agent as returned by `sac.dump`; its updates are counted from here
     sac: SacSettings  # settings of the algorithm that it was trained with
     gains: GainRange  # range of gains that its actions map to
     reward: dict[str, Any]
-    """Reward that it was trained on, fields of `TaskSettings`: its critics are valid for no other."""
+    """Reward that the agent was trained on, fields of `TaskSettings`: its critics are valid for no other."""
     source: Path
     made: MadeFor | None = None  # box that it was made for; None: not recorded in its files
     size: Size = NOMINAL  # of the bench that its reward is for
@@ -41,8 +41,8 @@ class InitialAgent:
     def adapt_settings(self, settings: TrainingSettings) -> TrainingSettings:
         """Return the settings with this agent's network size, range of gains and reward.
 
-        A good agent is changed slowly: learning starts once the replay buffer holds an episode of the bench, and the
-        actor's step size is a tenth of the original.
+        The agent is changed slowly: learning starts once the replay buffer holds an episode of the bench, and the
+        actor's learning rate is a tenth of the original.
         """
         rate = ACTOR_LEARNING_RATE_SCALE * settings.sac.actor_learning_rate
         kept = {name: getattr(self.sac, name) for name in ("hidden_size", "log_std_min", "log_std_max", "reward_scale")}
@@ -76,7 +76,7 @@ def load_initial_agent(path: Path) -> InitialAgent:
         restore(agent, content)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{found} is not an agent: {error}") from error
-    agent.updates = 0  # or those of its past would count as done for transitions to come
+    agent.updates = 0  # or its past updates would count as done for future transitions
     policy, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}

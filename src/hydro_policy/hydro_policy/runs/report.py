@@ -12,7 +12,7 @@ from typing import Any
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import Table, plural, print_above_progress
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_policy.runs.run_directory import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
@@ -56,7 +56,7 @@ def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections
     """Write report.html and the index page of all runs; a failure is reported, never raised."""
     when = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     try:
-        write_whole(run.page, results_page(title, {"written": when, **about}, sections).encode())
+        write_atomic(run.page, results_page(title, {"written": when, **about}, sections).encode())
     except OSError as error:
         print_above_progress(f"no page of the run: {error.strerror or error}")
     refresh_index(run.path)

@@ -35,8 +35,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from hydro_core.files.atomic import encode_json, fsync_folder, write_whole
-from hydro_core.files.tensors import InvalidTensorError, check_numbers
+from hydro_core.files.atomic import encode_json, fsync_folder, write_atomic
+from hydro_core.files.tensors import InvalidTensorError, check_finite
 from hydro_core.settings import SettingsError, check, from_mapping, quantity, read_yaml
 from hydro_policy.sac.settings import SacSettings, present_names
 from hydro_policy.supervision.monitor import MonitorSettings
@@ -76,7 +76,7 @@ class TrainingSettings:
 
     @property
     def base_gains(self) -> tuple[float, float]:
-        """K_p [1/s] and K_i [1/s^2] of the box, to which actions are added."""
+        """Base gains K_p [1/s] and K_i [1/s^2] of the box, to which the policy's gain changes are added."""
         made = self.made
         if made is None or made.base_kp is None or made.base_ki is None:
             return BASE
@@ -107,7 +107,7 @@ class RunDirectory:
 
     @property
     def recordings(self) -> list[Path]:
-        """Recordings of the run, those of resumptions last."""
+        """Folders of the run's recordings, those of resumptions last."""
         later = sorted(self.path.glob(f"{self.bag.name}-*"), key=lambda folder: int(folder.name.rpartition("-")[2]))
         return [folder for folder in (self.bag, *later) if folder.exists()]
 
@@ -135,7 +135,7 @@ class RunDirectory:
     def save_settings(self, settings: TrainingSettings, plant: Mapping[str, Any] | None = None) -> None:
         """Write config.yaml; `plant`: the run's original plant options, if known."""
         values = asdict(settings) | ({"plant": dict(plant)} if plant else {})
-        write_whole(self.config, yaml.safe_dump(values, sort_keys=False).encode())
+        write_atomic(self.config, yaml.safe_dump(values, sort_keys=False).encode())
 
     def load_settings(self) -> TrainingSettings:
         """Read config.yaml back. Raises ValueError: the file is missing, or does not hold the settings of a run."""
@@ -155,14 +155,14 @@ class RunDirectory:
 
 @dataclass
 class Scalars:
-    """Numbers of a run as TensorBoard event files; `tensorboard --logdir runs` shows runs beside each other."""
+    """Scalar results of a run as TensorBoard event files; `tensorboard --logdir runs` compares runs."""
 
     folder: Path
-    """Of the run; the files are in its `tensorboard`. A resumed run adds another file."""
+    """Folder of the run; the files are in its subfolder `tensorboard`. A resumed run adds another file."""
     _writer: Any = None
 
     def add(self, kind: str, numbers: Mapping[str, Any]) -> None:
-        """Add `kind/name` at `episode` for each finite number, `kind/name_0` and so on for each of a list."""
+        """Write each finite number as scalar `kind/name` at step `episode`, a list as `kind/name_0` and so on."""
         from tensorboardX.event_file_writer import EventsWriter  # takes a second
         from tensorboardX.proto.event_pb2 import Event
         from tensorboardX.summary import scalar
@@ -182,13 +182,13 @@ class Scalars:
         self._writer.flush()
 
 
-_TRAINED = ("episode", "exam", "stop")  # kinds of events after which a policy is another one
+_TRAINED = ("episode", "exam", "stop")  # kinds of events after which the policy has changed
 
 
 class RunRecord:
-    """Appends events; saves them to `path` if given.
+    """Record of a run's events, saved after each to run.json.
 
-    `path`: run.json; None: in memory only.
+    `path`: path of run.json; None: in memory only.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -220,20 +220,20 @@ class RunRecord:
     @staticmethod
     def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
-        write_whole(path, encode_json({"events": events}))
+        write_atomic(path, encode_json({"events": events}))
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """Return all events of a kind."""
         return [event for event in self.events if event["kind"] == kind]
 
     def unfinished(self, kind: str) -> list[dict[str, Any]]:
-        """Return the events of a kind of a comparison that was interrupted: since training, or since a complete end."""
+        """Return the events of a kind of an interrupted comparison: those since the last training or complete end."""
         events = self.events
         over = (n + 1 for n, one in enumerate(events) if one["kind"] in _TRAINED or one.get("complete"))
         return [event for event in events[max(over, default=0) :] if event["kind"] == kind]
 
     def flush(self) -> None:
-        """Wait until everything is on disk; so does the end of the process.
+        """Wait until all events are on disk; the end of the process waits as well.
 
         Raises OSError: the file cannot be written.
         """
@@ -242,7 +242,7 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A checkpoint: the learner's bytes, transitions [n, width], their total count, the acting side's state."""
+    """Checkpoint: agent (`sac.dump`), stored transitions [n, width], count of all ever stored, acting side's state."""
 
     learner: bytes
     replay: NDArray[np.float32]
@@ -264,9 +264,9 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
             np.save(file, rows)
             file.flush()
             os.fsync(file.fileno())
-        write_whole(partial / "learner.safetensors", learner)
+        write_atomic(partial / "learner.safetensors", learner)
         state = {"produced": produced, "trainer": trainer}
-        write_whole(partial / "trainer.json", json.dumps(state, indent=1).encode())
+        write_atomic(partial / "trainer.json", json.dumps(state, indent=1).encode())
     except OSError:  # full disk: the partial checkpoint takes space that others need
         shutil.rmtree(partial, ignore_errors=True)
         raise
@@ -292,7 +292,7 @@ def load_checkpoint(folder: Path) -> Checkpoint:
             raise InvalidTensorError(
                 f"{rows.shape} transitions of {state['produced']} and the state beside them do not fit"
             )
-        check_numbers({"replay.npy": rows})
+        check_finite({"replay.npy": rows})
         return Checkpoint((source / "learner.safetensors").read_bytes(), rows, int(state["produced"]), state["trainer"])
     except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{folder} holds no readable checkpoint: {error}") from error

@@ -42,7 +42,7 @@ _BLOCK, _ROW, _ROW2, _ROW3 = _U(BLOCK), _U(ROW), _U(2 * ROW), _U(3 * ROW)
 
 @njit(fastmath=LOOSE)
 def affine(w, b, x, y, at):
-    """y = w^T x + b for the block that begins at `at`; w of shape (rows of x, rows of y)."""
+    """Affine layer y = w^T x + b, for the block that starts at `at`; w of shape (rows of x, rows of y)."""
     n, m, at = _U(w.shape[0]), _U(w.shape[1]), _U(at)
     for j in range(m):
         for k in range(_BLOCK):
@@ -66,7 +66,7 @@ def affine(w, b, x, y, at):
 
 @njit(fastmath=LOOSE)
 def outer(x, g, gw, gb, batch):
-    """gw = x g^T and gb = g 1, sums over the first `batch` transitions."""
+    """Gradients of an affine layer: gw = x g^T and gb = g 1, sums over the first `batch` transitions."""
     n, m, zero = _U(gw.shape[0]), _U(gw.shape[1]), gw.dtype.type(0.0)
     for i in range(_0, n, _4):
         p = i * _ROW
@@ -94,7 +94,7 @@ def outer(x, g, gw, gb, batch):
 
 @njit(fastmath=LOOSE)
 def relu(y, rows, at):
-    """y = max(y, 0)."""
+    """ReLU in place: y = max(y, 0), for the block that starts at `at`."""
     zero = y.dtype.type(0.0)
     for j in range(_U(rows)):
         begin = _U(at) + j * _ROW
@@ -104,7 +104,7 @@ def relu(y, rows, at):
 
 @njit(fastmath=LOOSE)
 def relu_gradient(g, y, rows, at):
-    """g = 0 where the activation y is."""
+    """Gradient of ReLU in place: g = 0 where the activation y is 0, for the block that starts at `at`."""
     zero = g.dtype.type(0.0)
     for j in range(_U(rows)):
         begin = _U(at) + j * _ROW

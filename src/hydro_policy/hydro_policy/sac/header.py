@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_policy export_c --policy FILE --out policy_weights.h: a policy's mean action for C.
+"""Export of a policy as a C header: ros2 run hydro_policy export_c --policy FILE --out policy_weights.h.
 
-The header holds the weights of a policy.safetensors, its observation and its gains; firmware/hydro/policy.h acts.
+The header holds the weights, the normalization of observations and the gain range of a policy.safetensors;
+firmware/hydro/policy.h computes the mean action from them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_core.cli.console import command, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
 from hydro_sim.box.header import header_file, initializer, wrap_words
@@ -52,7 +53,7 @@ def main() -> None:
     options = parser.parse_args()
     policy, gains, _ = load_policy(options.policy)
     origin = f"Written by `ros2 run hydro_policy export_c` from {options.policy.name}."
-    write_whole(Path(options.out), header(policy, gains, origin).encode())
+    write_atomic(Path(options.out), header(policy, gains, origin).encode())
     print(
         f"{options.out}: {policy.sizes[1]} units twice, delta_kp {gains.delta_kp_min:g} to {gains.delta_kp_max:g} 1/s"
     )

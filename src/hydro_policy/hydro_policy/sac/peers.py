@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Policies that stable-baselines3 and skrl have learnt on the Gymnasium environment, in the form that is deployed.
+"""Conversion of policies trained by stable-baselines3 or skrl on the Gymnasium environment to the deployed `Policy`.
 
-What can be: an actor whose mean action is tanh of a perceptron with two equal hidden layers of ReLU, as those of SAC
-are (and of TD3 and DDPG). A normalisation of observations is folded into the first layer::
+Supported are actors whose mean action is tanh of a perceptron with two equal hidden layers of ReLU, as those of SAC
+(and of TD3 and DDPG). A normalisation of observations is folded into the first layer::
 
     (o - m) / s W + b  =  o (W / s) + (b - (m / s) W)
 
-What was converted is compared with the learner's own mean action on random observations before anything is returned:
-other activations, a mean that is clipped in place of squashed, or further inputs are refused there.
+A converted policy is compared with the learner's own mean action on random observations before it is returned: other
+activations, a mean that is clipped in place of squashed, or further inputs are refused there.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 
 LOG_STD_BOUNDS = (-20.0, 2.0)
-"""Of stable-baselines3's SAC; skrl's models state theirs."""
+"""Bounds of log sigma in stable-baselines3's SAC; skrl's models state theirs."""
 
 TOLERANCE = 1e-4
-"""Largest difference of actions: float32 of the learner against float64 here is some 1e-6."""
+"""Largest difference of actions that is accepted; the learner's float32 causes some 1e-6 against float64 here."""
 
 Act = Callable[[FloatArray], Any]
 
 
 def policy_of(learner: Any, size: Size) -> Policy:
-    """Return the policy of a model of stable-baselines3 or an agent of skrl.
+    """Convert a model of stable-baselines3 or an agent of skrl to a deployable policy.
 
-    Observations that a wrapper would clip, many deviations from their mean, are not clipped.
+    A normalising wrapper's clipping of observations, many deviations from their mean, is left out.
 
-    Raises ValueError: it cannot be deployed; the sentence says why.
+    Raises ValueError: the policy cannot be deployed; the message is the reason.
     """
     baseline = hasattr(learner, "get_vec_normalize_env")
     actor, center, scale, bounds, act = _of_baselines(learner) if baseline else _of_skrl(learner)
@@ -67,7 +67,7 @@ def policy_of(learner: Any, size: Size) -> Policy:
 
 
 def _of_baselines(model: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float, float], Act]:
-    """Return actor, normalisation (mean, deviation), bounds of log sigma, and mean action of a model."""
+    """Return actor, normalisation (mean, deviation), bounds of log sigma, and mean action of a baselines model."""
     actor, wrapper = getattr(model, "actor", None), model.get_vec_normalize_env()
     if actor is None:
         raise ValueError(f"the mean action of {type(model).__name__} is not squashed by tanh: train SAC, TD3 or DDPG")
@@ -83,7 +83,7 @@ def _of_baselines(model: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float,
 
 
 def _of_skrl(agent: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float, float], Act]:
-    """Return the same of an agent."""
+    """Return actor, normalisation (mean, deviation), bounds of log sigma, and mean action of a skrl agent."""
     torch = sys.modules["torch"]  # imported with the agent; nothing here needs it
     actor, scaler = getattr(agent, "policy", None), getattr(agent, "_observation_preprocessor", None)
     if actor is None or scaler is None:

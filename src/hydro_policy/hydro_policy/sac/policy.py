@@ -26,9 +26,9 @@ from hydro_sim.model.bench import NOMINAL
 
 
 class Policy:
-    """A squashed Gaussian policy for acting.
+    """Squashed Gaussian policy for acting.
 
-    `sac`: units of its hidden layers, bounds of log sigma. `size`: of the bench, which scales its observations.
+    `sac`: units of the hidden layers, bounds of log sigma. `size`: size of the bench, which scales the observations.
     """
 
     def __init__(self, sac: SacSettings, size: Size = NOMINAL) -> None:
@@ -39,7 +39,7 @@ class Policy:
         self.biases = [np.zeros(o) for o in self.sizes[1:]]
 
     def load_flat(self, parameters: FloatArray) -> None:
-        """Take over the actor's flat parameters (in the order of `sac.layers`), any float type."""
+        """Load the actor's flat parameters (in the order of `sac.layers`), any float dtype."""
         offset = 0
         for weight, bias in zip(self.weights, self.biases, strict=True):
             for array in (weight, bias):
@@ -49,7 +49,7 @@ class Policy:
             raise ValueError(f"{len(parameters)} parameters for a policy of {offset}")
 
     def digest(self) -> str:
-        """Digest (blake2b, 12 hex digits) of the present weights, by which recordings identify the acting policy."""
+        """Return the digest (blake2b, 12 hex digits) of the present weights, the policy's identity in recordings."""
         content = hashlib.blake2b(digest_size=6)
         for array in (*self.weights, *self.biases):
             content.update(np.asarray(array, np.float32).tobytes())
@@ -65,18 +65,18 @@ class Policy:
         return output[..., :ACTIONS], np.minimum(np.maximum(output[..., ACTIONS:], low), high)
 
     def act(self, observation: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
-        """Return actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`, or the mean's without."""
+        """Return actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`; without it tanh(mu)."""
         return np.tanh(self.distribution(observation)[0]) if rng is None else self.draw(observation, rng)[0]
 
     def draw(self, observation: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Return (drawn actions, the mean's), [..., 2] each in [-1, 1], for observations [..., 13]."""
+        """Return (drawn actions, mean actions tanh(mu)), [..., 2] each in [-1, 1], for observations [..., 13]."""
         mean, log_std = self.distribution(observation)
         return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape)), np.tanh(mean)
 
     def save(
         self, path: Path, gains: GainRange, notes: dict[str, object] | None = None, made: MadeFor | None = None
     ) -> None:
-        """Write policy.safetensors; `notes` (run, episodes, updates) and what it was made for go into the header."""
+        """Write policy.safetensors, with `notes` (run, episodes, updates) and provenance `made` in its header."""
         center, scale = normalization(self.size)
         header = {
             "architecture": {"sizes": self.sizes, "activation": "relu", "output": "tanh(mu), log sigma"},

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from hydro_core.files.tensors import InvalidTensorError, check_numbers, check_shapes
+from hydro_core.files.tensors import InvalidTensorError, check_finite, check_shapes
 from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.dense import BATCH_MAX, BLOCK, ROW, Floats, affine, outer, relu, relu_gradient
@@ -42,7 +42,7 @@ _MARGIN = 64  # oldest rows of a full buffer that are not drawn: the other proce
 
 
 class ReplayBuffer:
-    """The last `capacity` transitions, one row each, so that a batch is one gather.
+    """Replay buffer of the last `capacity` transitions, one row each, so that a batch is one gather.
 
         row        [ observation | next observation | action | reward, terminated ]   float32
         example    13 + 13 + 2 + 2 = 30 numbers; 288 000 rows (the paper's 160 x 1800) are 35 MB
@@ -71,7 +71,7 @@ class ReplayBuffer:
 
     @property
     def produced(self) -> int:
-        """Transitions ever appended."""
+        """Number of transitions ever appended."""
         return int(self._counter[0])
 
     def __len__(self) -> int:
@@ -104,7 +104,7 @@ class ReplayBuffer:
         return np.roll(self.rows, -(produced % len(self.rows)), axis=0), produced
 
     def restore(self, rows: NDArray[np.float32], produced: int) -> None:
-        """Restore the result of `snapshot`, so that appending continues at the same place."""
+        """Restore the result of `snapshot`, so that appending continues at the same row."""
         if rows.shape[1:] != self.rows.shape[1:] or len(rows) != min(produced, len(self.rows)):
             raise ValueError(f"{len(rows)} stored rows of {rows.shape[1]} do not fit a buffer of {self.rows.shape}")
         self.rows[(produced - len(rows) + np.arange(len(rows))) % len(self.rows)] = rows
@@ -114,25 +114,25 @@ class ReplayBuffer:
 # ---------------------------------------------------------------------------------------------------------- networks
 
 Places = NDArray[np.int64]
-"""Places in a flat vector."""
+"""Indices into a flat vector."""
 
 
 @njit
 def round_up_to_four(count):
-    """Return `count` rounded up to a multiple of four, which `dense` computes with."""
+    """Return `count` rounded up to a multiple of four, the layer sizes of `dense`."""
     return (count + 3) // 4 * 4
 
 
 Layer = tuple[Places, Places]
-"""Where the weights [member, fan_in, fan_out] and the biases [member, fan_out] of a layer lie."""
+"""Indices of a layer's weights [member, fan_in, fan_out] and biases [member, fan_out] in the flat vector."""
 
 
 def layers(members: int, inputs: tuple[int, ...], hidden: int, outputs: int) -> tuple[int, list[Layer]]:
-    """Return the length of the flat vector of `members` perceptrons with two equal hidden layers, and their layers.
+    """Return the layout of `members` perceptrons with two equal hidden layers: length of the flat vector, layers in it.
 
-    Every layer is padded with zeros to a multiple of four. The gradients there are zero, so that they stay zero. In the
-    order of the layers, without padding, weights and biases are in files and in `Policy.load_flat`. `inputs`: numbers
-    of the inputs of each kind, observations, then actions; each kind is padded.
+    Every layer is padded with zeros to a multiple of four, with gradients of zero, so that the padding stays zero.
+    Files and `Policy.load_flat` have weights and biases in the order of the layers, without padding. `inputs`: sizes of
+    the observation and, if it is an input, of the action; each is padded.
     """
     starts = np.cumsum([0, *map(round_up_to_four.py_func, inputs)])
     padded = int(starts[-1]), round_up_to_four.py_func(hidden), round_up_to_four.py_func(outputs)
@@ -162,7 +162,7 @@ class Network(NamedTuple):
 
 
 class Pass(NamedTuple):
-    """Activations of one network and the loss's gradients by its outputs, in the layout of `dense`."""
+    """Activations h1, h2, y of one network, and the loss's gradients g1, g2, gy by them, in the layout of `dense`."""
 
     h1: Floats
     h2: Floats
@@ -174,7 +174,7 @@ class Pass(NamedTuple):
 
 @njit
 def network(flat, inputs, hidden, outputs):
-    """Return the layers of one member, views of its part of a flat vector."""
+    """Return the weights and biases of one network, as views of its part of a flat vector."""
     a = inputs * hidden
     b = a + hidden + hidden * hidden
     c = b + hidden + hidden * outputs
@@ -187,14 +187,14 @@ def network(flat, inputs, hidden, outputs):
 
 @njit
 def twins(flat, inputs, hidden):
-    """Return the layers of both critics, whose only output is padded to four."""
+    """Return both critics, as views of their flat vector; their single output is padded to four."""
     half = len(flat) // 2
     return network(flat[:half], inputs, hidden, 4), network(flat[half:], inputs, hidden, 4)
 
 
 @njit
 def empty_pass(net):
-    """Return empty activations for a network."""
+    """Return zero activations and gradients for a network and the largest batch."""
     hidden, outputs = net.w3.shape
     kind = net.w1.dtype
     return Pass(
@@ -205,7 +205,7 @@ def empty_pass(net):
 
 @njit
 def forward(net, x, p, batch):
-    """h1 = relu(W1^T x + b1), h2 = relu(W2^T h1 + b2), y = W3^T h2 + b3, for as many rows of x as W1 has."""
+    """Forward pass: h1 = relu(W1^T x + b1), h2 = relu(W2^T h1 + b2), y = W3^T h2 + b3, with x cut to the rows of W1."""
     for at in range(0, batch, BLOCK):
         affine(net.w1, net.b1, x, p.h1, at)
         relu(p.h1, len(net.b1), at)
@@ -216,7 +216,7 @@ def forward(net, x, p, batch):
 
 @njit
 def backpropagate(net, p, batch):
-    """g2 = W3 gy and g1 = W2 g2 where the activations are not zero."""
+    """Backward pass to the hidden layers: g2 = W3 gy and g1 = W2 g2, zero where the activation is."""
     w3, w2, zeros = net.w3.T.copy(), net.w2.T.copy(), np.zeros_like(net.b1)
     for at in range(0, batch, BLOCK):
         affine(w3, zeros, p.gy, p.g2, at)
@@ -227,7 +227,7 @@ def backpropagate(net, p, batch):
 
 @njit
 def backward(net, x, p, batch, gradient):
-    """Gradients of weights and biases from those of the outputs, gy."""
+    """Backward pass: `gradient` of weights and biases from the gradient gy by the outputs."""
     backpropagate(net, p, batch)
     outer(p.h2, p.gy, gradient.w3, gradient.b3, batch)
     outer(p.h1, p.g2, gradient.w2, gradient.b2, batch)
@@ -238,7 +238,7 @@ def backward(net, x, p, batch, gradient):
 
 
 class Adam(NamedTuple):
-    """Parameters and their optimizer: flat vectors of one type, changed in place."""
+    """Parameters and their Adam state: flat vectors of one dtype, updated in place."""
 
     parameters: Floats
     first_moment: Floats
@@ -253,12 +253,12 @@ class Agent(NamedTuple):
     actor: Adam
     critics: Adam
     entropy: Adam
-    """log alpha."""
+    """Optimizer of log alpha, the logarithm of the entropy coefficient."""
     targets: Floats
 
 
 class Constants(NamedTuple):
-    """Sizes, and the settings as numbers of the networks' type."""
+    """Sizes of the networks, and hyperparameters in the networks' dtype."""
 
     observations: int
     actions: int
@@ -273,11 +273,11 @@ class Constants(NamedTuple):
 
 @njit
 def learn(agent, c, steps, rows, places, noise, losses):
-    """Make one update for each row of `places`, shape (updates, batch): indices into the replay buffer's `rows`.
+    """Perform one update per row of `places`, the batches as indices into the buffer's `rows`, shape (updates, batch).
 
     `noise`: standard normal, shape (updates, 2, batch, actions), first for the targets, then for the actor.
-    `steps`: updates of the optimizers before. `losses`: output of the losses of critics, actor and temperature before
-    each update, shape (updates, 3).
+    `steps`: optimizer steps before this call. `losses`: output, losses of critics, actor and temperature before each
+    update, shape (updates, 3).
     """
     n, m, batch, kind = c.observations, c.actions, places.shape[1], agent.targets.dtype
     zero, one, two, share = kind.type(0.0), kind.type(1.0), kind.type(2.0), kind.type(1.0 / batch)
@@ -386,7 +386,7 @@ def sample(actor, c, x, noise, p, log_pi, deviation, inside):
 
 @njit(fastmath={"reassoc", "contract"})
 def adam(of, step):
-    """Kingma and Ba (2015), algorithm 1, as torch.optim.Adam: betas 0.9 and 0.999, epsilon 1e-8."""
+    """Adam step (Kingma and Ba 2015, algorithm 1), as torch.optim.Adam: betas 0.9 and 0.999, epsilon 1e-8."""
     kind = of.parameters.dtype
     rate, root = kind.type(of.learning_rate / (1.0 - 0.9**step)), kind.type(1.0 / math.sqrt(1.0 - 0.999**step))
     keep_1, new_1, keep_2, new_2 = kind.type(0.9), kind.type(1.0 - 0.9), kind.type(0.999), kind.type(1.0 - 0.999)
@@ -400,7 +400,7 @@ def adam(of, step):
 
 @njit(fastmath={"reassoc", "contract"})
 def polyak(targets, parameters, tau):
-    """Average the parameters: targets += tau (parameters - targets)."""
+    """Polyak averaging: targets += tau (parameters - targets)."""
     for i in range(len(targets)):
         targets[i] += tau * (parameters[i] - targets[i])
 
@@ -420,7 +420,7 @@ class Losses(NamedTuple):
 
 
 class Sac:
-    """Complete state of the algorithm: actor, twin critics, targets, temperature, optimizers.
+    """Soft Actor-Critic agent: actor, twin critics, targets, temperature and their optimizers.
 
     Batches and noise of an update follow from the seed and the number of the update: no generator has to be saved.
 
@@ -437,11 +437,11 @@ class Sac:
             name: np.concatenate([places.ravel() for layer in found for places in layer])
             for name, found in self.layers.items()
         }
-        """Of the networks' numbers in their padded vectors, in the order of files."""
+        """Indices of each network's parameters in its padded vector, in the order of files."""
         lengths = [actor] * 3 + [critics] * 3 + [1] * 3 + [critics]
         numbers = -(-sum(lengths) * np.dtype(dtype).itemsize // 8)
         self.state: NDArray[np.int64] = np.zeros(2 + numbers, np.int64)
-        """Everything that the next update depends on: counters, then all vectors of `agent`, which are views of it."""
+        """Complete state: counters of updates and optimizer steps, then all vectors of `agent`, which are its views."""
         vectors = np.split(self.state[2:].view(dtype), np.cumsum(lengths))
         rates = settings.actor_learning_rate, settings.critic_learning_rate, settings.entropy_learning_rate
         optimizers = [
@@ -463,11 +463,11 @@ class Sac:
             kind(s.target_entropy), kind(s.log_std_min), kind(s.log_std_max),
         )  # fmt: skip
         self.losses = Losses()
-        """Mean over the updates of the last `learn`."""
+        """Losses, mean over the updates of the last `learn`."""
 
     @property
     def updates(self) -> int:
-        """Updates of this run."""
+        """Number of updates in this run."""
         return int(self.state[0])
 
     @updates.setter
@@ -476,7 +476,7 @@ class Sac:
 
     @property
     def steps(self) -> int:
-        """Steps of the optimizers, those of the runs before included."""
+        """Number of optimizer steps, those of earlier runs included."""
         return int(self.state[1])
 
     @property
@@ -512,7 +512,7 @@ _VECTORS = ("parameters", "first_moment", "second_moment")
 
 
 def dump(sac: Sac) -> bytes:
-    """Return everything that the next update depends on, as a safetensors file (no pickle).
+    """Return the complete state of an agent as the content of a safetensors file (no pickle).
 
     Each network and each moment is one flat tensor without padding; counters and settings are JSON under the header key
     "hydro".
@@ -523,7 +523,7 @@ def dump(sac: Sac) -> bytes:
 
 
 def restore(sac: Sac, blob: bytes) -> None:
-    """Restore from `dump`: later updates are bit-identical.
+    """Restore an agent from the result of `dump`: later updates are bit-identical.
 
     Raises ValueError: the bytes are not a dump, are of networks of another shape, or hold invalid numbers.
     """
@@ -540,7 +540,7 @@ def actor_parameters(blob: bytes) -> FloatArray:
 
 
 def settings_of(blob: bytes) -> SacSettings:
-    """Return the settings that a dump was made with."""
+    """Return the settings of the agent in a dump."""
     settings = SacSettings(**present_names(_opened(blob)[1]["settings"]))
     check(settings)
     return settings
@@ -568,5 +568,5 @@ def _opened(blob: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
             raise InvalidTensorError(f"its counters are {counted}")
     except (SafetensorError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"not a whole agent: {' '.join(str(error).split())}") from error
-    check_numbers(tensors)
+    check_finite(tensors)
     return tensors, header

@@ -43,6 +43,6 @@ class SacSettings:
 
 
 def present_names(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings of a file, until 2026-11 with the names `discount` and `target_rate`, by their present names."""
+    """Return a file's settings with the former names `discount`, `target_rate` (until 2026-11) replaced by the new."""
     former = {"discount": "gamma", "target_rate": "tau"}
     return {former.get(name, name): value for name, value in values.items()}

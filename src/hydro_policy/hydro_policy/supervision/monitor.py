@@ -3,12 +3,12 @@
 
 peak error    |e|, averaged over a policy step, so that a single bad sample does not count
 chatter       RMS of u' in the median step of a window: it wears valve and hoses, and is the first sign of a limit
-              cycle. A single jump of the gains where the reference changes is none, however large (decision 0072)
-violations    share of a window's samples whose certificate fails although the filter has corrected what it can
-NaN           a sample, or the policy's action for it, is not finite
+              cycle. A single jump of the gains where the reference changes is no chatter, however large (decision 0072)
+violations    share of a window's samples whose certificate fails under the filter's correction
+NaN           a sample holds a value that is not finite
 
-It assesses a policy, not a person: overridden steps do not reach it, and steps for which the box held other gains than
-the policy's (`Step.hold_flags`: late commands, no fresh correction, MISMATCH) are not counted.
+Only policies are assessed: overridden steps are not passed to the monitor, and steps under other gains than the
+policy's (`Step.hold_flags`: late commands, no fresh correction, MISMATCH) are excluded.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ _EVALUATED = frozenset(
 )
 _TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.runs.gammas`
 _RECOVERY = 20
-"""Steps after a held one whose u' is not due to the policy: the force recovers from the base gains' error."""
+"""Steps after one under base gains whose u' is not due to the policy: the force recovers from the larger error."""
 _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorSettings:
-    """Limits; the defaults lie between what good and bad runs reach (training.md)."""
+    """Limits of the safety monitor; the defaults lie between the values of good and of bad runs (training.md)."""
 
     peak_error: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
     """|e| in the mean over a policy step."""
@@ -54,7 +54,7 @@ class MonitorSettings:
 
 
 class SafetyMonitor:
-    """Sums over a sliding window, fed by policy steps and by the filter's corrections."""
+    """Safety monitor of a policy: error, chatter and certificate violations over sliding windows of policy steps."""
 
     def __init__(self, settings: MonitorSettings | None = None) -> None:
         self.settings = settings or MonitorSettings()
@@ -75,7 +75,7 @@ class SafetyMonitor:
 
     @property
     def chatter(self) -> float:
-        """RMS of u' in the median step of the window so far [A/s]; 0 at its beginning."""
+        """RMS of u' in the median step of the window so far [A/s]; 0 for an empty window."""
         known = [square for square in self._squares if square is not None]
         return math.sqrt(statistics.median(known)) if known else 0.0
 
@@ -86,13 +86,13 @@ class SafetyMonitor:
         return sum(v for v, _ in self._violated) / count if count else 0.0
 
     def on_correction(self, after: float, status: int) -> None:
-        """Add a correction: M_c [1/s] under it, and its status."""
+        """Add the filter's result for a sample: M_c [1/s] under its correction, and the correction's status."""
         if status in _EVALUATED:
             self._answered += 1
             self._failed += after > _TOLERANCE
 
     def add(self, step: Step) -> str | None:
-        """Add a policy step; returns why the policy must be stopped, or None."""
+        """Add a policy step; returns the reason to stop the policy, or None."""
         if not np.isfinite(step.sample).all():
             return "a measurement is not finite"
         if step.hold_flags:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Manual override: a person sets the gains in place of the controller, for a chosen time.
 
-It is in force from the next policy step on, whether a policy learns, is examined, waits or pauses. It exists in the
-node only: no checkpoint holds it, no run begins with it. The bench's behaviour under it is neither learnt nor scored.
+It takes effect at the next policy step, in training, examination, waiting and pause. It is part of the node's state
+only, not of checkpoints: no run starts with it. Samples under it are neither learnt from nor scored.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from hydro_policy.task.mdp import BASE, GainRange
 
 @dataclass
 class GainOverride:
-    """State of a manual override."""
+    """Manual override of the gains, with the range that may be requested."""
 
     reach: GainRange = field(default_factory=GainRange)
-    """Gain changes that may be requested: those that the plant's guard passes."""
+    """Range of gain changes that may be requested: that of the plant's guard."""
     report: Callable[[str], None] = lambda _: None  # takes a sentence for each change
     base: tuple[float, float] = BASE
-    """K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's)."""
+    """Base gains K_p [1/s], K_i [1/s^2] of the box, to which gain changes are added (default: the paper's)."""
     _held: tuple[float, float] | None = None  # (delta_kp, delta_ki)
     _until: float = math.inf  # s
 
     def hold(self, proportional: float, integral: float, seconds: float, now: float) -> str:
-        """Hold K_p [1/s] and K_i [1/s^2], base gains included, for `seconds` (0: until released); returns a report.
+        """Override the gains by totals K_p [1/s], K_i [1/s^2] for `seconds` (0: until released); returns a report.
 
-        Raises ValueError: the gains are not finite or out of range; nothing has changed.
+        Raises ValueError: gains or `seconds` are not finite or out of range; the state is unchanged.
         """
         base, reach = self.base, self.reach
         change = (proportional - base[0], integral - base[1])
@@ -46,7 +46,7 @@ class GainOverride:
         return sentence
 
     def release(self) -> str:
-        """Return the gains to the controller; returns a report."""
+        """End the override, so that the controller's gains act again; returns a report."""
         if self._held is None:
             return "nothing was overridden"
         self._held = None
@@ -55,7 +55,7 @@ class GainOverride:
         return sentence
 
     def gains(self, now: float) -> tuple[float, float] | None:
-        """Return the (delta_kp, delta_ki) to publish instead of the controller's at time `now` [s], or None."""
+        """Return the overriding gain changes (delta_kp, delta_ki) at time `now` [s]; None: no override in force."""
         if self._held is not None and now >= self._until:
             self._held = None
             self.report("override is over: the gains are the policy's again")
@@ -63,11 +63,11 @@ class GainOverride:
 
     @property
     def active(self) -> bool:
-        """Whether a person holds the gains."""
+        """Whether an override is in force."""
         return self._held is not None
 
     @property
     def description(self) -> str:
-        """Text for /diagnostics: the gains held, or no."""
+        """Text for /diagnostics: the overriding total gains, or `no`."""
         held, base = self._held, self.base
         return "no" if held is None else f"K_p {base[0] + held[0]:g}, K_i {base[1] + held[1]:g}"

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the plant: present, armed and ready for a run; shared by sessions, whose outputs are here, too.
+"""Supervision of the plant in all sessions: presence, requirements, arming, calm; and the sessions' outputs.
 
 no state for 100 ms      lost: disarming is requested, so that a reconnected plant is not armed
 requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`); if found armed: disarmed
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box reports ARMED; else a person is asked
-tripped at once          more than `TRIALS` times in a row within `CALM` of arming: base gains do not hold this bench:
-                         nothing is armed again
+tripped at once          more than `TRIALS` times in a row within `CALM` of arming: the bench is unstable under base
+                         gains, and is not armed again
 armed and idle           no controller has acted for `IDLE`: disarmed, and armed again as above. Base gains wind up the
                          law's integral against dry friction, and the next gains would make the current jump
-MISMATCH                 the filter's model is not this bench's: nothing is armed or begun until the filter decides
+MISMATCH                 the filter's model is not this bench's: nothing is armed or started until the filter decides
                          again, and a run in progress continues under `FALLBACK`
-stopped                  a second of calm, armed, base gains, no reference, before the next run, which would otherwise
-                         be charged with the force that the stopped one left. If no person is needed for it, the plant
-                         is then also armed again
+stopped                  a second of calm, armed, base gains, no reference, before the next run, whose score would
+                         otherwise include the stopped run's transient. If that needs no person, the plant is then also
+                         disarmed and armed again
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from hydro_bridge.safety.guard_settings import PAPER_RANGES
+from hydro_bridge.safety.guard_settings import UNFILTERED_LIMITS
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import FAULTS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
@@ -54,19 +54,19 @@ def learner_requirement(ready: Callable[[], bool]) -> Requirement:
     )
 
 
-FALLBACK = (PAPER_RANGES.delta_kp_max, PAPER_RANGES.delta_ki_max)
-"""Changes of K_p, K_i held while the filter reports MISMATCH: the upper end of the range that the guard then passes,
-the paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
+FALLBACK = (UNFILTERED_LIMITS.delta_kp_max, UNFILTERED_LIMITS.delta_ki_max)
+"""Gain changes (K_p, K_i) while the filter reports MISMATCH: the upper end of the range that the guard then passes, the
+paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
 
 CALM = 1.0  # s, armed, between a stop and the next run
 
 TRIALS = 3
-"""Trips in a row within `CALM` of arming after which a session may try another force law, and no more is armed."""
+"""Trips in a row within `CALM` of arming that end the trials under a force law; more of them end the session."""
 BASE_GAINS_UNSTABLE = (
     f"the box tripped {TRIALS} times within {CALM:g} s of arming: its base gains do not hold this bench"
 )
 
-IDLE = 2.0  # s armed without a controller after which none may begin (measurements in decision 0056)
+IDLE = 2.0  # longest time armed without a controller before one starts, s (measurements in decision 0056)
 
 LOST_AFTER = 0.1  # s without a sample
 
@@ -78,12 +78,12 @@ MISMATCH = (
 FITS = "the filter's model fits again: going on"
 UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
 HEARD_WITHIN = 1.0
-"""s within which a filter that decides nothing has to be heard: the plant counts its corrections as stale."""
+"""Timeout [s] for corrections of a bypassed filter, all of which the plant flags as stale."""
 CALM_AGAIN = "calm again: disarmed and armed again, so that the force law starts again"
 
 
 SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
-RETRY = 1.0  # s
+RETRY = 1.0  # s between arming or disarming requests
 REMINDER = 30.0  # s between requests to arm a plant that a person disarmed
 HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
@@ -93,7 +93,7 @@ class Outputs(Protocol):
     """Outputs of a session to the graph; gains in [1/s] and [1/s^2]. No call blocks."""
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """Publish the force to track."""
+        """Publish the reference force."""
 
     def arm(self, arm: bool) -> None:
         """Request the plant to arm or disarm."""
@@ -102,10 +102,10 @@ class Outputs(Protocol):
         """Report a sentence to the user."""
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        """Publish changes of the gains."""
+        """Publish the gain changes of policy step number `step`."""
 
     def command_law(self, command: LawCommand, step: int) -> None:
-        """Publish the force law to run; without such a message a plant runs the paper's."""
+        """Publish the force law to run; without such a message a plant runs the paper's law."""
 
     def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         """Publish a policy step (`PolicyStep.msg`) after its gains. `step`: number of the step, as given to `gains`.
@@ -116,12 +116,12 @@ class Outputs(Protocol):
 
 
 class PlantSupervisor:
-    """Tracks the box's flags and requests arming.
+    """Supervisor of the plant: tracks the box's flags, checks requirements, requests arming and disarming.
 
-    `outputs`: outputs of the requests. `rearm`: whether a disarmed or tripped box may be armed without the user
-    (simulation: yes; bench: on purpose only). `requirements`: requirements before arming, besides plant and filter.
-    `override`: gains held by a person: under them a plant is not idle. `filtered`: whether a filter that answers and
-    fits is required, too.
+    `outputs`: outputs to the graph. `rearm`: whether a disarmed or tripped box may be armed without a person
+    (simulation: yes; bench: only on request). `requirements`: requirements before arming, besides plant and filter.
+    `override`: manual override, under which a plant is not idle. `filtered`: whether a responding filter with a
+    matching model is required, too.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class PlantSupervisor:
         )  # fmt: skip
         needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.report(sentence, warning=True))
-        self.trips = 0  # trips in a row, but by silence, within `CALM` of arming
+        self.trips = 0  # trips in a row within `CALM` of arming, except those without commands
         self._flags = int(Flag.FILTER_STALE)
         self._seen = -math.inf  # time of the last sample, s; -inf: lost
         self._armed_at = -math.inf
@@ -170,7 +170,7 @@ class PlantSupervisor:
 
     @property
     def mismatched(self) -> bool:
-        """Whether the filter's last status was that its model is not this bench's."""
+        """Whether the filter's last status was MISMATCH: its model does not fit this bench."""
         return self._status == CorrectionStatus.MISMATCH
 
     @property
@@ -189,11 +189,11 @@ class PlantSupervisor:
 
     @property
     def summary(self) -> str:
-        """Condition and awaited requirements as text."""
+        """Condition and missing requirements as text."""
         return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.missing_names}")
 
     def on_sample(self, flags: int, now: float) -> None:
-        """Process a sample's flags."""
+        """Process a sample's flags, received at time `now` [s]."""
         if flags & Flag.ARMED and not (self.armed or self.lost):
             wanted = self.readiness.complete or now - self._asked <= RETRY
             self._last_action, self._block_reason = now, "" if wanted else TOO_EARLY
@@ -210,14 +210,14 @@ class PlantSupervisor:
                 self._block_reason = CALM_AGAIN if self._alone else self._block_reason
 
     def on_correction(self, status: int) -> None:
-        """Process the status of a correction."""
+        """Process the status of the filter's correction; reports a change of MISMATCH."""
         before, self._status, self._heard = self._status, status, True
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
             after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
             self.outputs.report(MISMATCH if self.mismatched else after, warning=self.mismatched)
 
     def may_begin(self, now: float) -> bool:
-        """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""
+        """Return whether a trial may start: armed, all requirements met, no calm in progress, no blocking reason."""
         return self.armed and self.readiness.complete and not self.calming and not self.blocking_reason(now)
 
     def note_action(self, now: float) -> None:
@@ -237,24 +237,24 @@ class PlantSupervisor:
 
     @property
     def calming(self) -> bool:
-        """Whether the force is still recovering from a stop, which requires base gains."""
+        """Whether the calm after a stop is in progress, under base gains."""
         return self._calm_until is not None
 
     def calm(self) -> None:
-        """Start the calm after a stop: `CALM` seconds, armed, before the next run; removes the reference."""
+        """Start the calm after a stop: `CALM` s armed without a reference before the next run."""
         self._calm_until = math.inf
         self.outputs.reference(ReferenceSignal())
 
     def take_over(self, before: PlantSupervisor) -> None:
-        """Continue from another session's watch: its armed plant is accepted, and its calm is awaited."""
+        """Take over the plant from a previous session's supervisor, with its idle time, blocking reason and calm."""
         self._last_action, self._block_reason = before._last_action, before._block_reason
         if before.calming:
             self.calm()
 
     def on_tick(self, now: float) -> None:
-        """Detect a loss and request arming; call some twenty times a second.
+        """Detect a loss of the plant and request arming; call some twenty times a second.
 
-        Raises NotReadyError: a requirement for arming was not met in time, or base gains do not hold the bench.
+        Raises NotReadyError: a requirement for arming was not met in time, or the bench is unstable under base gains.
         """
         if self.trips > TRIALS:
             raise NotReadyError(f"{BASE_GAINS_UNSTABLE}; nothing is armed again")
@@ -293,12 +293,12 @@ class PlantSupervisor:
         self._told = condition
 
     def _arm_anew(self, now: float) -> None:
-        """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
+        """Disarm, then arm: this resets a trip, clears the law's integral, and fades the reference in."""
         self.outputs.arm(False)
         self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
 
     def defer_to_person(self, now: float) -> None:
-        """Request arming again after `REMINDER` only: the plant refused since a person disarmed it."""
+        """Postpone the next arming request by `REMINDER`: the plant refused it, since a person disarmed it."""
         if self._alone:
             self._arm_after, self._not_before = math.inf, now + REMINDER
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task: Markov decision process, 10 ms steps from 1 ms samples, evaluation cases, scores."""
+"""Force-tracking task: Markov decision process with 10 ms steps of 1 ms samples, evaluation cases, scores."""

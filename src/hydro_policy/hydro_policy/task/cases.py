@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cases of an evaluation, references and their settings, and the scores of its runs."""
+"""Cases of an evaluation (references to track), their settings, and the scores of its runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ K = TypeVar("K")
 
 @dataclass(frozen=True)
 class Case:
-    """A reference to track, measured over whole periods (for a multisine, those of its slowest sine)."""
+    """Evaluation case: a reference to track, measured over whole periods (of a multisine: of its slowest sine)."""
 
     name: str  # name for tables: `2 Hz`, `multisine`, `steps`
     signal: ReferenceSignal
@@ -38,17 +38,17 @@ class Case:
 
 
 FAST = {5.0: 1.0 / 3.0, 10.0: 1.0 / 6.0}
-"""Sines beyond the paper's [Hz] and their share of the amplitude: 100 and 50 N on the nominal bench.
+"""Fast sines, beyond the paper's: frequency [Hz] and share of the amplitude, 100 and 50 N on the nominal bench.
 
 The flow at full current is the limit: A v = q_n sqrt(2 p_s / (1 + alpha^3) / dp_n) gives k v / (2 pi f), 1020 and 510 N
 on the nominal bench, 310 and 150 N with the softest spring, weakest valve and lowest supply that the benchmarks draw.
-A third of that is left for the law's lead and for what the load cell does not show.
+The amplitudes are a third of the latter, a margin for the law's phase lead and for the load cell's lag.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluationSettings:
-    """The paper's Table rmse by default."""
+    """Cases, lengths and repeats of an evaluation; by default those of the paper's Table rmse."""
 
     frequencies: tuple[Annotated[float, quantity("Hz", 0.05, 10.0)], ...] = (0.5, 1.0, 1.5, 2.0)
     """Of the sines."""
@@ -78,7 +78,7 @@ class EvaluationSettings:
 
     @property
     def cases(self) -> tuple[Case, ...]:
-        """Return all cases in order."""
+        """All cases, in order of evaluation."""
         signals = [(f"{f:g} Hz", Waveform.SINE, self.amplitude, f) for f in self.frequencies]
         if self.multisine:
             signals.append(("multisine", Waveform.MULTISINE, self.amplitude, 0.5))
@@ -107,7 +107,7 @@ class EvaluationSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class ExamSettings:
-    """The examination of a policy between training episodes: its mean action on the paper's sines, nothing learnt."""
+    """Settings of an examination: evaluation of the policy's mean action on the paper's sines between episodes."""
 
     every: Annotated[int, quantity("-", 0, 1e6)] = 4
     """Training episodes between two examinations, one before the first and one at the end; 0: none."""
@@ -133,12 +133,12 @@ class ExamSettings:
 
 
 DISTURBED_SHARE_MAX = 0.01
-"""Largest share of a run's samples that are lost, or under base gains, at which its figures are valid."""
+"""Largest share of a run's samples that may be lost, or under base gains, for its figures to be valid."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Score of one run."""
+    """Score of one evaluation run: force RMSE and further figures, or the reason of a stop."""
 
     controller: str
     case: str  # name of the reference
@@ -147,7 +147,7 @@ class Score:
     rmse: float = math.nan  # force RMSE [N]; NaN if the run was stopped
     reference_rms: float = math.nan  # N, RMS of the reference
     true_rmse: float = math.nan
-    """N, the same of the force on the specimen, in front of the load cell; NaN unless the plant is emulated."""
+    """N, RMSE of the force on the specimen, in front of the load cell; NaN unless the plant is emulated."""
     peak: float = math.nan  # N, largest |e|
     chatter: float = math.nan  # A/s, RMS of u'
     proportional_gain: float = math.nan  # 1/s, mean that the box applied
@@ -161,7 +161,7 @@ class Score:
 
     @classmethod
     def of_event(cls, event: Mapping[str, Any]) -> Score:
-        """Return the score of an event of a run's record, in which NaN is null."""
+        """Return the score stored in an event of a run's record, where NaN is null."""
         values: dict[str, Any] = {
             one.name: math.nan if event[one.name] is None else event[one.name] for one in fields(cls)
         }
@@ -183,7 +183,7 @@ class Score:
 
 @dataclass
 class Trace:
-    """The measured part of one run; time from 0."""
+    """Samples of the measured part of one run; time from 0."""
 
     controller: str
     case: str
@@ -216,9 +216,10 @@ def score(trace: Trace, repeat: int, held: int = 0, felt: FloatArray | None = No
 
 
 def relative_scores(rmse: Mapping[K, ArrayLike]) -> dict[K, float]:
-    """Return the mean over the references of RMSE over the smallest there, of those that completed every reference.
+    """Return each entry's mean over the references of its RMSE relative to the smallest RMSE on that reference.
 
-    `rmse`: [N] on each reference, the same ones for all; not finite where a run was stopped.
+    `rmse`: RMSE [N] of each entry on the same references, non-finite for a stopped run. Entries with a stopped run are
+    left out, also of the smallest.
     """
     arrays = {key: np.asarray(values, float) for key, values in rmse.items()}
     whole = {key: values for key, values in arrays.items() if np.isfinite(values).all()}

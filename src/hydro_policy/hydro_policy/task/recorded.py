@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded references, a ground motion for instance, as signals that every box can play.
+"""Recorded references (ground motions, for instance), as sequences of sines that every box can play.
 
-A box plays one waveform at a time and fades over `FADE` into the next (protocol.md). So a record is sent as sines with
-an offset, one each `FADE`, s_k at t_k = k `FADE`::
+A box plays one waveform at a time and cross-fades to the next over `FADE_TIME` (protocol.md). So a record is sent as
+sines with an offset, one per `FADE_TIME`, s_k at t_k = k `FADE_TIME`::
 
-    f_r(t) = (1 - b) s_{k-1}(t) + b s_k(t)        b = 3 p^2 - 2 p^3,  p = (t - t_k) / FADE
+    f_r(t) = (1 - b) s_{k-1}(t) + b s_k(t)        b = 3 p^2 - 2 p^3,  p = (t - t_k) / FADE_TIME
 
-s_k is the least-squares fit over both fades that it takes part in, the one before it as it is; its frequency is the
-best of `FREQUENCIES`. Four numbers each 0.3 s follow a record up to some 3 Hz, so it is low-passed there; what the box
-plays then misses it by 7 to 8 % of its RMS on the three ground motions of `benchmarks.hybrid_simulation`.
+s_k is a least-squares fit over its two cross-fades, with s_{k-1} given; its frequency is the best of `FREQUENCIES`.
+Four parameters per 0.3 s represent a record up to about 3 Hz, so it is low-passed there; the residual is then 7 to 8 %
+of its RMS on the three ground motions of `benchmarks.hybrid_simulation`.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 
-SECONDS = 20.0  # of a longer record that many seconds are played, those with the largest RMS
-BANDWIDTH = 3.0  # Hz, of the low-pass, second order forwards and backwards
-FREQUENCIES = np.arange(0.5, 10.01, 0.25)  # Hz, of a piece
+SECONDS = 20.0  # longest part of a record that is played [s]: the one with the largest RMS
+BANDWIDTH = 3.0  # cut-off frequency [Hz] of the low-pass, second order forwards and backwards
+FREQUENCIES = np.arange(0.5, 10.01, 0.25)  # candidate frequencies of a sine [Hz]
 SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)  # samples between two pieces
 
 
 def read(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Times [s] and values of a record, shape (n,) each.
+    """Return times [s] and values of a recorded reference, shape (n,) each.
 
     A rosbag2 folder or .mcap: its reference force. A .mat file: its matrix of two rows or columns. Else text with
-    commas, the first two columns. Raises SettingsError: it is no such file, or times do not rise.
+    commas, the first two columns. Raises SettingsError: the file is missing or of another format, it has fewer than ten
+    samples, or its times do not increase.
     """
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
@@ -62,9 +63,10 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
-    """Signals to send one after the other, a `FADE` apart; the record's largest magnitude is `amplitude` [N].
+    """Return the signals to send one after the other, `FADE_TIME` apart, for a record scaled to a peak `amplitude` [N].
 
-    No piece has more than twice that of offset and amplitude.
+    Offset plus amplitude of a signal is at most twice that. Raises SettingsError: as `read`, or the record is shorter
+    than three `FADE_TIME`, or constant.
     """
     from scipy.signal import butter, sosfiltfilt
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from hydro_core.cli.console import UserError, command, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_sim.box.box import NAME, BoxConfig, Integral
 from hydro_sim.box.header import render_header
 from hydro_sim.export.model import ExportedModel
@@ -74,7 +74,7 @@ def main() -> None:
         content = render_header(config.constants(bench, name=options.name))
     else:
         content = exported.mujoco() if kind == "mujoco" else exported.c_source()
-    write_whole(out, content.encode() if isinstance(content, str) else content)
+    write_atomic(out, content.encode() if isinstance(content, str) else content)
     print(f"{out}: bench {bench.digest}, {f'box {options.name}' if kind == 'box' else f'{len(bench.terms)} effects'}")
     if kind == "fmu" and exported.discrete_effects:
         print(f"co-simulation only: {', '.join(exported.discrete_effects)} move on by whole steps")

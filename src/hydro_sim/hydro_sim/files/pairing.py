@@ -24,7 +24,7 @@ import yaml
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.errors import UserError
 from hydro_core.size import Size
 from hydro_sim.model.bench import Bench
@@ -77,7 +77,7 @@ class BoxIdentity:
         return cls(digest=bench.digest, source=source, base_gains=base_gains, size=bench.size)
 
     @classmethod
-    def of_box(cls, box: KnownBox) -> BoxIdentity:
+    def of_box(cls, box: BoxDescription) -> BoxIdentity:
         """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
         size, integral = Size.of_known_bench(yaml.safe_load(box.bench)), box.info.integral

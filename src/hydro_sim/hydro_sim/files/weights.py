@@ -17,8 +17,8 @@ import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
-from hydro_core.files.atomic import write_whole
-from hydro_core.files.tensors import InvalidTensorError, check_numbers
+from hydro_core.files.atomic import write_atomic
+from hydro_core.files.tensors import InvalidTensorError, check_finite
 from hydro_sim.files.pairing import HEADER_KEY, MadeFor
 
 FORMAT = 1
@@ -36,7 +36,7 @@ def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeF
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})
-    write_whole(Path(path), content)
+    write_atomic(Path(path), content)
 
 
 def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
@@ -59,7 +59,7 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
     if kind != FORMAT:
         raise WeightsError(f"{path} is of format {kind}, this version reads format {FORMAT}: make it again")
     try:
-        check_numbers(tensors)
+        check_finite(tensors)
     except InvalidTensorError as error:
         raise WeightsError(f"{path} is damaged: {error}") from None
     return tensors, header

@@ -27,19 +27,19 @@ from hydro_sim.model.quality import HORIZON, Quality
 
 PRIOR_WIDTH = 10.0
 """Prior standard deviation of a parameter about its value in the bench file: typical sizes, or factors of e."""
-START_MAX = 4.0
+INITIAL_STATE_STEP_MAX = 4.0
 """Largest change of an initial state in one iteration, in standard deviations."""
 COST_TOLERANCE = 1e-3
 """Share by which the cost must fall for another iteration."""
 SUBSTEPS = 10
 """Integration steps per sample: 100 us, a 110th of a period of the 90 Hz mass-on-oil mode."""
-TRUST_SCHEDULE = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
+MODEL_ERROR_SCHEDULE = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """Scale of the model error that the filter assumes, by round."""
 ITERATIONS = 5
 """Largest number of iterations in a round."""
 FINAL_TRUSTS = (0.03, 0.3, 3.0)
 """Scales of the model error for validation, of which the one with the lowest prediction error is chosen."""
-DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
+DELAY_BOUND_MIN, DELAY_FACTOR = 5e-3, 2.0
 """Upper bound of a dead time: its smallest value [s], and its factor on the bench file's dead time."""
 QUANTILE = 1.96
 """Half width of a 95 % interval in standard deviations."""
@@ -117,7 +117,7 @@ def learn(
     chosen = [np.sort(one).astype(np.int64) for one in begins]  # of each run, in rising order, without overlap
     q, weights, best = coordinates.coordinates(coordinates.values), noise, np.inf
     found, matrix = q, np.eye(len(q))  # of the round that predicts best
-    for number, trust in enumerate(TRUST_SCHEDULE, 1):
+    for number, trust in enumerate(MODEL_ERROR_SCHEDULE, 1):
         follower = StateEstimator(exact, coordinates.parameters(q), weights, trust)
         fit = WindowFit(follower, coordinates, q, data.training, chosen)
         for _ in range(ITERATIONS):
@@ -125,7 +125,7 @@ def learn(
                 break
         residual = np.sqrt(np.mean((np.array(fit.predictions(fit.q, fit.s)) - fit.targets) ** 2, axis=(0, 1)))
         q, weights = fit.q, np.maximum(noise, residual)
-        report(f"round {number} of {len(TRUST_SCHEDULE)}: error over noise {np.round(residual / noise, 3)}")
+        report(f"round {number} of {len(MODEL_ERROR_SCHEDULE)}: error over noise {np.round(residual / noise, 3)}")
         if (error := float(np.mean(np.log(residual / noise)))) < best:
             best, found, matrix = error, q, fit.normal_equations()[0]
     theta, deviation = coordinates.parameters(found), np.sqrt(np.diag(np.linalg.inv(matrix)))
@@ -212,7 +212,7 @@ class WindowFit:
             change = np.clip(-np.linalg.solve(damped, gradient), -reach, reach)
             q = self.coordinates.coordinates(self.coordinates.parameters(self.q + change))
             moves = -(eliminated[:, :, -1] + eliminated[:, :, :-1] @ (q - self.q))
-            s = self.s + np.clip(moves, -START_MAX, START_MAX)
+            s = self.s + np.clip(moves, -INITIAL_STATE_STEP_MAX, INITIAL_STATE_STEP_MAX)
             better = self.cost(q, s)
             if better < cost:
                 self.q, self.s, self.damping = q, s, max(self.damping / 10.0, 1e-7)
@@ -289,7 +289,7 @@ def with_longer_dead_times(bench: Bench) -> Bench:
     effects = list(bench.effects)
     delays = [i for i, effect in enumerate(effects) if effect["id"] == valve.TransportDelay.id]
     for i in delays:
-        time = max(DELAY_FACTOR * float(effects[i]["parameters"]["time"]), DELAY_LEAST)
+        time = max(DELAY_FACTOR * float(effects[i]["parameters"]["time"]), DELAY_BOUND_MIN)
         effects[i] = {**effects[i], "parameters": {"time": min(time, catalogue.DELAY_MAX / len(delays), 0.03)}}
     return replace(bench, effects=tuple(effects))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from hydro_core.cli.console import Table, UserError, add_json_argument, bounded_number, command, writable_file
-from hydro_core.files.atomic import write_whole
+from hydro_core.files.atomic import write_atomic
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import BENCH_FILES
 from hydro_sim.files.recordings import DataError
@@ -51,7 +51,7 @@ def main() -> None:
     head = "".join(f"# {line}\n" for line in lines)
     content = yaml.safe_dump(result.with_quality().to_mapping(), sort_keys=False)
     Path(options.out).parent.mkdir(parents=True, exist_ok=True)
-    write_whole(Path(options.out), (head + content).encode())
+    write_atomic(Path(options.out), (head + content).encode())
     print(f"{options.out}: {result.quality.sentence()}")
 
 

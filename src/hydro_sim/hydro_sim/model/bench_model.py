@@ -29,7 +29,7 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics, machine_code
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, grown, valve
-from hydro_sim.model.effects.base import Hidden, Parameter
+from hydro_sim.model.effects.base import HiddenState, Parameter
 from hydro_sim.model.equations import READINGS
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class BenchModel:
         past = next(past for past in PASTS if past >= needed)
         self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
         """Equal for all benches with the same effects in order."""
-        current = Hidden(name="", unit="A", scale=1e-2, integrated=False)
+        current = HiddenState(name="", unit="A", scale=1e-2, integrated=False)
         currents = (replace(current, name=f"current {i} samples ago") for i in range(past))
         self.states = (*_TEXTBOOK, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
 
@@ -142,7 +142,7 @@ class Structure:
 
 
 _TEXTBOOK = tuple(
-    Hidden(name=name, unit=unit, scale=scale, integrated=True)
+    HiddenState(name=name, unit=unit, scale=scale, integrated=True)
     for name, unit, scale in (
         ("pressure_a", "Pa", 1e6), ("pressure_b", "Pa", 1e6), ("piston_position", "m", 1e-2),
         ("piston_velocity", "m/s", 0.1), ("load_force", "N", 100.0), ("load_force_rate", "N/s", 1e3),

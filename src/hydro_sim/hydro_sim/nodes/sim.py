@@ -18,7 +18,7 @@ from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
 from hydro_bridge.plant_clock import Pace, PaceSettings, reject_speed_option
 from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
-from hydro_bridge.safety.box_info import known_box
+from hydro_bridge.safety.box_info import describe_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_core.cli.console import command
 from hydro_core.files import site
@@ -45,7 +45,7 @@ class SimulatedPlant(Simulation):
     """Labels of the simulated effects."""
 
     def status(self) -> Status:
-        """Return the status for /diagnostics; see `hydro_bridge.safety.plant_side.PlantSide`."""
+        """Return the status for /diagnostics; see `hydro_bridge.safety.plant_side.PlantInterface`."""
         speed = self.samples * SAMPLE_PERIOD / max(time.monotonic() - self.began, SAMPLE_PERIOD)
         values = {
             "samples": self.samples,
@@ -86,7 +86,7 @@ class SimNode(PlantNode):
         self.connect(self.simulation)
         info = box_info(believed, config, SIMULATED_BOX)
         guard.valve_current_max = info.valve_current_max
-        self._known, self._law = known_box(info, believed.to_mapping(), self.get_name()), config.compensated
+        self._known, self._law = describe_box(info, believed.to_mapping(), self.get_name()), config.compensated
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
         log(f"this node runs under {request_realtime(realtime=realtime and self.simulation.real_time)}")
 

@@ -25,7 +25,7 @@ from typing import Annotated, Any
 
 from hydro_bridge.plant_clock import Pace, parse_pace
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.plant_side import PlantSide
+from hydro_bridge.safety.plant_side import PlantInterface
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.process.realtime import Pacer, disable_timer_slack
 from hydro_core.settings import check, quantity
@@ -58,12 +58,12 @@ class SimSettings:
         parse_pace(self.pace)
 
 
-class Simulation(PlantSide):
+class Simulation(PlantInterface):
     """A running simulation.
 
     `box`, `plant`: the parts; `run` alone touches them. `settings`: pace and seed. `on_state`: called in the thread of
     `run` with each sample's stamp [ns], ROS time in real time, else the simulation's own, and with its record as a
-    tuple in the order of STATE_DTYPE. `guard`, `log`, `pace`: see `PlantSide`.
+    tuple in the order of STATE_DTYPE. `guard`, `log`, `pace`: see `PlantInterface`.
     """
 
     def __init__(

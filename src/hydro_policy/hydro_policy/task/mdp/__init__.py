@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The task as a Markov decision process, for trainer, pretraining and the Gymnasium environment.
 
-observations   13 numbers (eq. obs)
-actions        2 numbers in [-1, 1], mapped linearly to [delta_kp, delta_ki] (eq. policy_action)
+observations   13 components (eq. obs)
+actions        2 components in [-1, 1], mapped linearly to [delta_kp, delta_ki] (eq. policy_action)
 rewards        eq. reward over the action's samples, penalty of a trip
 terminations   trips
-events         reference, bench and noise of an episode
+events         randomisation of an episode: reference, bench and noise
 steps          10 box samples of 1 ms; an episode is 1800 steps, 18 s
 settings       of all of these
 """

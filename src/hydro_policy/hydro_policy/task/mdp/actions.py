@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions (eq. policy_action): 2 numbers in [-1, 1], linearly onto the changes of the gains [1/s], [1/s^2]."""
+"""Actions (eq. policy_action): 2 components in [-1, 1], mapped linearly to gain changes [1/s], [1/s^2]."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ class GainRange:
         return float(kp), float(ki)
 
     def changes(self, actions: FloatArray) -> FloatArray:
-        """Return `gains` of many actions in [-1, 1], shape (..., 2) to (..., 2)."""
+        """Return the gain changes (delta_kp, delta_ki) of actions in [-1, 1], both of shape (..., 2)."""
         low = np.array((self.delta_kp_min, self.delta_ki_min))
         high = np.array((self.delta_kp_max, self.delta_ki_max))
         return np.asarray(low + 0.5 * (actions + 1.0) * (high - low))
 
     def action(self, delta_kp: float, delta_ki: float) -> FloatArray:
-        """Return the action [2] for these gains; not clamped."""
+        """Return the action [2] for these gain changes, without clamping."""
         low = np.array((self.delta_kp_min, self.delta_ki_min))
         high = np.array((self.delta_kp_max, self.delta_ki_max))
         return np.asarray(2.0 * (np.array((delta_kp, delta_ki)) - low) / (high - low) - 1.0)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events at an episode's start: its reference, its bench and the seed of its noise, all by its number and a seed.
+"""Randomisation of an episode: reference, bench and noise seed, as functions of the episode's number and a seed.
 
-Randomised are quantities of the bench that vary from day to day (spring, supply pressure), poorly known ones (oil,
-valve, friction, mass), sensor noise and transport delays. The box keeps assuming the bench it is configured for.
+Randomised are the bench's parameters that vary from day to day (spring, supply pressure), uncertain ones (oil, valve,
+friction, mass), sensor noise and transport delays. The bench assumed by the box stays the configured one.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from hydro_sim.model.plant import AnalyticPlant
 
 NOISE, BENCH, EXAMINED, KNOWN = 1, 2, 3, 4
-"""Streams of random numbers of one episode: seed of its noise, its bench, the bench of that number in an examination,
-and whether its bench is drawn at all."""
+"""Random streams of one episode: seed of its noise, its bench, the bench of that number in an examination, choice
+between known and drawn bench."""
 
 _R2: FloatArray = np.array((0.7548776662466927, 0.5698402909980532))  # 1 / p, 1 / p^2 with p^3 = p + 1
 
@@ -44,12 +44,12 @@ def reference(task: TaskSettings, episode: int, seed: int) -> ReferenceSignal:
 
 
 def stream_seed(seed: int, episode: int, stream: int) -> int:
-    """Return the seed of a stream of an episode's random numbers, for a run's seed."""
+    """Return the seed of one random stream of an episode, from the run's seed."""
     return int(np.random.default_rng((seed, episode, stream)).integers(2**62))
 
 
 REACH = 0.8
-"""Share of the spring's largest force within the stroke that a reference may demand."""
+"""Largest amplitude of a reference, relative to the spring's force at half of the stroke."""
 
 _SPREAD = {
     "bulk_modulus": 0.2, "moving_mass": 0.2, "viscous_friction": 0.5, "friction_coulomb": 0.5, "friction_stribeck": 0.5,
@@ -67,7 +67,7 @@ _OF_EFFECTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Randomisation:
-    """Ranges that each episode's bench is drawn from, uniformly (spring: uniformly in its logarithm)."""
+    """Domain randomisation: ranges of each episode's bench, uniform distributions (spring: log-uniform)."""
 
     known_share: Annotated[float, quantity("-", 0.0, 1.0)] = 0.125
     """Share of the episodes that run on the bench as it is known."""
@@ -98,23 +98,23 @@ class Randomisation:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomisedBench:
-    """One randomised bench."""
+    """Randomised bench of an episode: plant, and transport delays [samples]."""
 
     plant: AnalyticPlant
     spring: float
-    """N/m."""
+    """Spring stiffness [N/m]."""
     gain_delay: int
     dead_time: int
     stroke: float
-    """m."""
+    """Stroke of the piston [m]."""
 
     def within_reach(self, reference: ReferenceSignal) -> ReferenceSignal:
-        """Return the reference with its amplitude limited to the spring's force within the stroke."""
+        """Return the reference with its amplitude limited to `REACH` times the spring's force at half of the stroke."""
         return replace(reference, amplitude=min(reference.amplitude, REACH * 0.5 * self.stroke * self.spring))
 
 
 def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedBench:
-    """Draw a bench around `source`."""
+    """Draw a bench with parameters randomised around those of `source`."""
     from hydro_sim.model.plant import AnalyticPlant  # numba: not needed to draw a reference
     from hydro_sim.model.sensors import Sensors
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Observations (eq. obs): 13 numbers, each (value - center) / scale, both a share of the bench's size."""
+"""Observations (eq. obs): 13 components (value - center) / scale, both proportional to the bench's size."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def normalization(size: Size) -> tuple[FloatArray, FloatArray]:
 
 
 def observe(sample: FloatArray, previous_action: FloatArray, size: Size) -> FloatArray:
-    """Return eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (..., 13), on a bench of this size.
+    """Return the normalized observation (eq. obs) o = [x, f_r, f_r', e, previous action], shape (..., 13).
 
     `sample`: in the order of `STATE_FIELDS`, shape (..., 14), SI units. `previous_action`: shape (..., 2), within
-    [-1, 1].
+    [-1, 1]. `size`: size of the bench.
     """
     center, scale = normalization(size)
     observation = np.empty((*sample.shape[:-1], OBSERVATIONS))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rewards, without unit: eq. reward of what an action's samples tracked, and what a trip costs."""
+"""Rewards [-]: tracking reward over an action's samples (eq. reward), and penalty of a trip."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hydro_policy.task.mdp.settings import TaskSettings
 
 
 def tracking(task: TaskSettings, error: FloatArray, error_rate: FloatArray) -> FloatArray:
-    """Return eq. reward (at power 2) of the means over an action's samples: e [N], e' [N/s], (..., n) to (...).
+    """Return the tracking reward (eq. reward at power 2) from means of e [N], e' [N/s] over samples, (..., n) to (...).
 
     The paper evaluates it at one instant, where the derivative's noise alone contributes -20 per step. In the mean over
     ten samples, which is the change of e over the step, it contributes -2; the weight of tracking is the same.

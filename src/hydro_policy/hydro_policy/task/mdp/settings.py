@@ -15,7 +15,7 @@ from hydro_sim.model.bench import NOMINAL
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSettings:
-    """Reward, gains, episodes (paper eq. reward, Table training_agent; units from physics.md)."""
+    """Settings of the task: reward, gains, episodes (paper eq. reward, Table training_agent; units: physics.md)."""
 
     error_weight: Annotated[float, quantity("-", 0.0, 1e6)] = 100.0
     """Q_1, on the square of e / force_scale."""

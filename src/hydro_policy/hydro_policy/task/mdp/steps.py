@@ -18,15 +18,15 @@ from hydro_core.signals import SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray
 from hydro_policy.task.mdp.observations import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
 
 HOLD_FLAGS = int(Flag.WATCHDOG | Flag.FILTER_STALE)
-"""Flags under which the box held base gains, so that the result is not due to the action: see `hold_flags`."""
+"""Flags of base gains in place of the commanded gains, so that a result is not due to the action: see `hold_flags`."""
 
 VALVE_CURRENT, KP, KI = map(STATE_FIELDS.index, ("valve_current", "proportional_gain", "integral_gain"))
 
 
 def hold_flags(flags: Any, k_p: Any, k_i: Any, base: tuple[float, float] | None) -> Any:
-    """Return the bits of `HOLD_FLAGS` with which the box held base gains.
+    """Return the bits of `HOLD_FLAGS` in samples under base gains in place of the commanded gains, else 0.
 
-    A plant that requires no filter (`guard.require_filter`) passes other gains with FILTER_STALE, too: they act.
+    A plant that requires no filter (`guard.require_filter`) applies commanded gains under FILTER_STALE, too: 0 there.
 
     `flags`, `k_p`, `k_i`: of one sample, or arrays of one shape; 1/s and 1/s^2. `base`: base gains K_p, K_i; None: each
     flagged sample counts (MISMATCH, under which narrow gains act; another law).
@@ -52,7 +52,7 @@ class Step:
 
 @dataclass
 class StepClock:
-    """Collects samples; every tenth sequence number completes a step.
+    """Assembly of samples into policy steps: every tenth sequence number completes a step.
 
     If that very sample is lost, the next one to arrive is the step: acting continues, but the step is not `whole`.
     """
@@ -68,9 +68,9 @@ class StepClock:
     def add(
         self, sequence: int, sample: FloatArray, flags: int, base: tuple[float, float] | None = None
     ) -> Step | None:
-        """Add a sample, which stays as it is from now on; returns the step that it completes, if any.
+        """Add a sample, not to be modified afterwards; returns the step that it completes, or None.
 
-        Repeated samples are ignored. `base`: of `hold_flags`.
+        Repeated samples are ignored. `base`: see `hold_flags`.
         """
         if sequence == self._last:
             return None

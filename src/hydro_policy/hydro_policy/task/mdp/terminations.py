@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terminations. The end of an episode's time is none: the next state's value is bootstrapped (truncation)."""
+"""Terminations of an episode. Its time limit is a truncation instead: the next state's value is bootstrapped."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from hydro_core.signals import FAULTS
 
 
 def tripped(flags: Any) -> Any:
-    """Return whether the box tripped on the force limit or a sensor; flags of a sample, or an array of such.
+    """Return whether the box reports a force-limit or sensor fault; `flags`: of a sample, or an array of them.
 
-    Without these a box trips where it heard no commands, which is not due to the action.
+    A trip without these faults is due to missing commands, not to the action.
     """
     return (flags & FAULTS) != 0

@@ -70,7 +70,7 @@ class Parameter:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Hidden:
+class HiddenState:
     """A hidden state of an effect."""
 
     name: str
@@ -98,7 +98,7 @@ def fit(*probes: float, smallest: float = 0.0, **more: Any) -> dict[str, Any]:
 
 def hidden(unit: str, *, scale: float, integrated: bool = False, starts: str = "") -> Any:
     """Declare a hidden state, named by its attribute."""
-    return Hidden(name="", unit=unit, scale=scale, integrated=integrated, starts=starts)
+    return HiddenState(name="", unit=unit, scale=scale, integrated=integrated, starts=starts)
 
 
 _DISPLAY_UNITS = {
@@ -174,16 +174,16 @@ class Effect:
     all_edges: ClassVar[bool] = False
     """Whether both edges of a chamber may be open at the same time."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
-    states: ClassVar[tuple[Hidden, ...]] = ()
+    states: ClassVar[tuple[HiddenState, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         parameters, states = {one.name: one for one in cls.parameters}, list(cls.states)
-        own = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter | Hidden)}
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter | HiddenState)}
         for name, one in own.items():
             if hasattr(Effect, name):
                 raise TypeError(f"{cls.__name__}: {name} is the name of a term, not of a parameter or a state")
             delattr(cls, name)
-            if isinstance(one, Hidden):
+            if isinstance(one, HiddenState):
                 states.append(replace(one, name=name))
             else:  # declared again: in the place of the first
                 parameters[name] = replace(one, name=name, fit=one.fit and replace(one.fit, name=name))

@@ -19,9 +19,9 @@ from hydro_sim.model.equations import Symbol, choose
 
 LEVEL_MIN = 1e-6
 """Lower bound [N] of a bristle's level."""
-STRONGEST = 5e3
+FORCE_MAX = 5e3
 """Largest force [N] of a cause, unless the recorded machine is larger."""
-HEAVIEST = 1e6
+DAMPING_MAX = 1e6
 """Largest damping [N s/m] of a cause, unless the recorded machine is larger."""
 
 
@@ -35,7 +35,7 @@ class FrictionCoulomb(_Friction):
 
     id = "friction_coulomb"
     says = "Dry friction of {force:.3g} N works against the motion at every speed."
-    force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=STRONGEST))
+    force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=FORCE_MAX))
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
         return level + self.force
@@ -50,8 +50,8 @@ class FrictionCoulombDirectional(_Friction):
         "Dry friction works against the motion: {force_positive:.3g} N while extending, {force_negative:.3g} N "
         "while retracting."
     )
-    force_positive = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=STRONGEST))
-    force_negative = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(6.0, smallest=0.3, high=STRONGEST))
+    force_positive = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=FORCE_MAX))
+    force_negative = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(6.0, smallest=0.3, high=FORCE_MAX))
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
         return level + choose(velocity > 0.0, self.force_positive, self.force_negative)
@@ -64,7 +64,7 @@ class FrictionStribeck(_Friction):
     says = (
         "Near standstill friction rises by {breakaway_force:.3g} N; the rise is gone above about {velocity:.3g} mm/s."
     )
-    breakaway_force = parameter("N", 0.0, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, high=STRONGEST))
+    breakaway_force = parameter("N", 0.0, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, high=FORCE_MAX))
     velocity = parameter("m/s", 1e-4, 10.0, scale=0.01, neutral=0.01, fit=fit(0.006, 0.02, low=2e-3, high=0.06))
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
@@ -72,7 +72,7 @@ class FrictionStribeck(_Friction):
         return level + self.breakaway_force * np.exp(-ratio * ratio)
 
 
-_VISCOUS = fit(30.0, smallest=1.5, low=-HEAVIEST, high=HEAVIEST)
+_VISCOUS = fit(30.0, smallest=1.5, low=-DAMPING_MAX, high=DAMPING_MAX)
 
 
 class FrictionViscousDirectional(_Friction):
@@ -89,7 +89,7 @@ class FrictionViscousDirectional(_Friction):
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         extending, retracting = super().fitted_parameters(bench)
-        low = -bench.viscous_friction if isfinite(bench.viscous_friction) else -HEAVIEST
+        low = -bench.viscous_friction if isfinite(bench.viscous_friction) else -DAMPING_MAX
         return replace(extending, low=low), replace(retracting, low=low, probes=(-15.0 if low < -30.0 else 15.0,))
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:

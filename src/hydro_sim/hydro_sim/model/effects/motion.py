@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model.effects.base import Effect, FitParameter, fit, hidden, parameter
-from hydro_sim.model.effects.friction import STRONGEST
+from hydro_sim.model.effects.friction import FORCE_MAX
 from hydro_sim.model.equations import Symbol, clip
 
 QUADRATIC_DEPTH = 5e-3
@@ -24,7 +24,7 @@ class ForceOffset(Effect):
     equations = ("motion",)
     family = "friction"
     says = "A constant force of {force:.3g} N acts on the moving mass (for instance its weight on a slope)."
-    force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, low=-STRONGEST, high=STRONGEST))
+    force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, low=-FORCE_MAX, high=FORCE_MAX))
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         return -self.force

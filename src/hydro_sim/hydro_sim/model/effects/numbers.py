@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Any, ClassVar
 
 from hydro_sim.model.effects.base import Effect, FitParameter, fit, parameter
-from hydro_sim.model.effects.friction import HEAVIEST
+from hydro_sim.model.effects.friction import DAMPING_MAX
 
 
 class Correction(Effect):
@@ -33,7 +33,7 @@ class Change(Correction):
         setattr(n, self.number, getattr(n, self.number) + getattr(self, self.parameters[0].name))
 
 
-class TrueValue(Correction):
+class ValueCorrection(Correction):
     """Correction by the parameter's true value; the start value of its fit is relative to the file's."""
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
@@ -45,7 +45,7 @@ class TrueValue(Correction):
         setattr(n, self.number, getattr(self, self.parameters[0].name))
 
 
-class Ratio(Correction):
+class RatioCorrection(Correction):
     """Correction by the ratio of the parameter's true value to the file's."""
 
     words: str
@@ -69,7 +69,7 @@ class FrictionViscous(Change):
     family = "friction"
     says = "The viscous friction is {size:.3g} N s/m {more} than the bench file says."
     coefficient = parameter("N s/m", -1e9, 1e9, scale=30.0,
-                            fit=fit(30.0, smallest=1.5, low=-HEAVIEST, high=HEAVIEST))  # fmt: skip
+                            fit=fit(30.0, smallest=1.5, low=-DAMPING_MAX, high=DAMPING_MAX))  # fmt: skip
 
 
 class MovingMass(Change):
@@ -83,7 +83,7 @@ class MovingMass(Change):
     mass = parameter("kg", -1e7, 1e7, scale=0.3, fit=fit(0.3, smallest=0.05, low=-1e3, high=1e3))
 
 
-class SpringStiffness(Ratio):
+class SpringStiffness(RatioCorrection):
     """Ratio of the spring stiffness k_s to the bench file's."""
 
     id, number = "spring_stiffness", "spring_stiffness"
@@ -93,7 +93,7 @@ class SpringStiffness(Ratio):
     ratio = ratio_parameter(0.1, smallest=0.002, low=0.05, high=20.0)
 
 
-class SpringRest(TrueValue):
+class SpringRest(ValueCorrection):
     """True rest position of the spring."""
 
     id, number = "spring_rest", "spring_rest_position"
@@ -103,7 +103,7 @@ class SpringRest(TrueValue):
     position = parameter("m", -5.0, 5.0, scale=1e-3, fit=fit(1e-3, smallest=2e-5))
 
 
-class SupplyPressure(Ratio):
+class SupplyPressure(RatioCorrection):
     """Ratio of the supply pressure p_s to the bench file's."""
 
     id, number, words = "supply_pressure", "supply_pressure", "supply pressure"
@@ -111,7 +111,7 @@ class SupplyPressure(Ratio):
     ratio = ratio_parameter(0.05)
 
 
-class TankPressure(TrueValue):
+class TankPressure(ValueCorrection):
     """True tank pressure p_t."""
 
     id, number = "tank_pressure", "tank_pressure"
@@ -121,7 +121,7 @@ class TankPressure(TrueValue):
     pressure = parameter("Pa", 0.0, 1e7, scale=1e5, fit=fit(2e5, smallest=1e4, high=5e6))
 
 
-class PistonArea(Ratio):
+class PistonArea(RatioCorrection):
     """Ratio of the piston area A_p, and with it of A_b = alpha A_p, to the bench file's."""
 
     id, number, words = "piston_area", "piston_area", "piston area"
@@ -130,7 +130,7 @@ class PistonArea(Ratio):
     ratio = ratio_parameter(0.02)
 
 
-class AreaRatio(Ratio):
+class AreaRatio(RatioCorrection):
     """Ratio of the area ratio alpha to the bench file's."""
 
     id, number, words = "area_ratio", "area_ratio", "ratio of the piston areas"
@@ -139,7 +139,7 @@ class AreaRatio(Ratio):
     ratio = ratio_parameter(0.02)
 
 
-class DeadVolume(Ratio):
+class DeadVolume(RatioCorrection):
     """Ratio of a chamber's dead volume V_dead to the bench file's."""
 
     id = "dead_volume"

@@ -96,7 +96,7 @@ class ValveDeadband(_Valve):
         return spool - clip(spool, -self.half_width, self.half_width)
 
 
-class ValveDeadbandLopsided(ValveDeadband):
+class ValveDeadbandAsymmetric(ValveDeadband):
     """Overlap with a half width on each side: equivalent to a symmetric overlap and a null shift, in one cause."""
 
     options = {"form": ("lopsided",)}
@@ -192,6 +192,6 @@ def _softplus(ratio: Symbol) -> Symbol:
 
 
 EFFECTS = (
-    TransportDelay, ValveOffset, ValveLag, ValveLagFirstOrder, ValveDeadband, ValveDeadbandLopsided, ValveDeadbandSoft,
-    ValveGain, ValveGainAsymmetry, ValveGainDrift, ValveNullLeakage,
+    TransportDelay, ValveOffset, ValveLag, ValveLagFirstOrder, ValveDeadband, ValveDeadbandAsymmetric,
+    ValveDeadbandSoft, ValveGain, ValveGainAsymmetry, ValveGainDrift, ValveNullLeakage,
 )  # fmt: skip
