@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -111,17 +112,17 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(training: Tr
     ended = time.time()
     probe.wait(lambda: read_bag(run.bag)[GAINS]["time"].max() > ended)
 
-    def overrides() -> int:
-        return sum(event["kind"] == "override" for event in json.loads(run.record.read_text())["events"])
+    def events() -> list[dict[str, Any]]:
+        return [event for event in json.loads(run.record.read_text())["events"] if event["kind"] == "override"]
 
-    probe.wait(lambda: overrides() == 4)  # taken, over; taken, ended
+    probe.wait(lambda: len(events()) == 4)  # taken, over; taken, ended
     bag = read_bag(run.bag)
     gains, states = bag[GAINS], bag.state
     held = np.isclose(gains["delta_kp"], 45.0) & np.isclose(gains["delta_ki"], 5.0)
     first, last = np.flatnonzero(held)[[0, -1]]
     assert held[first : last + 1].all(), "nobody else's gains in between"
     # Counted in policy steps, not in milliseconds: one may be under way, and a busy machine may stand still in between.
-    told, times = datetime.fromisoformat(events[0]["time"]).timestamp(), gains["time"]
+    told, times = datetime.fromisoformat(events()[0]["time"]).timestamp(), gains["time"]
     assert ((times > told) & (times < times[first])).sum() <= 1, "from the next policy step on"
     assert (held & (times > told + 3.0)).sum() <= 1, "not longer than asked for"
     assert times[last + 1] - told > 3.0 - 0.02, "and for so long nobody else's"
