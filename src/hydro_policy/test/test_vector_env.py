@@ -87,6 +87,8 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
     assert tripped == 0 < other
     following = environment.step(np.array([[-1.0, 0.0], [-1.0, 0.0]]))
     assert not following.terminated.any() and following.samples[0]["sequence"][0] == 1
+    following.reward[0] = np.nan
+    assert len(following.rows()) == 1 and len(following.rows(1)) == 0, "no other bench's row takes its place"
 
 
 def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:

@@ -181,7 +181,8 @@ class Search:
     def nothing(self) -> SearchOutcome:
         """Return the outcome without claims."""
         problem = self.problem.reweighted(())
-        return SearchOutcome(problem, fit(problem, ()), fit(problem, ()))
+        nothing = fit(problem, ())
+        return SearchOutcome(problem, nothing, nothing)
 
     def _with_given_numbers(self) -> SearchOutcome | None:
         """Return the outcome of a search at the given bench parameters, then estimated jointly with its claims.

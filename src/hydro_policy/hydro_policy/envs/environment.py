@@ -64,10 +64,10 @@ class Transitions:
     terminated: npt.NDArray[np.bool_]  # whether the box tripped, shape (n,)
     samples: StateArray  # the ten samples, shape (n, 10)
 
-    def rows(self) -> npt.NDArray[np.float32]:
-        """Return the transitions as rows of the replay buffer, shape (m, width), without those of non-finite values."""
+    def rows(self, count: int | None = None) -> npt.NDArray[np.float32]:
+        """Return the finite transitions of the first `count` benches (all) as rows of the replay buffer, (m, width)."""
         last = np.stack((self.reward, self.terminated), axis=1)
-        rows = np.concatenate((self.observation, self.following, self.action, last), axis=1)
+        rows = np.concatenate((self.observation, self.following, self.action, last), axis=1)[:count]
         return rows[np.isfinite(rows).all(axis=1)].astype(np.float32)
 
 

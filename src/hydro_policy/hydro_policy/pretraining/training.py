@@ -118,7 +118,7 @@ class Pretraining:
         for _ in range(training.task.steps_per_episode):
             transitions = self.environment.step(self.policy.act(observation, self.rng))
             observation = self.environment.observation
-            self.replay.extend(transitions.rows()[:count])
+            self.replay.extend(transitions.rows(count))
             due = training.updates_due(self.replay.produced) - self.sac.updates
             if due > 0:
                 self.sac.learn(self.replay, due)
