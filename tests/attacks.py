@@ -54,7 +54,7 @@ class Defended:
             lambda: not self.probe.flags() & Flag.FILTER_STALE and len(states) > 100,
         )
         self.probe.wait(lambda: self.probe.commander.held and ready(), 120.0, required=False)
-        assert self.probe.commander.held and ready(), self.text
+        assert self.probe.commander.held and ready(), (self.probe.commander.held, len(states), self.text)
 
     @property
     def epoch(self) -> int:

@@ -27,8 +27,10 @@ def reserved_domain() -> Iterator[str]:
 
 @contextmanager
 def own_domain() -> Iterator[None]:
-    """Nodes and processes that begin within it have a domain of their own, on this machine only."""
-    with reserved_domain() as domain:
-        own = {"ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        with patch.dict(os.environ, own):
-            yield
+    """Nodes and processes that begin within it have a domain of their own, on this machine only.
+
+    Call `restrict_to_localhost` before. The range LOCALHOST would give a test's own nodes shared memory, which others
+    open anew where a busy machine lets its reader answer later than in a second: then nothing arrives there.
+    """
+    with reserved_domain() as domain, patch.dict(os.environ, {"ROS_DOMAIN_ID": domain}):
+        yield
