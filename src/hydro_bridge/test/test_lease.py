@@ -44,6 +44,16 @@ def test_a_claim_lapses_with_silence_in_which_no_command_of_the_holders_came(lea
     assert not lease.expire(100.0), "nobody is there to lose it"
 
 
+def test_a_claim_from_before_a_plant_counted_by_its_box_lapses_too() -> None:
+    """A holder whose grant was lost asks as a stranger; the host's clock may be days ahead of the box's."""
+    lease = Lease()
+    assert lease.take("trainer", 0, 2e5) == ""
+    assert "trainer commands this plant" in lease.take("trainer", 0, 1.0) and not lease.expire(1.0 + SILENCE)
+    assert lease.expire(1.1 + SILENCE) and lease.take("trainer", 0, 5.0) == ""
+    lease.release(lease.claim, 2e5, "evaluate")
+    assert lease.take("collect", 0, 6.0) != "" and lease.take("collect", 0, 6.1 + HANDOVER_TIME) == ""
+
+
 def test_what_carries_no_epoch_or_an_old_one_is_refused_and_counted(lease: Lease) -> None:
     old = lease.epoch
     lease.end_session(10.0)

@@ -59,6 +59,7 @@ class Lease:
 
     def take(self, name: str, claim: int, now: float) -> str:
         """Grant the lease to `name`, or renew that of `claim`; return the reason of a refusal, else empty."""
+        self._follow(now)
         kept = self.held_by(claim)
         if self.holder and not kept and now - self._renewed <= SILENCE:
             return f"{self.holder} commands this plant: end it, or wait until it gives the lease back"
@@ -82,7 +83,16 @@ class Lease:
 
     def expire(self, now: float) -> bool:
         """Release the lease of a holder silent for `SILENCE`; return whether there was one. Not while armed."""
+        self._follow(now)
         return now - self._renewed > SILENCE and self.release(self.claim, now)
+
+    def _follow(self, now: float) -> None:
+        """Follow a clock that went back: before its box is connected a plant counts by the host's, then by the box's.
+
+        A lease granted before would else never lapse, and a holder that missed its grant would wait for itself.
+        """
+        self._renewed, self._ended = min(self._renewed, now), min(self._ended, now)
+        self._kept_until = min(self._kept_until, now + HANDOVER_TIME)
 
     def end_session(self, now: float) -> None:
         """End the session, after a disarming, a trip or a change of holder: its commands are refused from now on."""
