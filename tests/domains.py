@@ -29,8 +29,7 @@ def reserved_domain() -> Iterator[str]:
 def own_domain() -> Iterator[None]:
     """Nodes and processes that begin within it have a domain of their own, on this machine only.
 
-    Call `restrict_to_localhost` before. The range LOCALHOST would give a test's own nodes shared memory, which others
-    open anew where a busy machine lets its reader answer later than in a second: then nothing arrives there.
+    Call `restrict_to_localhost` before: the range LOCALHOST would give a test's nodes shared memory (decision 0059).
     """
     with reserved_domain() as domain, patch.dict(os.environ, {"ROS_DOMAIN_ID": domain}):
         yield

@@ -86,10 +86,13 @@ def check_command_accepted(host: Host) -> None:
 
 
 def check_unchanged(host: Host, name: str) -> None:
-    """Check that a field keeps the value from before the step in every state, but for base gains of the watchdog."""
-    before = state_value(host.states[host.marked - 1], name)
-    now = {state_value(state, name) for state in host.new_states if not state.flags & Flag.WATCHDOG}
-    if other := now - {before}:
+    """Check that a field keeps the value from before the step, in every state before the watchdog takes base gains."""
+    last = host.states[host.marked - 1]
+    before = state_value(last, name)
+    compared = [state for state in host.new_states if not state.flags & ~last.flags & Flag.WATCHDOG]
+    if not compared:
+        raise ViolationError(f"{name} cannot be compared: every state has WATCHDOG")
+    if other := {state_value(state, name) for state in compared} - {before}:
         raise ViolationError(f"{name} was {before:g}, and became {max(other):g}")
 
 

@@ -164,9 +164,9 @@ class Search:
         self.steps: list[Step] = []
         """Steps of the search so far: additions and swaps."""
         self._begun = problem.budget.evaluations
-        self._mended = False
+        self._passed_over = False
         """Whether a candidate was skipped that may only correct a form error of its family."""
-        self._mending = False
+        self._unguarded = False
         """Whether such candidates are accepted."""
         self._shortlists = Shortlists(self.library, self.settings)
 
@@ -212,10 +212,10 @@ class Search:
         the end nothing remains.
         """
         self.steps.clear()
-        self._mending = self._mended = False
+        self._unguarded = self._passed_over = False
         outcome = self._grown(SearchOutcome(self.problem.reweighted(()), nothing, nothing))
-        if self._mended and outcome.problem.noticeable(outcome.fit.residual):
-            self._mending = True
+        if self._passed_over and outcome.problem.noticeable(outcome.fit.residual):
+            self._unguarded = True
             whole = self._grown(replace(outcome, steps=[*outcome.steps], rivals={**outcome.rivals}))
             if not whole.problem.noticeable(whole.fit.residual):
                 return whole
@@ -270,10 +270,10 @@ class Search:
             self._shortlists.polish(problem, base, best + REFIT_MARGIN * (base.score - best), POLISHED)
         better = [one for one in self._shortlists.extensions(problem, base, 0.0) if one.score <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
-        if self._mending or not evidence or not form_error(problem, base, evidence[0]):
+        if self._unguarded or not evidence or not form_error(problem, base, evidence[0]):
             return evidence
         if not self._completed(problem, base, evidence[0]):
-            self._mended = True
+            self._passed_over = True
             evidence = [one for one in evidence[1:] if acts_in_other_channels(problem, base, evidence[0], one)]
         return evidence
 
