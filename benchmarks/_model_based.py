@@ -41,7 +41,7 @@ from scipy.sparse import csc_matrix
 
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_diagnosis.pipeline import diagnose
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs
@@ -138,7 +138,7 @@ class Oracle(Fixed):
         middle = SAMPLES_PER_STEP * np.arange(LONGEST) + SAMPLES_PER_STEP // 2 + AHEAD
         self._learned += GAIN * BEGIN * smooth[:, np.minimum(middle, smooth.shape[1] - 1)]
         self._learned = np.clip(self._learned, -LARGEST, LARGEST)
-        self._error[:], self.added[:], self.coefficients[:], self.steps = 0.0, 0.0, NEUTRAL, 0
+        self._error[:], self.added[:], self.coefficients[:], self.steps = 0.0, 0.0, NEUTRAL_COEFFICIENTS, 0
 
 
 def run(

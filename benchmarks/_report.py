@@ -28,7 +28,7 @@ def parser(name: str, description: str | None, *, parallel: bool = False) -> arg
 
 def results(
     function: Callable[..., Any], arguments: jobs.Arguments, asked: argparse.Namespace, version: object,
-    kept: Path | None = None, **shown: str,
+    results_file: Path | None = None, **shown: str,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the results of jobs by name, in the order of the names.
 
@@ -40,15 +40,15 @@ def results(
         Options of a parallel `parser`.
     version
         All that decides a result beside the arguments' names: the code's version, options.
-    kept
+    results_file
         File of the results (default: .rows beside the file of --json).
     shown
         `label` and `unit` of the progress bar.
     """
     digest = hashlib.sha256(repr(version).encode()).hexdigest()[:12]
-    kept = kept or (asked.json.with_suffix(".rows") if asked.json else None)
+    results_file = results_file or (asked.json.with_suffix(".rows") if asked.json else None)
     keyed = {f"{digest} {name}": values for name, values in arguments.items()}
-    found = jobs.run_all(function, keyed, kept=kept, **jobs.job_options(asked), **shown)
+    found = jobs.run_all(function, keyed, results_file=results_file, **jobs.job_options(asked), **shown)
     return dict(zip(arguments, found.values(), strict=True))
 
 

@@ -81,7 +81,7 @@ def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
     arrays.x[index] = plant.measurement()
 
 
-vector_env.KINDS[TruthPlant] = (_rows, _copy)
+vector_env.PLANT_TYPES[TruthPlant] = (_rows, _copy)
 
 
 def truth_fleet(truths: Sequence[TruthConfig]) -> VectorBench:
@@ -123,7 +123,7 @@ def drawn_truths(count: int, seed: int) -> dict[str, dict[str, Any]]:
 
 
 def tracked(
-    fleet: VectorBench, cases: Sequence[Case], choose: vector_runs.Chooser, settings: EvaluationSettings,
+    fleet: VectorBench, cases: Sequence[Case], controller: vector_runs.VectorController, settings: EvaluationSettings,
     compensator: Compensator | None = None, residual: Residual | None = None, *, seed: int = 0,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Run bench i of a fleet with case i; a row of figures for each, over whole periods behind settling.
@@ -133,7 +133,7 @@ def tracked(
     """
     sums, tripped = np.zeros((5, len(cases))), np.zeros(len(cases), bool)
     before = fleet.samples["valve_current"][:, -1]
-    for step in vector_runs.run(fleet, cases, choose, settings, seed, compensator, residual):
+    for step in vector_runs.run(fleet, cases, controller, settings, seed, compensator, residual):
         wanted, current = step.samples["reference_force"], step.samples["valve_current"]
         rate = np.diff(current, axis=1, prepend=before[:, np.newaxis]) / SAMPLE_PERIOD
         before = current[:, -1].copy()
@@ -154,12 +154,12 @@ def tracked(
 
 def _played(case: Case, settings: EvaluationSettings) -> FloatArray:
     """The reference [N] as a box plays it behind settling."""
-    if not case.pieces:
+    if not case.segments:
         return reference_force(case.signal, np.arange(settings.settle, settings.duration(case), SAMPLE_PERIOD))[0]
-    fade = SAMPLE_PERIOD * np.arange(recorded.SAMPLES)
+    fade = SAMPLE_PERIOD * np.arange(recorded.SEGMENT_SAMPLES)
     rising = 3.0 * (fade / FADE_TIME) ** 2 - 2.0 * (fade / FADE_TIME) ** 3
     parts, leaving = [], np.zeros(len(fade))
-    for signal in (case.signal, *case.pieces):
+    for signal in (case.signal, *case.segments):
         parts.append(leaving + rising * (reference_force(signal, fade)[0] - leaving))
         leaving = reference_force(signal, FADE_TIME + fade)[0]
     return np.concatenate(parts)[round(settings.settle / SAMPLE_PERIOD) :]

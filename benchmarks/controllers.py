@@ -40,7 +40,7 @@ from hydro_core.signals import FloatArray
 from hydro_policy.compensation.estimator import Compensator, LoadCell
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
-from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
+from hydro_policy.envs.vector_runs import VectorController, VectorPolicyController
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.sac.policy import Policy
@@ -100,11 +100,11 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 
 def measure(
-    config: TruthConfig, cases: Sequence[Case], choose: Chooser, compensator: Compensator | None = None,
+    config: TruthConfig, cases: Sequence[Case], controller: VectorController, compensator: Compensator | None = None,
     residual: Residual | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """Run every case on this truth; one row of figures for each (see `tracked`)."""
-    return tracked(truth_fleet([config] * len(cases)), cases, choose, SETTINGS, compensator, residual)
+    return tracked(truth_fleet([config] * len(cases)), cases, controller, SETTINGS, compensator, residual)
 
 
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:
@@ -116,7 +116,7 @@ def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[
     if name == "policy":
         shipped = load_initial_agent(SHIPPED)
         policy = policy_of(actor_parameters(shipped.agent), shipped)
-        return measure(config, cases, PolicyChooser(policy, shipped.gains))
+        return measure(config, cases, VectorPolicyController(policy, shipped.gains))
     law, residual = Compensator(count, law=BoxLaw()), None
     if name == "compensated_specimen":
         law = Compensator(count, law=BoxLaw(), cell=load_cell(config))
@@ -155,7 +155,7 @@ def best_gains(config: TruthConfig) -> tuple[float, float]:
     search = GridSearch(GRID)
     while (pair := search.next()) is not None:
         fleet, gains = truth_fleet([config] * len(SHORT.cases)), vector_runs.fixed_gains(np.array(pair))
-        search.tell(pair, vector_runs.rmse(fleet, SHORT.cases, gains, SHORT).tolist())
+        search.add_result(pair, vector_runs.rmse(fleet, SHORT.cases, gains, SHORT).tolist())
     return search.best
 
 

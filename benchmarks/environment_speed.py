@@ -28,7 +28,7 @@ def fleet(count: int) -> Callable[[], Any]:
     """Step of the environment that pretraining uses."""
     bench, task = Bench.nominal(), TaskSettings()
     environment = Environment(VectorBench([bench] * count, [AnalyticPlant(bench) for _ in range(count)]), task)
-    environment.begin([events.reference(task, index, 0) for index in range(count)], list(range(count)))
+    environment.reset([events.reference(task, index, 0) for index in range(count)], list(range(count)))
     actions = np.zeros((count, ACTIONS))
     return lambda: environment.step(actions)
 

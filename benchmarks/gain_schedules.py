@@ -32,22 +32,26 @@ def rmse(schedules: FloatArray, frequency: float, seed: int) -> FloatArray:
     """RMSE [N] of schedules in units of `RANGES`, shape (n, PHASES, 2); of one that trips `TRIPPED`."""
     steps = iter(range(10**6))
 
-    def choose(samples: FloatArray) -> FloatArray:
+    def controller(samples: FloatArray) -> FloatArray:
         share, phase = np.modf(next(steps) * SAMPLES_PER_STEP * SAMPLE_PERIOD * frequency % 1.0 * PHASES)
         begin, end = schedules[:, int(phase) % PHASES], schedules[:, (int(phase) + 1) % PHASES]
         return ((1.0 - share) * begin + share * end) * RANGES - BASE
 
-    return np.nan_to_num(track(choose, len(schedules), frequency, seed), nan=TRIPPED)
+    return np.nan_to_num(track(controller, len(schedules), frequency, seed), nan=TRIPPED)
 
 
 def track(
-    choose: vector_runs.Chooser, count: int, frequency: float, seed: int, compensator: Compensator | None = None
+    controller: vector_runs.VectorController,
+    count: int,
+    frequency: float,
+    seed: int,
+    compensator: Compensator | None = None,
 ) -> FloatArray:
     """RMSE [N] at 300 N, a second at least after the first two."""
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=frequency)
     settings = EvaluationSettings(settle=2.0, measure=1.0)
     cases = [Case("sine", signal)] * count
-    return vector_runs.rmse(truth_fleet([profile("default")] * count), cases, choose, settings, seed, compensator)
+    return vector_runs.rmse(truth_fleet([profile("default")] * count), cases, controller, settings, seed, compensator)
 
 
 def search(frequency: float, iterations: int, seed: int) -> FloatArray:

@@ -49,7 +49,7 @@ class Driver:
         self.told: dict[str, dict[str, str]] = {}
         create_subscription(self.node, DIAGNOSTICS, self._on_diagnostics)
         self._commander = Commander(self.node)
-        self._commander.reference(SINE)
+        self._commander.publish_reference(SINE)
         self._rng = np.random.default_rng(0)
         self._step = 0
         self._live = LiveCompensation(BoxLaw()) if law is Law.COMPENSATED else None
@@ -88,9 +88,9 @@ class Driver:
             steps, self._step = steps + 1, self._step + 1
             self._commander.renew_lease(time.monotonic())
             if self._live is not None:
-                self._commander.law(self._live.command, self._step)
+                self._commander.publish_law(self._live.command, self._step)
             delta_kp, delta_ki = self._rng.uniform((0.0, 0.0), self._largest)
-            self._commander.gains(delta_kp, delta_ki, self._step)
+            self._commander.publish_gains(delta_kp, delta_ki, self._step)
 
     def close(self) -> None:
         """End."""

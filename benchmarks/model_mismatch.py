@@ -38,7 +38,7 @@ from hydro_filter.controller.loop_filter import EQUATIONS, LoopFilter, default_f
 from hydro_filter.model.loop import make_samples
 from hydro_filter.model.records import new_memories, new_monitors, run_monitor
 from hydro_filter.validation.runs import CASES
-from hydro_policy.envs.vector_env import VectorBench, fleet_filter
+from hydro_policy.envs.vector_env import VectorBench, vector_filter
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_policy.supervision.plant_supervisor import FALLBACK
 from hydro_sim.emulator.truth.config import profile
@@ -85,7 +85,7 @@ def play(plant: Plant, controller: Controller, corrector: LoopFilter | None) -> 
     controller.reset()
     if corrector is not None:
         corrector.reset()
-    graph.reference(SINE)
+    graph.publish_reference(SINE)
     records, statuses = [], []
     for k in range(round(SECONDS / SAMPLE_PERIOD)):
         graph.arm(k > 0)
@@ -95,7 +95,7 @@ def play(plant: Plant, controller: Controller, corrector: LoopFilter | None) -> 
             break
         if k % SAMPLES_PER_STEP == 0:
             asked = controller.gains(np.array([records[-1][name] for name in STATE_FIELDS]))
-            graph.gains(*(FALLBACK if statuses[-1] == CorrectionStatus.MISMATCH else asked), 0)
+            graph.publish_gains(*(FALLBACK if statuses[-1] == CorrectionStatus.MISMATCH else asked), 0)
     return np.array(records), np.array(statuses, float)
 
 
@@ -157,7 +157,7 @@ def alarms(minutes: float, seed: int) -> Table:
 def run(plant: str, fleet: VectorBench, minutes: float, seed: int) -> dict[str, float]:
     """So many minutes of bench time, over benches with a noise, a reference and gains of their own."""
     rng, bench = np.random.default_rng(seed), Bench.nominal()
-    fleet.filters = fleet_filter("learned", bench, BENCHES)
+    fleet.filters = vector_filter("learned", bench, BENCHES)
     steps = max(round(60.0 * minutes / BENCHES / (SAMPLES_PER_STEP * SAMPLE_PERIOD)), 1)
     gains = np.stack(
         [CASES[GAINS[i % len(GAINS)]].draw_gains(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)]
@@ -168,8 +168,8 @@ def run(plant: str, fleet: VectorBench, minutes: float, seed: int) -> dict[str, 
         signal = ReferenceSignal(
             waveform=WAVEFORMS[i % len(WAVEFORMS)], amplitude=amplitude, offset=offset, frequency=frequency
         )
-        fleet.begin(i, signal, seed * BENCHES + i)
-    loop = default_filter(bench).parts["loop"]
+        fleet.reset(i, signal, seed * BENCHES + i)
+    loop = default_filter(bench).record["loop"]
     watched = [(new_memories(), new_monitors()) for _ in range(BENCHES)]
     highest, alarms = np.zeros(len(EQUATIONS)), 0
     tripped = np.zeros(BENCHES, bool)

@@ -24,8 +24,8 @@ from benchmarks._report import parser, results
 from benchmarks.prove.blind import ENGINE
 from hydro_core.cli.console import Table, bounded_number, command
 from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_diagnosis.bench_numbers import parse_bench
-from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
+from hydro_diagnosis.bench_parameters import parse_bench
+from hydro_diagnosis.effects import CANDIDATES, LIBRARY, EffectHypothesis
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -56,7 +56,7 @@ def trial(bench: Bench, seed: int) -> tuple[float, float | None, str]:
         gains = float(rng.uniform(30.0, 90.0)), float(rng.uniform(5.0, 15.0))
         recording = simulated_recording(bench, reference, gains=gains, seconds=20.0, noise=noise, seed=seed * 10 + k)
         segments += recording.segments
-    settings = SearchSettings(threshold=-1e3, most=1)
+    settings = SearchSettings(threshold=-1e3, max_claims=1)
     with threadpool_limits(1, "blas"):
         search = Search(Problem(segments, bench), [one.adapted(bench) for one in CANDIDATES], settings)
         search.run()
@@ -108,7 +108,11 @@ def covered(kind: str, strokes: bool, seed: int) -> list[tuple[bool, float]]:
     read["hydraulic_force"] = disturbed(kind, force, rng)
     bench = parse_bench({"moving_mass": 1.0}, frozenset())
     problem = Problem(check_recording(RawTable("run", time, None, read), bench).segments, bench)
-    claims = [Claim(effect.adapted(bench), FRICTION[effect.label]) for effect in LIBRARY if effect.label in FRICTION]
+    claims = [
+        EffectHypothesis(effect.adapted(bench), FRICTION[effect.label])
+        for effect in LIBRARY
+        if effect.label in FRICTION
+    ]
     problem = problem.reweighted(claims)
     found = fit(problem, claims)
     truth = [value for claim in claims for value in claim.values.values()]

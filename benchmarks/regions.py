@@ -11,8 +11,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from hydro_core.cli.console import command, make_parser
-from hydro_filter.region.facts import containment_share
-from hydro_filter.region.statement import TOLERANCED_PARAMETERS
+from hydro_filter.region.certified_region import TOLERANCED_PARAMETERS
+from hydro_filter.region.parameters import containment_share
 from hydro_filter.training.region_learning import RegionTarget, certify_region, simulate_states
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
@@ -41,7 +41,8 @@ def main() -> None:
     wanted = RegionTarget(
         law=BoxConfig().of_bench(bench).compensated if asked.law == "compensated" else None,
         gains=tuple(asked.gains), gain_rate=asked.gain_rate, rate=asked.rate, tolerance=asked.tolerance,
-        names=tuple(asked.numbers), split=asked.split, dead_time=asked.dead_time, forces=(asked.force,),
+        toleranced_parameters=tuple(asked.numbers), tolerance_parts=asked.split, dead_time_tolerance=asked.dead_time,
+        forces=(asked.force,),
     )  # fmt: skip
     statement = certify_region(model, bench, wanted)
     if statement is None:

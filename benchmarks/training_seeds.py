@@ -36,7 +36,7 @@ def train(kind: str, episodes: int, seed: int) -> tuple[int, float, float, float
         peak[0] = max(peak[0], float(np.abs(transitions.samples["load_force"]).max()))
 
     while not run.finished:
-        run.round(look)
+        run.run_round(look)
         if np.all(np.array(run.history[-1]["rmse"]) < run.reference_rmse):
             passed = min(passed, run.episode)
     return sum(entry["trips"] for entry in run.history), peak[0], passed, run.best_score

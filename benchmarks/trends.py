@@ -19,7 +19,7 @@ from benchmarks._report import parser
 from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, command
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.change_points import course
+from hydro_diagnosis.change_points import fit_trend
 from hydro_diagnosis.diagnose_many import write_study
 from hydro_diagnosis.trends import NEUTRAL, Series, series_of
 
@@ -66,7 +66,7 @@ def rows_of(name: str, true: FloatArray, rng: np.random.Generator) -> dict[int, 
     sd = NUMBERS[name][0] * np.exp(rng.uniform(np.log(0.5), np.log(2.0), DAYS))
     value, neutral = true + sd * rng.standard_normal(DAYS), NEUTRAL[name]
     cause, parameter = name.split(".")
-    claimed = np.flatnonzero(np.abs(value - neutral.neutral) > np.maximum(3.0 * sd, neutral.smallest))
+    claimed = np.flatnonzero(np.abs(value - neutral.neutral) > np.maximum(3.0 * sd, neutral.smallest_reported))
     return {
         day: {"cause": cause, "options": "", "parameter": parameter, "value": value[day], "unit": neutral.unit,
               "low": value[day] - 1.96 * sd[day], "high": value[day] + 1.96 * sd[day]}
@@ -98,17 +98,17 @@ def watched(kind: str, worn: str, begin: int, seed: int, every: int) -> dict[str
         known = 0
         for day in range(every, DAYS, every):
             seen = series.time <= day
-            found = course(series.time[seen], series.value[seen], series.sd[seen], series.bound[seen])
+            found = fit_trend(series.time[seen], series.value[seen], series.sd[seen], series.bound[seen])
             if found is None:
                 continue
-            if found.findings > known:
+            if found.finding_count > known:
                 alarms.append(day)
                 if found.changes and day >= begin:
                     dated.append((found.changes[-1].time, found.changes[-1].earliest, found.changes[-1].latest))
-            known = found.findings
-            if kind in ("wear", "slow wear") and found.running and day >= begin:
+            known = found.finding_count
+            if kind in ("wear", "slow wear") and found.has_slope and day >= begin:
                 sd, new = NUMBERS[worn]
-                limit, first, last = found.lines[-1].reaches(new + LIMIT * sd, True)
+                limit, first, last = found.lines[-1].time_to_limit(new + LIMIT * sd, True)
                 ahead[day] = tuple(day + one for one in (limit, first, last))
     return {"alarms": alarms, "dated": dated, "ahead": list(ahead.items())}
 

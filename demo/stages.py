@@ -80,7 +80,7 @@ def pretrain(plan: Plan, name: str, bench: Path) -> None:
         how = ["--episodes", str(plan.episodes), "--seed", str(seed)]
         arguments = where if where[0] == "--resume" else [*where, *simulated, *how]
         commands[run.name] = (["hydro_policy", "pretrain", *arguments, "--json", str(run / "curve.json")],)
-    jobs.run_all(_run, commands, at_once=plan.jobs, label=name, unit="training")
+    jobs.run_all(_run, commands, processes=plan.jobs, label=name, unit="training")
 
 
 def record(plan: Plan) -> list[Path]:

@@ -59,7 +59,7 @@ def _stop(parser: argparse.ArgumentParser, *_: object, **__: object) -> None:
 def executables(package: str) -> dict[str, str]:
     """Return a package's executables and the modules of their `main`, from its setup.py."""
     text = (ROOT / "src" / package / "setup.py").read_text(encoding="utf-8")
-    return dict(re.findall(r'"(\w+) = hydro_core\.process\.start:main_of\.([\w.]+)"', text))
+    return dict(re.findall(r'"(\w+) = hydro_core\.process\.startup:main_of\.([\w.]+)"', text))
 
 
 def parser_of(module: str) -> argparse.ArgumentParser:

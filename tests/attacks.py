@@ -53,8 +53,8 @@ class Defended:
             self.probe.heard[STATE],
             lambda: not self.probe.flags() & Flag.FILTER_STALE and len(states) > 100,
         )
-        self.probe.wait(lambda: self.probe.commander.held and ready(), 120.0, required=False)
-        assert self.probe.commander.held and ready(), (self.probe.commander.held, len(states), self.text)
+        self.probe.wait(lambda: self.probe.commander.holds_lease and ready(), 120.0, required=False)
+        assert self.probe.commander.holds_lease and ready(), (self.probe.commander.holds_lease, len(states), self.text)
 
     @property
     def epoch(self) -> int:
@@ -73,7 +73,7 @@ class Defended:
     def arm(self) -> None:
         """Arm, and track until the force has come to its reference."""
         self.probe.arm(False)
-        self.probe.commander.reference(SINE)
+        self.probe.commander.publish_reference(SINE)
         deadline = time.monotonic() + 60.0
         while not self.probe.ask(True).success:  # a stranger that has just left is forgotten soon
             assert time.monotonic() < deadline, "it cannot be armed"
@@ -101,7 +101,7 @@ class Defended:
         while (now := time.monotonic()) < end and not until():
             if now >= due:
                 due = now + 0.01
-                self.probe.commander.gains(75.0, 10.0)
+                self.probe.commander.publish_gains(75.0, 10.0)
                 self.probe.commander.renew_lease(now)
             if now >= next_one:
                 next_one = now + 0.005

@@ -89,8 +89,8 @@ def make_frame(sequence: int, random: Random) -> bytes:
         )  # fmt: skip
         command = Command(
             arm=random.random() < 0.5, delta_kp=numbers[4], delta_ki=numbers[5], delta_u=numbers[6], reference=signal,
-            corrects=random.getrandbits(32), filter_fresh=random.random() < 0.5, law=random.choice(tuple(Law)),
-            coefficients=(1.0, *numbers[7:10]),
+            corrected_sequence=random.getrandbits(32), filter_fresh=random.random() < 0.5,
+            law=random.choice(tuple(Law)), coefficients=(1.0, *numbers[7:10]),
         )  # fmt: skip
         return protocol.encode_command(sequence, time_us, command)
     info = BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None

@@ -75,7 +75,7 @@ class Probe:
         longest, last = 0.0, time.monotonic()
         end = last + seconds
         while last < end and not until():
-            self.commander.gains(delta_kp, delta_ki)
+            self.commander.publish_gains(delta_kp, delta_ki)
             self.spin(0.01)
             last, before = time.monotonic(), last
             longest = max(longest, last - before)
@@ -90,7 +90,7 @@ class Probe:
     def take(self, timeout: float = 30.0) -> None:
         """Take the lease over the plant, and keep it."""
         self.commands = True
-        self.wait(lambda: self.commander.held, timeout)
+        self.wait(lambda: self.commander.holds_lease, timeout)
 
     def ask(self, arm: bool) -> Any:
         """The plant's answer to a request to arm, by name, or to disarm."""

@@ -94,17 +94,17 @@ class OfflineGraph(Outputs):
         self.references: list[ReferenceSignal] = []
         self._measurement = plant.reset(seed)
 
-    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+    def publish_gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         self.gains_published.append((delta_kp, delta_ki, step))
         self.guard.set_gains(delta_kp, delta_ki, self.time)
 
-    def command_law(self, command: LawCommand, step: int) -> None:
+    def publish_law(self, command: LawCommand, step: int) -> None:
         self.guard.set_law(command, self.time)
 
     def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
         pass
 
-    def reference(self, signal: ReferenceSignal) -> None:
+    def publish_reference(self, signal: ReferenceSignal) -> None:
         self.references.append(signal)
         self.guard.set_reference(signal)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from hydro_core.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
-from hydro_diagnosis.effects import CANDIDATES, Claim
+from hydro_diagnosis.effects import CANDIDATES, EffectHypothesis
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -60,12 +60,12 @@ def problem_of(**values: Any) -> Problem:
     return problem_in(record(truth, 3), record(truth, 4, waveform=Waveform.SINE))
 
 
-def claim(label: str, *sizes: float) -> Claim:
+def claim(label: str, *sizes: float) -> EffectHypothesis:
     """A cause of the nominal bench; its parameters in turn, those that are not given at their first guesses."""
     effect = next(one for one in CANDIDATES if one.label == label).adapted(Bench.nominal())
     assert len(sizes) <= len(effect.parameters)
     given = dict(zip((one.name for one in effect.parameters), sizes, strict=False))
-    return Claim(effect, {one.name: one.probes[0] for one in effect.parameters} | given)
+    return EffectHypothesis(effect, {one.name: one.start_values[0] for one in effect.parameters} | given)
 
 
 def segment(states: StateArray, name: str = "run") -> Segment:
@@ -88,7 +88,7 @@ def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]
     return Segment("run", 0.0, 1e-3, {**channels, "valve_current": current}), np.array(states)
 
 
-def apart(segment: Segment, states: FloatArray, claims: Sequence[Claim]) -> dict[str, float]:
+def apart(segment: Segment, states: FloatArray, claims: Sequence[EffectHypothesis]) -> dict[str, float]:
     """RMS over range of what the diagnosis' simulation makes of the same current from the same states, by channel."""
     plant = Plant.of(SegmentModel(segment, Bench.nominal()), claims)
     readings = measurements(plant, plant.run(states[BEGINS][:, [2, 3, 0, 1]].T.copy(), BEGINS, LENGTH), BEGINS)

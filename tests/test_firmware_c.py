@@ -82,7 +82,7 @@ class Line(Terminal):
 def test_the_box_for_linux_keeps_the_protocol_over_a_port(tmp_path: Path) -> None:
     program, line = example("linux_serial", tmp_path, "-O2"), Line(tmp_path / "port")
     cases = [case for case in shipped_cases() if case.id.startswith(IN_TIME)]
-    numbers = bench_digest.read_numbers(Path(str(bench_digest.shipped_bench_file())))
+    numbers = bench_digest.read_parameters(Path(str(bench_digest.shipped_bench_file())))
     with subprocess.Popen([program, line.path, "60"], stdout=subprocess.DEVNULL) as process:
         results = run_cases(cases, lambda: Host(line), numbers, moving=False)
         process.terminate()

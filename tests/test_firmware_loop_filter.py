@@ -13,9 +13,18 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.protocol import LawState
-from hydro_core.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
+from hydro_core.signals import (
+    NEUTRAL_COEFFICIENTS,
+    STATE_FIELDS,
+    Command,
+    Flag,
+    FloatArray,
+    Law,
+    ReferenceSignal,
+    Waveform,
+)
 from hydro_filter.controller import header
-from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, filter_record
 from hydro_filter.metric import MetricDesign, ScheduledMetric, Thresholds
 from hydro_filter.model.loop import make_loop
 from hydro_filter.model.sample import Sample
@@ -81,8 +90,8 @@ def uneven() -> tuple[ScheduledMetric, Bench]:
 
 def compiled(folder: Path, metric: ScheduledMetric, truth: Bench, precision: str, *words: str) -> Path:
     """The program that decides about samples by this metric, as compiled for a bare machine."""
-    parts, loop = loop_parts(metric, truth, BELIEVED), make_loop(truth, BELIEVED)
-    (folder / "filter_config.h").write_text(header.render_header(parts, loop, metric.table, "A test."))
+    record, loop = filter_record(metric, truth, BELIEVED), make_loop(truth, BELIEVED)
+    (folder / "filter_config.h").write_text(header.render_header(record, loop, metric.table, "A test."))
     program, source = folder / f"replay_{precision}", FIRMWARE / "test" / "replay_filter.c"
     places = (f"-I{FIRMWARE}", f"-I{folder}", "-ffreestanding")
     return checks.compiled(source, program, *places, *WORDS[precision], *(words or ("-O1",)))
@@ -108,10 +117,10 @@ def seen(rows: FloatArray, law: FloatArray | None) -> FloatArray:
 
 def decided(metric: ScheduledMetric, truth: Bench, rows: FloatArray, law: FloatArray | None = None) -> FloatArray:
     """The same by the filter of the graph."""
-    made, out = LoopFilter(loop_parts(metric, truth, BELIEVED)), np.empty((len(rows), 5))
+    made, out = LoopFilter(filter_record(metric, truth, BELIEVED)), np.empty((len(rows), 5))
     for k, row in enumerate(seen(rows, law)):
         nominal, current, reference, rate, gain, f_c, f_c_rate, c_1, c_2, armed = row[8:].tolist()
-        acting = LawState(Law.COMPENSATED, f_c, f_c_rate, NEUTRAL, c_1, c_2) if law is not None else None
+        acting = LawState(Law.COMPENSATED, f_c, f_c_rate, NEUTRAL_COEFFICIENTS, c_1, c_2) if law is not None else None
         made.correct(Sample(row[:8], nominal, reference, gain, current, rate, armed > 0.0, acting))
         delta_u, before, after, *_, status, _ = made.decision.item()
         out[k] = delta_u, before, after, status, made.monitor["broken"][0]
@@ -125,7 +134,7 @@ def recorded(metric: ScheduledMetric, truth: Bench, seed: int, samples: int) -> 
     """
     bench, rng = Bench.nominal(), np.random.default_rng(seed)
     patient = LoopFilterSettings(innovation_limit=10.0)  # the bench is not quite the model
-    box, plant, made = Box(bench), AnalyticPlant(bench), LoopFilter(loop_parts(metric, truth, BELIEVED), patient)
+    box, plant, made = Box(bench), AnalyticPlant(bench), LoopFilter(filter_record(metric, truth, BELIEVED), patient)
     x, rows, delta_u = plant.reset(seed), [], 0.0
     for k in range(samples):
         if k % 400 == 0:

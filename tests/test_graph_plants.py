@@ -49,7 +49,7 @@ def test_disarmed_the_valve_is_still_and_armed_it_follows_the_reference_with_the
     assert not probe.flags() & Flag.ARMED
     assert probe.last(STATE).valve_current == 0.0
     probe.arm(False)
-    probe.commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0))
+    probe.commander.publish_reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0))
     probe.arm(True)
     probe.drive(75.0, 10.0, 2.5)
     for _ in range(5):  # a machine that holds gains up gets base gains, rightly: then once more

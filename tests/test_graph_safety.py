@@ -18,11 +18,11 @@ pytest.importorskip("rclpy")
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import CORRECTION, GAINS, LAW_STATE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, Flag
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
 from hydro_policy.nodes.plant_options import PlantOptions
 from hydro_policy.nodes.plants import start_companions
-from hydro_policy.supervision.plant_supervisor import HOW_TO_ARM, TOO_EARLY
+from hydro_policy.supervision.plant_supervisor import ARM_HINT, TOO_EARLY
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import SHORT, Probe, Trainer
 
@@ -45,7 +45,7 @@ def test_a_plant_that_was_armed_before_the_trainer_came_waits_for_the_person_who
         probe.wait(lambda: "gains are sent under" in process.text, 60.0)
         person.write(b"\n")
         probe.wait(lambda: "not armed, still waiting for" in process.text, 10.0)
-        probe.wait(lambda: HOW_TO_ARM in process.text, 150.0)
+        probe.wait(lambda: ARM_HINT in process.text, 150.0)
         assert TOO_EARLY in process.text
         probe.wait(lambda: not probe.flags() & Flag.ARMED, 5.0)
         probe.forget()
@@ -143,8 +143,8 @@ def test_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
     rate = np.abs([state.compensated_reference_rate for state in after])
     steps = np.abs(np.diff(f_c))[whole] - SAMPLE_PERIOD * np.maximum(rate[1:], rate[:-1])[whole]
     assert steps.max() < CURVATURE, "f_c goes no other way than its derivative says"
-    far = np.abs(a[100] - NEUTRAL) / LAW.coefficient_rate
-    left = int((sequences[np.any(a != NEUTRAL, axis=1)][-1] - sequences[100]) & 0xFFFFFFFF) * SAMPLE_PERIOD
+    far = np.abs(a[100] - NEUTRAL_COEFFICIENTS) / LAW.coefficient_rate
+    left = int((sequences[np.any(a != NEUTRAL_COEFFICIENTS, axis=1)][-1] - sequences[100]) & 0xFFFFFFFF) * SAMPLE_PERIOD
     assert STALE - 0.1 < left < STALE + far.max() + 0.5
     last = after[-1]
     assert (last.velocity_compensation, last.valve_gain_scale) == (LAW.velocity_compensation, LAW.valve_gain_scale)

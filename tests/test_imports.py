@@ -74,7 +74,7 @@ def test_what_is_imported_is_declared(folder: Path) -> None:
 WITHOUT_NUMBA = ("hydro_policy.nodes.evaluate", "hydro_policy.nodes.trainer")
 PROBE = """
 import importlib, os, sys
-from hydro_core.process.start import LazyMain
+from hydro_core.process.startup import LazyMain
 for name in sys.argv[1].split():
     importlib.import_module(name)
 for module in sys.argv[2:]:
@@ -104,7 +104,7 @@ def helped(preloaded: str, *modules: str) -> dict[str, tuple[str, str]]:
 def test_help_of_a_command_imports_no_torch() -> None:
     """Those of hydro_policy: the other packages import no torch."""
     setup = (ROOT / "src/hydro_policy/setup.py").read_text(encoding="utf-8")
-    commands = set(re.findall(r'"\w+ = hydro_core\.process\.start:main_of\.([\w.]+)"', setup))
+    commands = set(re.findall(r'"\w+ = hydro_core\.process\.startup:main_of\.([\w.]+)"', setup))
     rest = sorted(commands - set(WITHOUT_NUMBA))
     assert helped("numpy", *WITHOUT_NUMBA) == dict.fromkeys(WITHOUT_NUMBA, ("False", "False"))
     assert helped("numpy numba scipy.optimize", *rest) == dict.fromkeys(rest, ("False", "True"))

@@ -30,12 +30,12 @@ found = diagnose({runs}, holdout=[{unseen!r}], bench=Bench.nominal(), columns={c
 print(*found.table.value, found.report.verdict, found._repr_html_().startswith('<iframe'))
 """
 SIMULATE = """
-from hydro_core.process.start import main_of
+from hydro_core.process.startup import main_of
 sys.argv = ["emulator", "--offline", "--seconds", "1", "--out", "run"]
 sys.exit(main_of.hydro_sim.emulator.command())
 """
 START_A_NODE = """
-from hydro_core.process.start import main_of
+from hydro_core.process.startup import main_of
 sys.exit(main_of.hydro_bridge.nodes.bridge())
 """
 

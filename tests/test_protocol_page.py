@@ -37,7 +37,7 @@ LAW = protocol.BoxLaw(
 VALUES = (1.5, 0.0, -2.25, 0.0, 4e6, 6e6, 0.0625, 0.0, 0.015625, 0.015625, -2.0, 0.0, 15.0, 5.0)
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=100.0, offset=-20.0, frequency=2.0, phase=0.5)
 COMPENSATED = Command(
-    arm=True, delta_kp=10.0, delta_ki=0.5, delta_u=2.0**-10, corrects=257, filter_fresh=True, reference=SINE,
+    arm=True, delta_kp=10.0, delta_ki=0.5, delta_u=2.0**-10, corrected_sequence=257, filter_fresh=True, reference=SINE,
     law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 2.0**-9, -2.0), velocity_compensation=0.25, valve_gain_scale=1.5,
 )  # fmt: skip
 ACTING = protocol.LawState(Law.COMPENSATED, -2.5, 8.0, (1.0, 0.03125, 2.0**-9, -1.0), 0.25, 1.0)

@@ -34,7 +34,7 @@ from hydro_policy.nodes.plant_options import require_matching_agent, require_mat
 from hydro_policy.nodes.plants import requested_filter
 from hydro_policy.runs.initial_agent import load_initial_agent, shipped_agent
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, with_provenance
+from hydro_sim.files.pairing import BoxIdentity, Provenance, with_provenance
 from hydro_sim.files.recordings import BOX_TOPIC
 from hydro_sim.model.bench import Bench
 
@@ -159,11 +159,11 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         bag.add_topic(BOX_TOPIC, "hydro_msgs/msg/BoxInfo")
         bag.write(BOX_TOPIC, serialize_message(BoxInfo(bench_digest=own.digest)), 0)
     metric, other = shipped_metric().read_bytes(), learned_bench.digest(folder / "other_model.yaml")
-    (folder / "own_metric.safetensors").write_bytes(with_provenance(metric, MadeFor(box=own.digest, model=other)))
+    (folder / "own_metric.safetensors").write_bytes(with_provenance(metric, Provenance(box=own.digest, model=other)))
     (folder / "unmarked_metric.safetensors").write_bytes(with_provenance(metric, None))
     start = shipped_agent("paper")
     shutil.copytree(start.source, folder / "shipped")
-    for name, made in (("own", MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)), ("unmarked", None)):
+    for name, made in (("own", Provenance(box=own.digest, base_kp=15.0, base_ki=5.0)), ("unmarked", None)):
         shutil.copytree(start.source, folder / name)
         for file in (folder / name).iterdir():
             file.write_bytes(with_provenance(file.read_bytes(), made))

@@ -29,7 +29,7 @@ from scipy.signal import butter
 from benchmarks.hybrid_simulation.motions import SAMPLING, STEP
 from benchmarks.hybrid_simulation.plant import Actuator, Specimen, hysteresis_rate, transfer_function
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
 from hydro_sim.jit import njit
 
 ENTRIES = (
@@ -164,8 +164,8 @@ def entry(name: str, actuator: Actuator, specimen: Specimen) -> Entry:
         numerator, denominator = transfer_function(actuator, elastic)
         series = _series(_held(denominator[: -TERMS - 1 : -1] / numerator))
     law, samples = BoxLaw(), np.zeros((4, SAMPLES_PER_STEP))
-    box = Box(np.array(NEUTRAL), np.array(NEUTRAL), np.array(law.coefficient_rate), law.reference_max, np.zeros(2),
-              samples)  # fmt: skip
+    neutral = np.array(NEUTRAL_COEFFICIENTS), np.array(NEUTRAL_COEFFICIENTS)
+    box = Box(*neutral, np.array(law.coefficient_rate), law.reference_max, np.zeros(2), samples)
     oracle = Oracle(actuator, specimen, np.zeros(3), np.zeros(1))
     return Entry(kind, series, np.zeros(4), box, oracle)
 

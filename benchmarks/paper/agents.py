@@ -155,8 +155,8 @@ def train(
     plant = TruthPlant(truth(store.bench))
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
-    watch = PlantSupervisor(graph, True, [learner_requirement(lambda: learner.ready)])
-    session = training(TrainingPlan(settings, learner, graph), watch)
+    supervisor = PlantSupervisor(graph, True, [learner_requirement(lambda: learner.ready)])
+    session = training(TrainingPlan(settings, learner, graph), supervisor)
     graph.run(session, 60.0 * episodes + (600.0 if every else 0.0), learner)
     return session, graph
 

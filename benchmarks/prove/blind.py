@@ -121,7 +121,7 @@ def main() -> None:
     options = argparse.ArgumentParser(prog="blind", description=__doc__)
     options.add_argument("cases", nargs="+", type=Path, metavar="CASE")
     chosen = options.parse_args(sys.argv[1:]).cases
-    jobs.run_all(diagnosed, {case.name: (case,) for case in chosen}, at_once=1)
+    jobs.run_all(diagnosed, {case.name: (case,) for case in chosen}, processes=1)
 
 
 if __name__ == "__main__":

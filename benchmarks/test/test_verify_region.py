@@ -15,10 +15,10 @@ from scipy.linalg import expm
 
 from benchmarks.verify_region import I, sample, verify
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.region.certified_region import CertifiedRegion
 from hydro_filter.region.enclosure import enclose_closed_loop
 from hydro_filter.region.interval import AffineSet, Interval
 from hydro_filter.region.proof import interpolate_metric, prove_cell
-from hydro_filter.region.statement import CertifiedRegion
 
 T = SAMPLE_PERIOD
 NAMES = ("default_metric.region.json", "default_metric.compensated.region.json")
@@ -102,7 +102,7 @@ def test_a_part_of_the_shipped_statement_is_proved_by_both(name: str) -> None:
     part = shortened(name)
     assert verify(part) == ""
     statement = CertifiedRegion.from_mapping(part)
-    assert prove_cell(statement, statement.cells[0], parts=6) > 0.0
+    assert prove_cell(statement, statement.cells[0], subdivisions=6) > 0.0
 
 
 @pytest.mark.study

@@ -49,14 +49,14 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "arm = hydro_core.process.start:main_of.hydro_bridge.nodes.arm",
-            "bridge = hydro_core.process.start:main_of.hydro_bridge.nodes.bridge",
-            "conformance = hydro_core.process.start:main_of.hydro_bridge.conformance.command",
-            "dashboard = hydro_core.process.start:main_of.hydro_bridge.nodes.dashboard",
-            "recorder = hydro_core.process.start:main_of.hydro_bridge.nodes.recorder",
-            "replayer = hydro_core.process.start:main_of.hydro_bridge.nodes.replayer",
-            "runs = hydro_core.process.start:main_of.hydro_bridge.viewer.runs",
-            "view = hydro_core.process.start:main_of.hydro_bridge.viewer.view",
+            "arm = hydro_core.process.startup:main_of.hydro_bridge.nodes.arm",
+            "bridge = hydro_core.process.startup:main_of.hydro_bridge.nodes.bridge",
+            "conformance = hydro_core.process.startup:main_of.hydro_bridge.conformance.command",
+            "dashboard = hydro_core.process.startup:main_of.hydro_bridge.nodes.dashboard",
+            "recorder = hydro_core.process.startup:main_of.hydro_bridge.nodes.recorder",
+            "replayer = hydro_core.process.startup:main_of.hydro_bridge.nodes.replayer",
+            "runs = hydro_core.process.startup:main_of.hydro_bridge.viewer.runs",
+            "view = hydro_core.process.startup:main_of.hydro_bridge.viewer.view",
         ],
     },
 )

@@ -36,11 +36,11 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "diagnose = hydro_core.process.start:main_of.hydro_diagnosis.cli",
-            "diagnose_many = hydro_core.process.start:main_of.hydro_diagnosis.diagnose_many",
-            "prove = hydro_core.process.start:main_of.hydro_diagnosis.prove",
-            "trends = hydro_core.process.start:main_of.hydro_diagnosis.trends",
-            "inspect = hydro_core.process.start:main_of.hydro_diagnosis.inspect_command",
+            "diagnose = hydro_core.process.startup:main_of.hydro_diagnosis.cli",
+            "diagnose_many = hydro_core.process.startup:main_of.hydro_diagnosis.diagnose_many",
+            "prove = hydro_core.process.startup:main_of.hydro_diagnosis.prove",
+            "trends = hydro_core.process.startup:main_of.hydro_diagnosis.trends",
+            "inspect = hydro_core.process.startup:main_of.hydro_diagnosis.inspect_command",
         ],
     },
 )

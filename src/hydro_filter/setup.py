@@ -25,11 +25,11 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "filter = hydro_core.process.start:main_of.hydro_filter.nodes.filter",
-            "filtered_plant = hydro_core.process.start:main_of.hydro_filter.nodes.filtered_plant",
-            "export_c = hydro_core.process.start:main_of.hydro_filter.controller.header",
-            "learn_metric = hydro_core.process.start:main_of.hydro_filter.training.learn_metric",
-            "validate = hydro_core.process.start:main_of.hydro_filter.validation.validate",
+            "filter = hydro_core.process.startup:main_of.hydro_filter.nodes.filter",
+            "filtered_plant = hydro_core.process.startup:main_of.hydro_filter.nodes.filtered_plant",
+            "export_c = hydro_core.process.startup:main_of.hydro_filter.controller.header",
+            "learn_metric = hydro_core.process.startup:main_of.hydro_filter.training.learn_metric",
+            "validate = hydro_core.process.startup:main_of.hydro_filter.validation.validate",
         ],
     },
 )

@@ -35,13 +35,13 @@ setup(
     extras_require={"gym": ["gymnasium"], "test": ["pytest"]},  # by the latter colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "pretrain = hydro_core.process.start:main_of.hydro_policy.pretraining.pretrain",
-            "collect = hydro_core.process.start:main_of.hydro_policy.nodes.collect",
-            "commission = hydro_core.process.start:main_of.hydro_policy.nodes.commission",
-            "trainer = hydro_core.process.start:main_of.hydro_policy.nodes.trainer",
-            "evaluate = hydro_core.process.start:main_of.hydro_policy.nodes.evaluate",
-            "export_c = hydro_core.process.start:main_of.hydro_policy.sac.header",
-            "override = hydro_core.process.start:main_of.hydro_policy.nodes.override",
+            "pretrain = hydro_core.process.startup:main_of.hydro_policy.pretraining.pretrain",
+            "collect = hydro_core.process.startup:main_of.hydro_policy.nodes.collect",
+            "commission = hydro_core.process.startup:main_of.hydro_policy.nodes.commission",
+            "trainer = hydro_core.process.startup:main_of.hydro_policy.nodes.trainer",
+            "evaluate = hydro_core.process.startup:main_of.hydro_policy.nodes.evaluate",
+            "export_c = hydro_core.process.startup:main_of.hydro_policy.sac.header",
+            "override = hydro_core.process.startup:main_of.hydro_policy.nodes.override",
         ],
         "gymnasium.envs": ["__root__ = hydro_policy.env:register"],
     },

@@ -39,13 +39,13 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "sim = hydro_core.process.start:main_of.hydro_sim.nodes.sim",
-            "export = hydro_core.process.start:main_of.hydro_sim.export.command",
-            "collect = hydro_core.process.start:main_of.hydro_sim.nodes.former",
-            "export_c = hydro_core.process.start:main_of.hydro_sim.nodes.former",
-            "emulator = hydro_core.process.start:main_of.hydro_sim.emulator.command",
-            "learn = hydro_core.process.start:main_of.hydro_sim.identification.learn",
-            "validate = hydro_core.process.start:main_of.hydro_sim.identification.validate",
+            "sim = hydro_core.process.startup:main_of.hydro_sim.nodes.sim",
+            "export = hydro_core.process.startup:main_of.hydro_sim.export.command",
+            "collect = hydro_core.process.startup:main_of.hydro_sim.nodes.renamed",
+            "export_c = hydro_core.process.startup:main_of.hydro_sim.nodes.renamed",
+            "emulator = hydro_core.process.startup:main_of.hydro_sim.emulator.command",
+            "learn = hydro_core.process.startup:main_of.hydro_sim.identification.learn",
+            "validate = hydro_core.process.startup:main_of.hydro_sim.identification.validate",
         ],
     },
 )

@@ -22,7 +22,7 @@ from random import Random
 
 from hydro_bridge.ros.node import restrict_to_localhost
 from hydro_core.cli.console import Table, add_json_argument, bounded_number, command, progress, writable_folder
-from hydro_core.process.endings import Terminated
+from hydro_core.process.termination import Terminated
 from tests.soak.faults import FAULTS
 from tests.soak.judge import Outcome
 from tests.soak.soak import soaking

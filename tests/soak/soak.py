@@ -12,7 +12,7 @@ from random import Random
 
 import numpy as np
 
-from hydro_core.process.endings import signals_ignored
+from hydro_core.process.termination import signals_ignored
 from tests.domains import own_domain
 from tests.soak import wire
 from tests.soak.crew import Crew

@@ -49,7 +49,7 @@ _CONFIRMED_WITHIN = 500
 
 
 @dataclass(frozen=True, kw_only=True)
-class PaceSettings:
+class LockStepSettings:
     """Peers that a paced plant waits for, and time-outs."""
 
     peers: str = ""
@@ -92,15 +92,15 @@ class _Peer:
     """Time of its last message, s of the monotonic clock."""
 
 
-class Pace:
+class LockStep:
     """Lock-step of plant and graph: tracks which peer has answered which sample, and releases the next one.
 
     `settings`: required peers and time-outs. `log`: called with a sentence when a peer comes or falls silent.
     """
 
-    def __init__(self, settings: PaceSettings, log: Callable[[str], None]) -> None:
+    def __init__(self, settings: LockStepSettings, log: Callable[[str], None]) -> None:
         self.settings, self._log = settings, log
-        self.go_on: Callable[[], None] = lambda: None
+        self.on_release: Callable[[], None] = lambda: None
         """Called once for each sample when all its answers have arrived, in the thread that received the last one."""
         self._lock = threading.Lock()
         self._confirmed = threading.Condition()
@@ -117,7 +117,7 @@ class Pace:
         self._patience = _RESEND_FIRST
 
     @property
-    def peers(self) -> str:
+    def peer_names(self) -> str:
         """Names of the present peers, as text for /diagnostics."""
         return ", ".join(sorted(self._peers)) or "nobody"
 
@@ -174,7 +174,7 @@ class Pace:
         with self._lock:
             resend, self._resend = self._resend, None
         if resend is not None:
-            self.go_on()
+            self.on_release()
 
     def run_until(self, done: Callable[[], bool]) -> bool:
         """Run the plant without answers until `done` returns True, for half a second of plant time at most.

@@ -13,7 +13,15 @@ from hypothesis import strategies as st
 from hydro_bridge.safety import guard as guards
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings, safe_command
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import NEUTRAL, Command, CorrectionStatus, Law, LawCommand, ReferenceSignal, Waveform
+from hydro_core.signals import (
+    NEUTRAL_COEFFICIENTS,
+    Command,
+    CorrectionStatus,
+    Law,
+    LawCommand,
+    ReferenceSignal,
+    Waveform,
+)
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
 LIMITS = GuardSettings()
@@ -36,7 +44,7 @@ def opened(**settings: object) -> CommandGuard:
     """Opened wide by name, wide gains in force, a correction of 10 mA for the newest sample, 50."""
     guard = CommandGuard(settings=GuardSettings(delta_kp_min=-55.0, delta_kp_max=285.0, delta_ki_max=95.0, **settings))
     guard.set_gains(235.0, 50.0, 0.0)
-    guard.note_sample(50)
+    guard.add_sample(50)
     guard.set_correction(0.01, CorrectionStatus.MODIFIED, 50, 0.0)
     return guard
 
@@ -126,26 +134,26 @@ def test_a_correction_of_an_old_sample_neither_acts_nor_counts_as_fresh_however_
     rows = (100, 100, True), (120, 100, True), (121, 100, False), (5, 6, False), (3, 2**32 - 3, True)  # the count wraps
     for newest, corrects, counts in rows:
         guard = CommandGuard()
-        guard.note_sample(newest)
+        guard.add_sample(newest)
         guard.set_correction(0.01, CorrectionStatus.PASS, corrects, 1.0)
         assert guard.command(1.0).filter_fresh is counts and guard.counts.outdated == (not counts)
     guard = fresh()
     for newest, delta_u in ((79, 0.01), (80, 0.0)):
-        guard.note_sample(newest)
+        guard.add_sample(newest)
         assert (guard.command(0.0).delta_u, guard.command(0.0).delta_kp) == (delta_u, 30.0)
 
 
 def test_a_correction_answers_one_sample_once_and_in_order():
     guard = CommandGuard()
     for sequence in (2**32 - 1, 0, 1):
-        guard.note_sample(sequence)
+        guard.add_sample(sequence)
     for sequence, delta_u in ((0, 0.01), (0, 0.02), (2**32 - 1, 0.02), (2, 0.02), (1, 0.015)):
         guard.set_correction(delta_u, CorrectionStatus.MODIFIED, sequence, 0.0)
     command = guard.command(0.0)
-    assert (command.delta_u, command.corrects) == (0.015, 1)
+    assert (command.delta_u, command.corrected_sequence) == (0.015, 1)
     assert (guard.counts.repeated, guard.counts.outdated) == (2, 1), "two were answered before, one never was"
-    guard.note_sample(None)
-    guard.note_sample(1)
+    guard.add_sample(None)
+    guard.add_sample(1)
     guard.set_correction(0.01, CorrectionStatus.MODIFIED, 1, 0.0)
     assert guard.command(0.0).delta_u == 0.01, "a box that starts again counts again"
 
@@ -154,7 +162,7 @@ def test_no_correction_asks_for_more_than_the_valves_current():
     guard = CommandGuard(valve_current_max=0.05)
     rows = (0.04, 0.015, 0.01), (0.04, -0.015, -0.015), (-0.045, -0.01, -0.005), (0.2, -0.02, -0.02), (0.0, 0.1, 0.02)
     for sequence, (nominal, asked, goes_down) in enumerate(rows):
-        guard.note_sample(sequence, nominal)
+        guard.add_sample(sequence, nominal)
         guard.set_correction(asked, CorrectionStatus.MODIFIED, sequence, 0.0)
         assert guard.command(0.0).delta_u == pytest.approx(goes_down)
 
@@ -214,13 +222,13 @@ def test_gains_that_never_come_back_disarm_and_stop_the_reference_once_and_say_s
     assert (guard.command(1010.0).arm, guard.command(1010.0).reference) == (True, SINE)
     guard.take_events()
     for now in (1010.1, 1010.2):
-        assert guard.command(now) == Command(corrects=77)
+        assert guard.command(now) == Command(corrected_sequence=77)
     sentence = "no gains for 10 s, whoever chose them is gone; reference 0 N, disarmed until it is armed again"
-    assert list(guard.take_events()) == [sentence] and guard.given_up == sentence and guard.counts.given_up == 1
+    assert list(guard.take_events()) == [sentence] and guard.abort_reason == sentence and guard.counts.given_up == 1
     guard.set_gains(30.0, 4.0, 1010.3)
     assert not guard.command(1010.3).arm, "gains alone arm nothing"
     guard.set_arm(True)
-    assert guard.command(1100.0).arm and guard.given_up == "", "armed on purpose, and nobody has chosen gains since"
+    assert guard.command(1100.0).arm and guard.abort_reason == "", "armed on purpose, and nobody has chosen gains since"
     guard = CommandGuard(settings=GuardSettings(gains_timeout=2.0))
     guard.set_arm(True)
     for now in (0.0, 2.0, 4.0):
@@ -228,15 +236,15 @@ def test_gains_that_never_come_back_disarm_and_stop_the_reference_once_and_say_s
         assert guard.command(now + 1.9).arm
     guard.set_arm(False)
     guard.command(100.0)
-    assert guard.given_up == "", "a plant that is disarmed has nothing to give up"
+    assert guard.abort_reason == "", "a plant that is disarmed has nothing to give up"
 
 
 def test_a_filter_whose_model_is_not_this_benchs_leaves_narrow_gains_and_no_correction_until_it_decides():
     guard = opened()
-    wide = Command(delta_kp=235.0, delta_ki=50.0, delta_u=0.01, corrects=50, filter_fresh=True)
+    wide = Command(delta_kp=235.0, delta_ki=50.0, delta_u=0.01, corrected_sequence=50, filter_fresh=True)
     assert guard.command(0.0) == wide
     guard.set_correction(0.0, CorrectionStatus.MISMATCH, 50, 0.001)
-    assert guard.command(0.001) == Command(delta_kp=75.0, delta_ki=10.0, corrects=50, filter_fresh=False)
+    assert guard.command(0.001) == Command(delta_kp=75.0, delta_ki=10.0, corrected_sequence=50, filter_fresh=False)
     assert guard.counts.narrowed == guard.counts.mismatched == 1
     guard.set_gains(-55.0, 3.0, 0.002)
     assert gains(guard.command(0.002)) == (0.0, 3.0), "gains inside are left alone"
@@ -247,9 +255,9 @@ def test_a_filter_whose_model_is_not_this_benchs_leaves_narrow_gains_and_no_corr
         assert guard.command(0.002).delta_kp == 75.0
     guard.set_correction(0.02, CorrectionStatus.PASS, 0, 0.003)
     assert guard.command(0.003).delta_kp == 75.0, "a decision about a sample of long ago is none"
-    guard.note_sample(51)
+    guard.add_sample(51)
     guard.set_correction(0.02, CorrectionStatus.MODIFIED, 51, 0.004)
-    assert guard.command(0.004) == replace(wide, delta_u=0.02, corrects=51)
+    assert guard.command(0.004) == replace(wide, delta_u=0.02, corrected_sequence=51)
 
 
 @pytest.mark.parametrize(("required", "later"), [(True, 0.0), (False, 75.0)])
@@ -278,7 +286,7 @@ def test_stale_gains_or_coefficients_give_the_safe_record_of_the_compensated_law
         guard.set_gains(-100.0, 5.0, 0.25)
     for now in (0.25, 0.26):
         command = guard.command(now)
-        assert shaping(command) == safe_command(OFFERED) and command.coefficients == NEUTRAL
+        assert shaping(command) == safe_command(OFFERED) and command.coefficients == NEUTRAL_COEFFICIENTS
         assert gains(command) == (0.0, 0.0) and command.arm
         assert command.filter_fresh == (silent == "gains")  # what is not commanded is shown by FILTER_STALE
     assert list(guard.take_events()) == [guards.STALE_LAW] and guard.counts.stale_law == 2
@@ -311,7 +319,7 @@ def test_another_law_is_refused_while_armed_and_taken_once_disarmed(first):
     guard.set_law(commands[first], 0.0)
     guard.set_arm(True)
     guard.set_law(commands[other], 0.01)
-    assert guard.command(0.02).law is first and guards.KEPT_WHILE_ARMED in guard.take_events()
+    assert guard.command(0.02).law is first and guards.LAW_CHANGE_REFUSED in guard.take_events()
     guard.set_arm(False)
     guard.set_gains(50.0, 5.0, 0.03)
     guard.set_law(commands[other], 0.03)

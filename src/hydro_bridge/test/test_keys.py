@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.ros import policy, topics
+from hydro_bridge.ros import security_policy, topics
 from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.keys import ENABLE, KEYSTORE, STRATEGY, enclave_name, security_enabled
 from hydro_core.settings import SettingsError
@@ -19,7 +19,7 @@ from tests.checks import ran, status_of
 
 
 def test_only_who_has_to_may_command_the_plant_by_the_policy_that_is_written_for_ros2_security(tmp_path: Path) -> None:
-    assert status_of(policy.main, tmp_path / "policy.xml") == 0
+    assert status_of(security_policy.main, tmp_path / "policy.xml") == 0
     enclaves = {entry.attrib["path"]: entry for entry in ElementTree.parse(tmp_path / "policy.xml").iter("enclave")}
     assert set(enclaves) == {enclave_name(name) for name in topics.ACCESS_RIGHTS}
 

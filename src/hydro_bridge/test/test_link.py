@@ -84,9 +84,9 @@ def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
 
     wait(corrects, 60.0)
     frame = next(frame for frame in it.box.commands if frame.command.delta_u == 0.015625)
-    assert frame.command.corrects in corrected and frame.command.filter_fresh
-    assert 1 <= it.link.report.turnaround.count <= len(corrected)
-    wait(lambda: it.link.report.round_trip.count > 0)
+    assert frame.command.corrected_sequence in corrected and frame.command.filter_fresh
+    assert 1 <= it.link.statistics.turnaround.count <= len(corrected)
+    wait(lambda: it.link.statistics.round_trip.count > 0)
 
 
 def test_a_box_that_does_not_confirm_is_not_left_armed_and_a_tripped_one_not_armed_before_it_was_disarmed(bench):
@@ -101,7 +101,7 @@ def test_a_box_that_does_not_confirm_is_not_left_armed_and_a_tripped_one_not_arm
 def test_a_box_that_goes_while_it_is_to_be_armed_is_not_said_to_be_armed(bench):
     it, said = bench(obeys=False), []
     arming = threading.Thread(target=lambda: said.append(it.link.arm(True, timeout=5.0)))
-    with it.link._news:  # held: the arming thread has asked, and waits to hear
+    with it.link._flags_condition:  # held: the arming thread has asked, and waits to hear
         arming.start()
         wait(lambda: it.link.guard.armed)
         it.cable.unplug()
@@ -140,7 +140,7 @@ def test_unplugged_and_replugged_it_reconnects_disarmed_and_can_be_armed_anew(be
     it.cable.plug_in()
     wait(lambda: it.link.state is LinkState.CONNECTED and len(it.box.commands) > 20)
     assert not any(frame.command.arm for frame in it.box.commands)
-    assert it.link.report.reconnects == 1
+    assert it.link.statistics.reconnects == 1
     assert it.link.arm(True) == ""
 
 
@@ -156,7 +156,7 @@ def test_neither_silence_nor_bytes_without_frames_keep_a_line_alive_and_nothing_
     assert len(it.states) - begun < 50
     wait(lambda: it.said("bytes came and no frame in them"))
     monkeypatch.undo()
-    wait(lambda: it.link.state is LinkState.CONNECTED and it.link.report.reconnects == 1)
+    wait(lambda: it.link.state is LinkState.CONNECTED and it.link.statistics.reconnects == 1)
     assert not it.link.guard.armed
     wait(lambda: it.link.arm(True) == "")
     it.box.stop()

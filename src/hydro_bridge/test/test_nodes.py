@@ -78,7 +78,7 @@ def boxes_heard(probe: Probe) -> list[BoxInfo]:
 
 
 def shipped_digest() -> str:
-    return bench_digest.digest(bench_digest.read_numbers(bench_digest.shipped_bench_file()))
+    return bench_digest.digest(bench_digest.read_parameters(bench_digest.shipped_bench_file()))
 
 
 def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(bridge, probe):
@@ -96,7 +96,7 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(bridge, probe):
 
 
 def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_says_so(steered, probe):
-    probe.commander.reference(SINE)
+    probe.commander.publish_reference(SINE)
     probe.drive(32.0, 0.0, 2.5)
     assert steered.armed() and steered.command().reference == SINE
     probe.wait(lambda: not steered.armed(), 10.0)
@@ -123,8 +123,8 @@ def test_commands_with_an_old_epoch_are_refused_and_counted(steered, probe):
     probe.commands = False
     for _ in range(10):
         probe.commander.epoch = before  # each time: the plant keeps telling it
-        probe.commander.gains(32.0, 0.0)
-        probe.commander.reference(SINE)
+        probe.commander.publish_gains(32.0, 0.0)
+        probe.commander.publish_reference(SINE)
         probe.spin(0.05)
     assert steered.armed() and steered.command().reference == ReferenceSignal()
 

@@ -9,7 +9,14 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from hydro_bridge.plant_clock import COMMANDER_WINDOW, FILTER_WINDOW, RECORDER_WINDOW, Pace, PaceSettings, parse_pace
+from hydro_bridge.plant_clock import (
+    COMMANDER_WINDOW,
+    FILTER_WINDOW,
+    RECORDER_WINDOW,
+    LockStep,
+    LockStepSettings,
+    parse_pace,
+)
 from hydro_core.settings import SettingsError
 from tests.checks import wait
 
@@ -21,20 +28,20 @@ class Plant:
         self.said: list[str] = []
         self.samples: list[int] = []
         self.again: list[int] = []
-        self.pace = Pace(PaceSettings(**settings), self.said.append)
+        self.lock_step = LockStep(LockStepSettings(**settings), self.said.append)
         self.thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self) -> None:
         answered = threading.Event()
-        self.pace.go_on = answered.set
-        self.pace.wait_for_peers()
-        while not self.pace._closed:
+        self.lock_step.on_release = answered.set
+        self.lock_step.wait_for_peers()
+        while not self.lock_step._closed:
             sequence = len(self.samples)
             self.samples.append(sequence)
             answered.clear()
-            self.pace.begin_sample(sequence, lambda sequence=sequence: self.again.append(sequence))
+            self.lock_step.begin_sample(sequence, lambda sequence=sequence: self.again.append(sequence))
             while not answered.is_set():
-                answered.wait(self.pace.poll())
+                answered.wait(self.lock_step.poll())
 
     def stands_at(self, sequence: int) -> bool:
         """Whether it has come to this sample, and goes no further."""
@@ -51,13 +58,13 @@ def plant() -> Iterator[Callable[..., Plant]]:
     def make(absent: str = "", *, silence_max: float = 60.0, meet_max: float = 300.0, **ready: int) -> Plant:
         made.append(it := Plant(peers=" ".join((absent, *ready)), silence_max=silence_max, meet_max=meet_max))
         for name, window in ready.items():
-            it.pace.on_answer(name, None, window)
+            it.lock_step.on_answer(name, None, window)
         it.thread.start()
         return it
 
     yield make
     for one in made:
-        one.pace.close()
+        one.lock_step.close()
         one.thread.join(5.0)
         assert not one.thread.is_alive()
 
@@ -66,27 +73,27 @@ def plant() -> Iterator[Callable[..., Plant]]:
 def test_the_plant_is_never_a_window_ahead_of_a_peer_and_a_new_one_gets_the_sample_at_which_it_stands(plant, window):
     it = plant(one=window)
     assert it.stands_at(0), "the first sample is answered by everybody"
-    it.pace.on_answer("one", 0, window)
+    it.lock_step.on_answer("one", 0, window)
     assert it.stands_at(window) and window not in it.again
-    it.pace.on_answer("another", None, RECORDER_WINDOW)
+    it.lock_step.on_answer("another", None, RECORDER_WINDOW)
     wait(lambda: window in it.again)
 
 
 def test_a_box_that_was_on_before_goes_to_the_end_of_the_step_that_a_commander_answers() -> None:
-    pace = Pace(PaceSettings(), lambda _: None)
-    pace.on_answer("one", None, COMMANDER_WINDOW)
+    lock_step = LockStep(LockStepSettings(), lambda _: None)
+    lock_step.on_answer("one", None, COMMANDER_WINDOW)
     for sequence, waits in ((25605, False), (25610, True)):
-        pace.begin_sample(sequence, lambda: None)
-        assert pace.pending is waits
-    pace.on_answer("one", 25610, COMMANDER_WINDOW)
-    assert not pace.pending
+        lock_step.begin_sample(sequence, lambda: None)
+        assert lock_step.pending is waits
+    lock_step.on_answer("one", 25610, COMMANDER_WINDOW)
+    assert not lock_step.pending
 
 
 def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready_but_not_for_ever(plant) -> None:
     it = plant("trainer", filter=FILTER_WINDOW)
     time.sleep(0.05)
     assert not it.samples
-    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
+    it.lock_step.on_answer("trainer", None, COMMANDER_WINDOW)
     assert it.stands_at(0)
     it = plant("filter", meet_max=0.3)
     wait(lambda: it.samples)
@@ -98,29 +105,29 @@ def test_a_correction_is_the_answer_of_the_filter(plant) -> None:
     for sequence in range(50):
         assert it.samples[-1:] <= [sequence]
         wait(lambda sequence=sequence: it.samples and it.samples[-1] == sequence)
-        it.pace.on_correction(sequence)
+        it.lock_step.on_correction(sequence)
     assert it.stands_at(50)
 
 
 def test_an_answer_counts_once_the_commands_that_it_names_have_arrived(plant) -> None:
     it = plant(trainer=COMMANDER_WINDOW)
     assert it.stands_at(0)
-    it.pace.on_answer("trainer", 0, COMMANDER_WINDOW, commands=2)
-    it.pace.on_command()
+    it.lock_step.on_answer("trainer", 0, COMMANDER_WINDOW, commands=2)
+    it.lock_step.on_command()
     assert it.stands_at(0)
-    it.pace.on_command()
+    it.lock_step.on_command()
     assert it.stands_at(10)
-    it.pace.reset_commands()
-    it.pace.on_answer("trainer", 10, COMMANDER_WINDOW, commands=1)
+    it.lock_step.reset_commands()
+    it.lock_step.on_answer("trainer", 10, COMMANDER_WINDOW, commands=1)
     assert it.stands_at(10), "another holder counts from nothing"
-    it.pace.on_command()
+    it.lock_step.on_command()
     assert it.stands_at(20)
 
 
 def test_a_silent_peer_is_told_and_left_behind_and_one_that_works_is_not(plant) -> None:
     it = plant(silence_max=0.6, filter=FILTER_WINDOW, trainer=COMMANDER_WINDOW)
     for _ in range(8):
-        it.pace.on_answer("filter", None, FILTER_WINDOW)  # still at it
+        it.lock_step.on_answer("filter", None, FILTER_WINDOW)  # still at it
         time.sleep(0.1)
     assert it.stands_at(0)
     wait(lambda: len(it.samples) > 5)
@@ -131,9 +138,9 @@ def test_a_silent_peer_is_told_and_left_behind_and_one_that_works_is_not(plant) 
 def test_a_peer_that_is_gone_from_the_graph_is_not_waited_for(plant) -> None:
     it = plant(filter=FILTER_WINDOW, trainer=COMMANDER_WINDOW)
     assert it.stands_at(0)
-    it.pace.retain_peers({"filter"})
+    it.lock_step.retain_peers({"filter"})
     assert it.stands_at(0)
-    it.pace.retain_peers({"recorder"})
+    it.lock_step.retain_peers({"recorder"})
     wait(lambda: len(it.samples) > 5)
 
 
@@ -141,16 +148,16 @@ def test_without_a_commander_it_goes_no_faster_than_real_time(plant) -> None:
     begin, it = time.monotonic(), plant()
     wait(lambda: len(it.samples) > 300)
     assert time.monotonic() - begin > 0.28
-    it.pace.on_answer("trainer", None, COMMANDER_WINDOW)
+    it.lock_step.on_answer("trainer", None, COMMANDER_WINDOW)
     wait(lambda: it.samples[-1] % 10 == 0 and it.stands_at(it.samples[-1]), 10.0)
 
 
 def test_until_an_arming_is_confirmed_nobody_is_waited_for(plant) -> None:
     it = plant(trainer=COMMANDER_WINDOW)
     assert it.stands_at(0)
-    assert it.pace.run_until(lambda: it.samples[-1] >= 3)
+    assert it.lock_step.run_until(lambda: it.samples[-1] >= 3)
     assert it.stands_at(3), "what comes after waits again: for the answer to the step of the first sample"
-    assert not it.pace.run_until(lambda: False)
+    assert not it.lock_step.run_until(lambda: False)
     assert 500 <= it.samples[-1] <= 510, "half a second of the plant's"
 
 

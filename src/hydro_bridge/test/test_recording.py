@@ -311,7 +311,7 @@ def test_damage_is_found_and_costs_its_chunk_alone_where_there_is_an_index(bag, 
     else:
         with pytest.raises(RecordingError, match="is damaged"):
             read_bag(bag)
-    rest = read_bag(bag, salvages=True)
+    rest = read_bag(bag, skip_damaged=True)
     assert len(rest.state) > 0 and rest.notes == (f"{path.name} is damaged: 1 of its blocks could not be read",)
     _, missing = repair(bag)
     assert missing[:-1] == [f"{path.name}: 1 damaged blocks are left out"]

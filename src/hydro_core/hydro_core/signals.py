@@ -120,7 +120,7 @@ class Law(IntEnum):
 Coefficients = tuple[float, float, float, float]
 """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] of the compensated reference f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3."""
 
-NEUTRAL: Coefficients = (1.0, 0.0, 0.0, 0.0)
+NEUTRAL_COEFFICIENTS: Coefficients = (1.0, 0.0, 0.0, 0.0)
 """Neutral coefficients of the compensated reference: f_c = f_r."""
 
 
@@ -133,7 +133,7 @@ class LawCommand:
 
     law: Law = Law.PAPER
     """Force law to run, taken up at arming; while armed, a command for another law causes the safe state."""
-    coefficients: Coefficients = NEUTRAL
+    coefficients: Coefficients = NEUTRAL_COEFFICIENTS
     """Coefficients of the compensated reference; the box ramps to them."""
     velocity_compensation: float = 1.0
     """C_1 [-], share of the velocity term h of the force dynamics that the law compensates."""
@@ -175,7 +175,7 @@ class Command(LawCommand):
     """A, added to the nominal valve current before saturation."""
     reference: ReferenceSignal = ReferenceSignal()
     """Reference force to track."""
-    corrects: int = 0
+    corrected_sequence: int = 0
     """Sequence number of the sample from which `delta_u` was computed."""
     filter_fresh: bool = False
     """Whether this command is backed by a fresh correction of the filter; if not, the box flags FILTER_STALE."""

@@ -55,7 +55,7 @@ def cluster(tmp_path: Path) -> Iterator[str]:
 def test_poisoned_job_is_named_and_the_rest_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     found = {}
     with pytest.raises(jobs.JobsError, match=r"^1 of 3 jobs failed: b; the others are done$") as failed:
-        for name, result in jobs.run(divmod, {"a": (1, 1), "b": (1, 0), "c": (4, 2)}, at_once=1):
+        for name, result in jobs.run(divmod, {"a": (1, 1), "b": (1, 0), "c": (4, 2)}, processes=1):
             found[name] = result
     assert found == {"a": (1, 0), "c": (2, 0)}
     assert isinstance(failed.value.errors["b"], ZeroDivisionError)
@@ -69,7 +69,7 @@ def test_job_whose_process_is_killed_is_done_again_poison_kills_no_other_and_res
     wanted = {f"recording {number}": (number, tmp_path) for number in range(8)}
     found = {}
     with pytest.raises(jobs.JobsError, match=r"2 of 8 jobs failed: recording 3, recording 4; the others"):
-        for name, result in jobs.run(marked, wanted, at_once=2, kept=tmp_path / "kept"):
+        for name, result in jobs.run(marked, wanted, processes=2, results_file=tmp_path / "results"):
             found[name] = tuple(result)
     done = [len([*tmp_path.glob(f"{number}-*")]) for number in range(8)]
     assert done[2] >= 2 and done[3] == jobs.MAX_WORKER_DEATHS
@@ -80,11 +80,11 @@ def test_job_whose_process_is_killed_is_done_again_poison_kills_no_other_and_res
     assert "recording 4: it holds no numbers" in said
     assert "recording 3: each process that did it was killed" in said
     sound = {name: values for name, values in wanted.items() if values[0] not in (3, 4)}
-    alone = jobs.run_all(marked, sound, at_once=1)
+    alone = jobs.run_all(marked, sound, processes=1)
     assert {name: result[:2] for name, result in found.items()} == {name: result[:2] for name, result in alone.items()}
     assert {process for *_, process in alone.values()} == {os.getpid()}
     assert len({process for *_, process in found.values()} - {os.getpid()}) >= 2
-    again = jobs.run_all(marked, sound, kept=tmp_path / "kept", at_once=1)
+    again = jobs.run_all(marked, sound, results_file=tmp_path / "results", processes=1)
     assert list(again) == list(sound) and all(tuple(again[name]) == found[name] for name in sound), "in this order"
 
 
@@ -109,21 +109,23 @@ def test_scheduler_is_killed_and_the_same_jobs_are_completed_without_it(cluster:
 
     with Client(cluster) as client:
         scheduler = client.run_on_scheduler(os.getpid)
-    wanted, kept, done = {str(number): (0.5,) for number in range(8)}, tmp_path / "kept", []
+    wanted, results, done = {str(number): (0.5,) for number in range(8)}, tmp_path / "results", []
     with pytest.raises(UserError, match=f"the scheduler at {cluster} went away: the same command does what is missing"):
-        for name, _ in jobs.run(time.sleep, wanted, scheduler=cluster, kept=kept):
+        for name, _ in jobs.run(time.sleep, wanted, scheduler=cluster, results_file=results):
             done.append(name)
             os.kill(scheduler, signal.SIGKILL)
-    missing = jobs.run_all(max, {name: (*given, 0.0) for name, given in wanted.items()}, kept=kept, at_once=1)
+    missing = jobs.run_all(
+        max, {name: (*given, 0.0) for name, given in wanted.items()}, results_file=results, processes=1
+    )
     assert [name for name in wanted if missing[name] is None] == sorted(done), "what was done is not done again"
 
 
 def test_finished_jobs_are_not_done_again_and_after_a_full_disk_only_those_that_are_missing(tmp_path: Path) -> None:
-    kept, wanted = tmp_path / "kept", {str(k): (2, k) for k in range(20)}
+    results, wanted = tmp_path / "results", {str(k): (2, k) for k in range(20)}
     with files_of_at_most(90), pytest.raises(OSError, match="File too large"):
-        jobs.run_all(pow, wanted, kept=kept, at_once=1)
-    assert kept.stat().st_size == 90 and not kept.read_bytes().endswith(b"\n")
-    assert jobs.run_all(pow, wanted, kept=kept, at_once=1)["19"] == 2**19
-    assert len(kept.read_text().splitlines()) == 20
-    again = jobs.run_all(divmod, {"4": (1, 0), "3": (1, 0), "new": (7, 2)}, kept=kept, at_once=1)
+        jobs.run_all(pow, wanted, results_file=results, processes=1)
+    assert results.stat().st_size == 90 and not results.read_bytes().endswith(b"\n")
+    assert jobs.run_all(pow, wanted, results_file=results, processes=1)["19"] == 2**19
+    assert len(results.read_text().splitlines()) == 20
+    again = jobs.run_all(divmod, {"4": (1, 0), "3": (1, 0), "new": (7, 2)}, results_file=results, processes=1)
     assert list(again.items()) == [("4", 16), ("3", 8), ("new", (3, 1))], "in this order"

@@ -3,8 +3,8 @@
 
 `io`, `preprocessing`, `wiring` (recordings); `effects` (the physics library), `model` (residuals), `estimation` (fits),
 `selection` (names, places, verdict), `validation` (held-out recordings), `closure` (what has no name),
-`experiment_design` (what to record next), `forecast` (control), `twin` (a simulator beside the bench), `report`;
-`import_page` (all of it in a browser).
+`experiment_design` (what to record next), `forecast` (control), `simulator_comparison` (a simulator beside the bench),
+`report`; `import_page` (all of it in a browser).
 """
 
 from __future__ import annotations

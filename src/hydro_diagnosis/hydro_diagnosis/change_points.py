@@ -3,7 +3,7 @@
 
 The model is piecewise linear, fitted by weighted least squares. Candidate partitions are optimal ones (PELT: Killick,
 Fearnhead and Eckley 2012, library `ruptures`), for several correlation times of the scatter; the likelihood selects
-among them, and with them the long-run variance of means. A change needs `DECISIVE` evidence by the BIC.
+among them, and with them the long-run variance of means. A change needs `VERY_STRONG_EVIDENCE` evidence by the BIC.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.significance import CONFIDENCE, DECISIVE, OUTLIER_FACTOR, QUANTILE
+from hydro_diagnosis.significance import CONFIDENCE, OUTLIER_FACTOR, QUANTILE, VERY_STRONG_EVIDENCE
 
-FEWEST = 14
+MIN_RECORDINGS = 14
 """Smallest number of recordings to be judged: the scatter between fewer is unknown."""
 _PER_CHANGE = 3
 """Parameters that a change adds: its time, a level and a slope."""
-SHORTEST = _PER_CHANGE + 1
+MIN_SPACING = _PER_CHANGE + 1
 """Smallest number of recordings between two changes."""
 _SIZES = (0.0, 0.25, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
 """Trial variances of the correlated scatter, relative to the variance by `scatter_between`."""
@@ -58,7 +58,7 @@ class Line:
         """Standard deviation of the line's value at times [days]."""
         return np.hypot(self.level_sd, self.slope_sd * (np.asarray(time) - self.middle))
 
-    def reaches(self, limit: float, upwards: bool) -> tuple[float, float, float]:
+    def time_to_limit(self, limit: float, upwards: bool) -> tuple[float, float, float]:
         """Days after `end` at which the line passes a limit, with 95 % interval; inf if not within ten years."""
         ahead = np.arange(0.0, 3651.0)
         value, spread, sign = self.at(self.end + ahead), QUANTILE * self.sd(self.end + ahead), 1.0 if upwards else -1.0
@@ -86,20 +86,20 @@ class PiecewiseTrend:
 
     changes: list[Change]
     lines: list[Line]
-    running: bool
+    has_slope: bool
     """Whether the slope since the last change is significant."""
 
     @property
-    def findings(self) -> int:
+    def finding_count(self) -> int:
         """Number of changes; without any, 1 if the slope is significant, else 0."""
-        return len(self.changes) or int(self.running)
+        return len(self.changes) or int(self.has_slope)
 
 
 class _Lines(BaseCost):  # user-defined cost function of `ruptures`
     """Weighted sum of squares about a line, from sums over the rows (time, value, weight) of the signal."""
 
     model = "weighted lines"
-    min_size = SHORTEST
+    min_size = MIN_SPACING
 
     def fit(self, signal: FloatArray) -> _Lines:
         self.signal = signal
@@ -127,13 +127,13 @@ class _Lines(BaseCost):  # user-defined cost function of `ruptures`
         return np.asarray(yy - np.sum(right * solved, axis=1))
 
 
-def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike = 0.0) -> PiecewiseTrend | None:
-    """Fit the course of a parameter: change points and lines between them; None for fewer recordings than `FEWEST`.
+def fit_trend(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike = 0.0) -> PiecewiseTrend | None:
+    """Fit the trend of a parameter: change points and lines; None for fewer recordings than `MIN_RECORDINGS`.
 
     `time`: days, ascending; `value` and its standard deviation `sd` by the diagnosis, shape (n,). `bound`: half-width
     of the interval of a value that was not named, else 0; used for the dates of changes only.
     """
-    if len(time) < FEWEST:
+    if len(time) < MIN_RECORDINGS:
         return None
     between = scatter_between(value, sd)
     own = np.hypot(sd, between)
@@ -144,7 +144,7 @@ def course(time: FloatArray, value: FloatArray, sd: FloatArray, bound: ArrayLike
     changes = [_change(signal[a:c], each) for a, c, each in zip(edges, edges[2:], evidence, strict=False)]
     lines = [line(time[a:b], value[a:b], long[a:b]) for a, b in pairwise(edges)]
     sure = (lines[-1].slope / lines[-1].slope_sd) ** 2 - log(edges[-1] - edges[-2])
-    return PiecewiseTrend(changes, lines, bool(sure > DECISIVE))
+    return PiecewiseTrend(changes, lines, bool(sure > VERY_STRONG_EVIDENCE))
 
 
 class _Noise:
@@ -162,7 +162,7 @@ class _Noise:
         self._keep = keep ** (gap[:, None] / spacing)
         self._lasts = (1.0 + keep) / (1.0 - keep)
 
-    def long(self, k: int) -> FloatArray:
+    def long_run_sd(self, k: int) -> FloatArray:
         """Long-run standard deviation of each value, shape (n,), as it counts in means; `k`: index into the grid."""
         return np.sqrt(self._white + self._variance[k] * self._lasts[k])
 
@@ -171,7 +171,7 @@ class _Noise:
         count = len(self._time)
         found, price = [[0, count]], _PER_CHANGE * log(count)
         for k in range(_SIZES.index(1.0), len(self._lasts), len(_SIZES)):
-            edges = self._searched(self.long(k), price)
+            edges = self._searched(self.long_run_sd(k), price)
             if edges not in found:
                 found.append(edges)
             elif k < len(_SIZES):
@@ -183,7 +183,7 @@ class _Noise:
 
         deviance, best = self.deviance(found)
         gain = [
-            sure(one) * (deviance[0] - each) - (DECISIVE + price) * (len(one) - 2)
+            sure(one) * (deviance[0] - each) - (VERY_STRONG_EVIDENCE + price) * (len(one) - 2)
             for one, each in zip(found, deviance, strict=True)
         ]
         at = int(np.argmax(gain))
@@ -194,23 +194,27 @@ class _Noise:
             deviance, best = self.deviance(fewer)
             evidence = [sure(edges) * float(one - least) - price for one in deviance]
             worst = int(np.argmin(evidence))
-            if evidence[worst] >= DECISIVE:
+            if evidence[worst] >= VERY_STRONG_EVIDENCE:
                 break
             edges, least, kind, evidence = fewer[worst], deviance[worst], int(best[worst]), []
-        return edges, evidence, self.long(kind)
+        return edges, evidence, self.long_run_sd(kind)
 
     def _searched(self, long: FloatArray, price: float) -> list[int]:
         middle, count = np.median(long), len(long)
         cost = _Lines().fit(np.column_stack([self._time, self._value / middle, (middle / long) ** 2]))
         step = min(1 + count // 50, 3)  # on a coarse grid first: nine times as fast at every third place
         try:
-            found = Pelt(custom_cost=cost, min_size=SHORTEST, jump=step).fit(cost.signal).predict(pen=DECISIVE + price)
+            found = (
+                Pelt(custom_cost=cost, min_size=MIN_SPACING, jump=step)
+                .fit(cost.signal)
+                .predict(pen=VERY_STRONG_EVIDENCE + price)
+            )
         except BadSegmentationParameters:  # too few for two parts
             found = [count]
         edges = [0, *found]
         for k in range(1, len(found)):
             low, at, high = edges[k - 1 : k + 2]
-            near = range(max(low + SHORTEST, at - step), min(high - SHORTEST, at + step) + 1)
+            near = range(max(low + MIN_SPACING, at - step), min(high - MIN_SPACING, at + step) + 1)
             edges[k] = min(near, key=lambda one: cost.error(low, one) + cost.error(one, high), default=at)
         return edges
 
@@ -238,7 +242,7 @@ def _change(signal: FloatArray, evidence: float) -> Change:
     `signal`: time, value, weight of the values between the changes before and after it.
     """
     time, count = signal[:, 0], len(signal)
-    places = np.arange(SHORTEST, count - SHORTEST + 1)
+    places = np.arange(MIN_SPACING, count - MIN_SPACING + 1)
     cost = _Lines().fit(signal - [time.mean(), np.median(signal[:, 1]), 0.0])
     jump = np.array([cost.error(0, one) + cost.error(one, count) for one in places.tolist()])
     bend = cost.bends(places)

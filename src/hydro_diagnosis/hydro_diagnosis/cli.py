@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run hydro_diagnosis diagnose RECORDING... --out DIR`, and `diagnose --grow REPORT... --id NAME` (`growing`)."""
+"""`ros2 run hydro_diagnosis diagnose RECORDING... --out DIR`, and `diagnose --grow REPORT... --id NAME`.
+
+`law_promotion` carries out the latter.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from contextlib import nullcontext
 
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import command, writable_file, writable_folder
-from hydro_core.process import endings
+from hydro_core.process import termination
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.stage_bar import StageBar
@@ -90,10 +93,11 @@ def run(arguments: Sequence[str]) -> int:
         options.error("--simulated-columns goes with --simulated")
     if chosen.page:
         from hydro_diagnosis import import_page
+        from hydro_diagnosis.pipeline import diagnose
 
-        return import_page.run(chosen.bench, chosen.port, opened=chosen.open)
+        return import_page.run(chosen.bench, chosen.port, diagnose, opened=chosen.open)
     if chosen.reports:
-        from hydro_diagnosis.growing import grow
+        from hydro_diagnosis.law_promotion import grow
 
         return grow(chosen)
     if not chosen.out:
@@ -126,7 +130,7 @@ def run(arguments: Sequence[str]) -> int:
         return interrupted.status
     except KeyboardInterrupt as interruption:
         print("interrupted while reading: nothing was written", file=sys.stderr)
-        return endings.exit_status(interruption)
+        return termination.exit_status(interruption)
     write_files(found, chosen.out)
     refresh_index(chosen.out)
     print(found)

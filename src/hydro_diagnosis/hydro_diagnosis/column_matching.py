@@ -19,14 +19,13 @@ import numpy as np
 import yaml
 
 from hydro_core.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.bench_numbers import has_spring
+from hydro_diagnosis.bench_parameters import has_spring
 from hydro_diagnosis.io.column_map import QUANTITY_OF, TARGETS, ColumnMap, Source
-from hydro_diagnosis.io.columns import Columns, is_time, means, runs_forward
-from hydro_diagnosis.io.table import base_of
-from hydro_diagnosis.io.units import quantity, split_unit, to_si
+from hydro_diagnosis.io.columns import Columns, is_time, means, quantity, runs_forward, split_unit, to_si
+from hydro_diagnosis.io.table import base_clock
 from hydro_diagnosis.recording import MEASURED
 from hydro_diagnosis.significance import PRACTICAL_SHARE
-from hydro_diagnosis.wiring import INSPECTED_SAMPLES, MEAN, TOGETHER, block_regression
+from hydro_diagnosis.wiring import BLOCK_SAMPLES, INSPECTED_SAMPLES, MIN_CORRELATION, block_regression
 from hydro_sim.model.bench import Bench
 
 _PRESSURE = r"(p|press\w*|druck\w*)"
@@ -93,7 +92,7 @@ def propose_sources(found: Columns, bench: Bench) -> ColumnMap:
     if sources.keys() == {"time"}:
         _add_by_equations(sources, found, bench)
     if found.clocks and sources:
-        clock = base_of(sources, found)
+        clock = base_clock(sources, found)
         if clock not in found.units and (unit := _time_unit(clock, found)):
             sources["time"] = Source(clock, unit=unit)
     return ColumnMap({field: sources[field] for field in TARGETS if field in sources})
@@ -113,7 +112,7 @@ def _move_lone_force(sources: dict[str, Source], found: Columns, sprung: bool) -
     force, position = found.series[load.column], found.series[place.column]
     both = np.isfinite(force) & np.isfinite(position) if len(force) == len(position) else np.zeros(len(force), bool)
     slope, left = block_regression(position[both], force[both], 1) if both[: len(position)].any() else (1.0, 0.0)
-    if not sprung or slope < 0.0 or left > 1.0 - TOGETHER**2:
+    if not sprung or slope < 0.0 or left > 1.0 - MIN_CORRELATION**2:
         sources["hydraulic_force"] = sources.pop("load_force")
 
 
@@ -170,14 +169,14 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         if name != clock and len(values) == len(found.series[clock]) and np.isfinite(values).all()
         and np.ptp(values) > 0.0 and not (_NEVER.search(name) or found.unit(name))
     }  # fmt: skip
-    if len(free) > 16 or len(found.series[clock]) < 100 * MEAN:
+    if len(free) > 16 or len(found.series[clock]) < 100 * BLOCK_SAMPLES:
         return
 
     def sized(field: str, taken: set[str]) -> dict[Source, FloatArray]:
-        """Block means over `MEAN` rows [SI] of the columns, in each unit in which they are plausible for the field."""
+        """Means over `BLOCK_SAMPLES` rows [SI] of columns, in each unit in which they are plausible for it."""
         units = ("", *_LIKELY.get(QUANTITY_OF[field], ()))
         there = {Source(name, unit=unit): to_si(unit) * free[name] for name in free for unit in units}
-        sizes = {source: means(one, MEAN) for source, one in there.items() if source.column not in taken}
+        sizes = {source: means(one, BLOCK_SAMPLES) for source, one in there.items() if source.column not in taken}
         return {source: one for source, one in sizes.items() if _fits(field, one, bench)}
 
     def solved(force: Source, a: Source, b: Source) -> dict[str, Source]:

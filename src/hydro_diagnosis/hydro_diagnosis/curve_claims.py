@@ -11,7 +11,7 @@ import numpy as np
 
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.curves import ForceCurve, Motion, Terms
-from hydro_diagnosis.effects.base import MOTION, Claim, Effect
+from hydro_diagnosis.effects.base import MOTION, Effect, EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
@@ -33,12 +33,12 @@ LABELS = {
     "stribeck": "friction_stribeck",
 }  # fmt: skip
 """Labels of the effects that the terms of a shape represent."""
-DIRECTIONAL, MASS, RISE, CELL = (
+DIRECTIONAL, MASS, PRESLIDING, CELL = (
     "friction_viscous:directional", "moving_mass", "friction_presliding", "sensor_lag:hydraulic_force",
 )  # fmt: skip
-OPERATORS = frozenset({MASS, RISE, "sensor_lag"})
+OPERATORS = frozenset({MASS, PRESLIDING, "sensor_lag"})
 """Ids of the effects by operators, not by the shape: moving mass, presliding, sensor lag."""
-NOTHING = {"named": 0.0, "all": 0.0}
+NO_SHARES = {"named": 0.0, "all": 0.0}
 """Explained shares where nothing is claimed."""
 
 
@@ -47,7 +47,7 @@ class CurveClaims:
     """Claims that the curve of the missing force supports."""
 
     shape: FittedShape | None = None
-    claims: tuple[Claim, ...] = ()
+    claims: tuple[EffectHypothesis, ...] = ()
     bounds: Sequence[Interval] = ()
     """Intervals of all parameters of the claims, in their order."""
     evidence: Mapping[str, dict[str, float]] = field(default_factory=dict)
@@ -55,36 +55,39 @@ class CurveClaims:
     rivals: Sequence[Rival] = ()
     """Causes that explain the recordings as well as a claimed one."""
     closures: Sequence[ClosureReport] = ()
-    accounted: Mapping[str, float] = field(default_factory=lambda: NOTHING)
+    accounted: Mapping[str, float] = field(default_factory=lambda: NO_SHARES)
     """Explained shares of the held-out missing force, its mean subtracted: by `named` claims, and by `all` terms."""
     why: str = ""
     """Reason in words if no shape is claimed; else empty."""
 
 
 def claims_from_curve(
-    curve: ForceCurve, unseen: Sequence[Motion], problem: Problem, library: Sequence[Effect]
+    curve: ForceCurve, held_out: Sequence[Motion], problem: Problem, library: Sequence[Effect]
 ) -> CurveClaims:
-    """Return the claims of a curve; `unseen`: held-out motions; `library`: causes that may be named."""
+    """Return the claims of a curve; `held_out`: held-out motions; `library`: causes that may be named."""
     effects = {effect.label: effect for effect in library if effect.named}
     allowed = frozenset(name for name, label in {**LABELS, "directional": DIRECTIONAL}.items() if label in effects)
     shape = curve_shape(curve, problem.bench.viscous_friction, allowed)
-    share = partial(_share, curve, unseen)
+    share = partial(_share, curve, held_out)
     found = _Claims(effects)
     terms = curve.terms
     if shape is not None:
         for name in dict.fromkeys(shape.shape.names):
-            numbers = shape.number(name, -1.0 if name == "constant" else 1.0)
-            label = DIRECTIONAL if len(numbers) > 1 else LABELS[name]
+            estimates = shape.coefficient_intervals(name, -1.0 if name == "constant" else 1.0)
+            label = DIRECTIONAL if len(estimates) > 1 else LABELS[name]
             if name == "stribeck":
-                numbers.append((shape.shape.stribeck, *stribeck_velocity_interval(curve.points, shape, curve.top)))
+                estimates.append(
+                    (shape.shape.stribeck, *stribeck_velocity_interval(curve.points, shape, curve.top_speed))
+                )
             if name != "constant" or not terms.position:  # else it is part of the position term
                 gain = share(shape, terms) - share(shape.without(name), terms)
-                found.add(label, numbers, _rise(curve, shape, name), gain)
-    dry = shape.number("dry") if shape is not None else []
-    operators = {"mass": (MASS, replace(terms, mass=False)), "rise": (RISE, replace(terms, rise=0.0)),
-                 "cell": (CELL, replace(terms, cell=0.0))}  # fmt: skip
+                found.add(label, estimates, _evidence(curve, shape, name), gain)
+    dry = shape.coefficient_intervals("dry") if shape is not None else []
+    operators = {"mass": (MASS, replace(terms, mass=False)),
+                 "presliding_distance": (PRESLIDING, replace(terms, presliding_distance=0.0)),
+                 "cell_bandwidth": (CELL, replace(terms, cell_bandwidth=0.0))}  # fmt: skip
     for name, (label, less) in operators.items():
-        if shape is None or not getattr(terms, name) or (label == RISE and not dry):
+        if shape is None or not getattr(terms, name) or (label == PRESLIDING and not dry):
             continue
         strokes = len(np.unique(curve.sliding.stroke))
         evidence = 2.0 * strokes * float(np.log(curve.held_out_rms(less) / curve.held_out_rms(terms))) - float(
@@ -100,7 +103,7 @@ def claims_from_curve(
     return CurveClaims(
         shape=shape, claims=tuple(found.claims), bounds=found.bounds, evidence=found.evidence,
         rivals=_rivals(curve) if found.claims else [],
-        closures=closures, accounted=accounted if found.claims else NOTHING, why=missing_indication(curve),
+        closures=closures, accounted=accounted if found.claims else NO_SHARES, why=missing_indication(curve),
     )  # fmt: skip
 
 
@@ -109,34 +112,34 @@ class _Claims:
     """Collection of claims with their intervals and evidence."""
 
     effects: Mapping[str, Effect]
-    claims: list[Claim] = field(default_factory=list)
+    claims: list[EffectHypothesis] = field(default_factory=list)
     bounds: list[Interval] = field(default_factory=list)
     evidence: dict[str, dict[str, float]] = field(default_factory=dict)
 
-    def add(self, label: str, numbers: Sequence[tuple[float, float, float]], delta_bic: float, gain: float) -> None:
-        """Add a claim, if its effect is allowed, with `numbers`: value and interval of each of its first parameters."""
+    def add(self, label: str, estimates: Sequence[tuple[float, float, float]], delta_bic: float, gain: float) -> None:
+        """Add a claim, if its effect is allowed, with `estimates`: value and interval of its first parameters."""
         effect = self.effects.get(label)
         if effect is None:
             return
         values = {one.name: one.neutral for one in effect.parameters}
-        for parameter, (value, low, high) in zip(effect.parameters, numbers, strict=False):
+        for parameter, (value, low, high) in zip(effect.parameters, estimates, strict=False):
             at, least, most = (float(np.clip(one, parameter.low, parameter.high)) for one in (value, low, high))
             values[parameter.name] = at
             self.bounds.append(Interval(at, least, most, identifiable=at == value))
-        for parameter in effect.parameters[len(numbers) :]:
+        for parameter in effect.parameters[len(estimates) :]:
             self.bounds.append(Interval(parameter.neutral, parameter.low, parameter.high, identifiable=False))
-        self.claims.append(Claim(effect, values))
+        self.claims.append(EffectHypothesis(effect, values))
         self.evidence[label] = {"delta_bic": delta_bic, "holdout_gain": gain}
 
 
-def _share(curve: ForceCurve, unseen: Sequence[Motion], shape: FittedShape | None, terms: Terms) -> float:
+def _share(curve: ForceCurve, held_out: Sequence[Motion], shape: FittedShape | None, terms: Terms) -> float:
     """Return the share of the missing force that claims account for in held-out recordings.
 
     1 - (rms of the residual) / (rms of the missing force), means and noise subtracted.
     """
     left, missing, noise = list[FloatArray](), list[FloatArray](), list[float]()
-    for one in unseen:
-        force, there = curve.missing(one)
+    for one in held_out:
+        force, there = curve.missing_force(one)
         missing.append(force[there])
         made = curve.predicted(one, shape.force if shape else lambda speed, _direction: np.zeros_like(speed), terms)
         left.append((force - made)[there])
@@ -148,14 +151,14 @@ def _share(curve: ForceCurve, unseen: Sequence[Motion], shape: FittedShape | Non
     return 1.0 - float(np.sqrt(max(after - floor, 0.0) / max(before - floor, 1e-300)))
 
 
-def _rise(curve: ForceCurve, shape: FittedShape, name: str) -> float:
+def _evidence(curve: ForceCurve, shape: FittedShape, name: str) -> float:
     """Evidence [BIC] of the points for a term of the shape."""
     without = shape.shape.without(name)
     while name in without.names:
         without = without.without(name)
-    fewer, count = fit_shape(curve.points, without, curve.top), len(curve.points)
-    numbers = len(shape.values) - len(fewer.values)
-    return float(count * np.log(max(fewer.squares, 1e-9) / max(shape.squares, 1e-9)) - numbers * np.log(count))
+    fewer, count = fit_shape(curve.points, without, curve.top_speed), len(curve.points)
+    parameter_count = len(shape.values) - len(fewer.values)
+    return float(count * np.log(max(fewer.squares, 1e-9) / max(shape.squares, 1e-9)) - parameter_count * np.log(count))
 
 
 def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
@@ -168,7 +171,9 @@ def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]
     most, tried = (1.0 + PRACTICAL_SHARE) * least, value * PROFILE[::2]
     flat = [one for one in tried.tolist() if curve.held_out_rms(replace(curve.terms, **{name: one})) < most]
     low, high = min([*flat, value]), max([*flat, value])
-    return [(value, low, high)] if name == "cell" else [(dry[0][0] / value, dry[0][0] / high, dry[0][0] / low)]
+    return (
+        [(value, low, high)] if name == "cell_bandwidth" else [(dry[0][0] / value, dry[0][0] / high, dry[0][0] / low)]
+    )
 
 
 def _rivals(curve: ForceCurve) -> list[Rival]:
@@ -177,7 +182,11 @@ def _rivals(curve: ForceCurve) -> list[Rival]:
         why = "a constant force explains these recordings as well as dry friction: all motion is one way"
         found.append(Rival(id="force_offset", delta_bic=0.0, distinguishable=False, why=why))
     for terms in curve.rivals:
-        for name, label in (("mass", MASS), ("rise", RISE), ("cell", CELL.partition(":")[0])):
+        for name, label in (
+            ("mass", MASS),
+            ("presliding_distance", PRESLIDING),
+            ("cell_bandwidth", CELL.partition(":")[0]),
+        ):
             if getattr(terms, name) and not getattr(curve.terms, name):
                 why = f"{label.replace('_', ' ')} explains these recordings as well: another recording must tell"
                 found.append(Rival(id=label, delta_bic=0.0, distinguishable=False, why=why))
@@ -188,10 +197,10 @@ def _law(
     curve: ForceCurve, problem: Problem, shape: FittedShape | None, found: _Claims, accounted: Mapping[str, float]
 ) -> ClosureReport:
     """Add the force over the position to the claims, as a closure, and return its report."""
-    constant = sum(one for one, *_ in shape.number("constant")) if shape is not None else 0.0
+    constant = sum(one for one, *_ in shape.coefficient_intervals("constant")) if shape is not None else 0.0
     effect = closure(grammar.FORMS[MOTION, "table over position"], problem.bench, curve.limits)
     values = dict(zip((one.name for one in effect.parameters), (curve.over_position + constant).tolist(), strict=True))
-    found.claims.append(Claim(effect, values))
+    found.claims.append(EffectHypothesis(effect, values))
     found.bounds += [Interval(one, one, one, identifiable=False) for one in values.values()]
     slope = (curve.over_position[-2] - curve.over_position[1]) / (curve.limits[1] - curve.limits[0])
     straight = curve.terms.position == "straight"

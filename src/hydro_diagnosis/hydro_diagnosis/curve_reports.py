@@ -20,8 +20,8 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.curves import STANDSTILL_SHARE, ForceCurve, splines
-from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim
+from hydro_diagnosis.curves import STANDSTILL_SHARE, ForceCurve, spline_basis
+from hydro_diagnosis.effects.base import MOTION, PRESSURE, EffectHypothesis
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.report_json import CurveReport
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
 
 def curve_reports(
-    problem: Problem, claims: Sequence[Claim], curve: ForceCurve | None, by_curve: CurveClaims | None
+    problem: Problem, claims: Sequence[EffectHypothesis], curve: ForceCurve | None, by_curve: CurveClaims | None
 ) -> list[CurveReport]:
     """Return the curves with points in the recordings; `by_curve`: the claims, where they are shapes of the curve."""
     found = []
     if curve is not None and curve.points:
         points = curve.points
         at, force, error, strokes = (
-            np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error", "strokes")
+            np.array([getattr(one, name) for one in points]) for name in ("velocity", "force", "error", "strokes")
         )
         if by_curve is not None:
             made = by_curve.shape.force(at) if by_curve.shape is not None else np.zeros_like(at)
@@ -58,7 +58,7 @@ def curve_reports(
 
 def _over_position(curve: ForceCurve, by_curve: CurveClaims | None) -> CurveReport:
     share = np.asarray(np.arange(2 * KNOTS) / (2.0 * KNOTS - 1.0), dtype=np.float64)
-    rows = splines(share)
+    rows = spline_basis(share)
     first, count = 2 * len(curve.knots), len(share)
     errors = np.zeros(count)
     for k in range(count):
@@ -86,7 +86,9 @@ def _report(
     )  # fmt: skip
 
 
-def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> list[tuple[float, float, float, float, float]]:
+def _flows(
+    problem: Problem, claims: Sequence[EffectHypothesis], *, rest: bool
+) -> list[tuple[float, float, float, float, float]]:
     """Argument, missing flow, its standard error, number of stretches (five or more), explained flow: ten points.
 
     Of samples around which the piston is at rest (`rest`), else of those around which its speed is steady for 0.1 s:
@@ -113,8 +115,8 @@ def _flows(problem: Problem, claims: Sequence[Claim], *, rest: bool) -> list[tup
             there = (np.abs(speed) > STANDSTILL_SHARE * top) & (change < 0.2 * np.abs(speed))
         there = there[model.rows]
         smoothed = (np.asarray(uniform_filter1d(each, count)) for each in (over, measured, *modelled))
-        at, one, after, before = (model.kept(each)[there] for each in smoothed)
-        stretch = np.floor(model.kept_time()[there] / steady_for).astype(np.int64) + k * 10**7
+        at, one, after, before = (model.at_evaluated(each)[there] for each in smoothed)
+        stretch = np.floor(model.evaluated_time()[there] / steady_for).astype(np.int64) + k * 10**7
         parts.append((at, one - before, after - before, stretch))
     at, missing, made, stretch = (np.concatenate(one) for one in zip(*parts, strict=True))
     points: list[tuple[float, float, float, float, float]] = []

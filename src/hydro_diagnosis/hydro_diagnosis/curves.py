@@ -27,7 +27,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import butter, sosfiltfilt, welch
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.significance import COVERAGE_FACTOR, FOLDS, ITERATIONS, PRACTICAL_SHARE, TIE_RATIO
@@ -75,13 +75,13 @@ class Motion:
     ----------
     position, velocity, acceleration
         SI units, shape (n,).
-    measured, known
+    measured, modelled
         Force [N] of the cell or of the pressures, and its part that the bench file explains, shape (n,).
     noise
         Standard deviation [N] of the force's white noise in the band.
     """
 
-    def __init__(self, models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> None:
+    def __init__(self, models: Sequence[SegmentModel], baseline: Sequence[EffectHypothesis] = ()) -> None:
         first = models[0]
         self.models = list(models)
         bench, step = first.base, first.step * first.spacing
@@ -98,13 +98,13 @@ class Motion:
         self.position, self.measured = position, force
         self.velocity = np.gradient(position, self.step)
         self.acceleration = np.gradient(self.velocity, self.step)
-        self.known = (
+        self.modelled = (
             bench.moving_mass * self.acceleration
             + bench.viscous_friction * self.velocity
             + bench.spring_stiffness * (position - bench.spring_rest_position)
         )
         if baseline:  # effects of an earlier diagnosis in the bench file
-            self.known = self.known + self.force_of((), baseline)
+            self.modelled = self.modelled + self.force_of((), baseline)
         frequency, power = welch(raw, 1.0 / step, nperseg=min(len(raw), 1024))
         self.noise = float(np.sqrt(np.median(power[frequency > 0.35 / step]) * self.band))
         self.memory = Memory(self.step)
@@ -114,7 +114,7 @@ class Motion:
         order, reach = butter(4, self.band, fs=1.0 / step, output="sos"), int(3 / (self.band * step))
         return np.asarray(sosfiltfilt(order, signals, axis=0, padlen=min(len(signals) - 1, reach)))
 
-    def force_of(self, baseline: Sequence[Claim], claims: Sequence[Claim]) -> FloatArray:
+    def force_of(self, baseline: Sequence[EffectHypothesis], claims: Sequence[EffectHypothesis]) -> FloatArray:
         """Return the force [N] that claims add to that required by the recorded motion, low-passed, shape (n,)."""
         parts = [
             (one.required_force((*baseline, *claims)) - one.required_force(baseline))[one.segment.phase :: one.spacing]
@@ -150,7 +150,7 @@ class Motion:
         return stroke * 1000 + np.minimum(since / 5.0, 999.0).astype(np.int64)
 
 
-def motions(models: Sequence[SegmentModel], baseline: Sequence[Claim] = ()) -> list[Motion]:
+def motions(models: Sequence[SegmentModel], baseline: Sequence[EffectHypothesis] = ()) -> list[Motion]:
     """Return one motion per gapless part of a recording: consecutive segments are joined.
 
     `baseline`: effects that the bench file contains in addition to its parameters.
@@ -181,11 +181,11 @@ class Terms:
     """Force over the position: `straight`, `curved`, or empty: none."""
     play: float = 0.0
     """Width [m] of a play ahead of the friction; 0: none."""
-    rise: float = 0.0
+    presliding_distance: float = 0.0
     """Distance [m] of the elastic rise to the sliding force, extrapolated from its initial slope; 0: no rise."""
-    sharp: bool = False
+    prandtl: bool = False
     """Whether the rise is linear up to the sliding force (Prandtl), not exponential (Dahl)."""
-    cell: float = 0.0
+    cell_bandwidth: float = 0.0
     """Bandwidth [Hz] of the force cell's low-pass; 0: none."""
 
 
@@ -209,7 +209,7 @@ class Design:
 class Point:
     """Point of the force curve: missing force at a velocity."""
 
-    at: float
+    velocity: float
     """Velocity [m/s], with its sign."""
     force: float
     """Missing force [N], without the terms of position and acceleration."""
@@ -235,15 +235,15 @@ class ForceCurve:
 
     def __init__(self, motions: Sequence[Motion], terms: Terms | None = None) -> None:
         self.motions = list(motions)
-        self.top = max(float(np.percentile(np.abs(one.velocity), 95)) for one in motions)
+        self.top_speed = max(float(np.percentile(np.abs(one.velocity), 95)) for one in motions)
         """Top speed [m/s]."""
         self.limits = min(float(m.position.min()) for m in motions), max(float(m.position.max()) for m in motions)
         self.stroke = float(np.median([np.ptp(one.position) for one in motions]))
         """Median range [m] of the recordings' positions."""
         count = int(np.ceil(np.log(1.0 / STANDSTILL_SHARE) / np.log(SPEED_RATIO)))
-        self.knots = np.concatenate([[0.0], self.top * SPEED_RATIO ** np.arange(1 - count, 2.0)])
+        self.knots = np.concatenate([[0.0], self.top_speed * SPEED_RATIO ** np.arange(1 - count, 2.0)])
         """Knots [m/s] of the curve, which is linear between them."""
-        self._kept: dict[int, CurveSamples] = {}
+        self._samples: dict[int, CurveSamples] = {}
         self.rivals: list[Terms] = []
         """Alternatives to the chosen terms that fit as well."""
         self.terms = self._chosen() if terms is None else terms
@@ -277,21 +277,26 @@ class ForceCurve:
     def _best(self, kind: Sequence[Terms]) -> tuple[float, Terms]:
         """Return the least held-out RMS [N] of a kind of terms, the rise refined, and the terms."""
         left, terms = min(((self.held_out_rms(one), one) for one in kind), key=lambda one: one[0])
-        if not terms.rise:
+        if not terms.presliding_distance:
             return left, terms
         found = minimize_scalar(
-            lambda log: self.held_out_rms(replace(terms, rise=float(np.exp(log)))),
-            bounds=(np.log(terms.rise / 3.0), np.log(terms.rise * 3.0)), method="bounded", options={"maxiter": 8},
+            lambda log: self.held_out_rms(replace(terms, presliding_distance=float(np.exp(log)))),
+            bounds=(np.log(terms.presliding_distance / 3.0), np.log(terms.presliding_distance * 3.0)), method="bounded",
+            options={"maxiter": 8},
         )  # fmt: skip
-        finer = replace(terms, rise=float(np.exp(found.x)))
+        finer = replace(terms, presliding_distance=float(np.exp(found.x)))
         return (float(found.fun), finer) if found.fun < left else (left, terms)
 
     def _further(self, terms: Terms) -> Iterator[list[Terms]]:
         """Further terms, kind by kind, the most usual first."""
-        beginning = not (terms.rise or terms.cell)
-        rises = [replace(terms, rise=share * self.stroke) for share in (0.003, 0.01, 0.03, 0.1, 0.3) if beginning]
+        beginning = not (terms.presliding_distance or terms.cell_bandwidth)
+        rises = [
+            replace(terms, presliding_distance=share * self.stroke)
+            for share in (0.003, 0.01, 0.03, 0.1, 0.3)
+            if beginning
+        ]
         yield rises
-        yield [replace(one, sharp=True) for one in rises]
+        yield [replace(one, prandtl=True) for one in rises]
         yield [replace(one, play=play * self.stroke) for one in rises for play in (0.05, 0.1, 0.2, 0.3)]
         yield [replace(terms, mass=True)] if not terms.mass else []
         position = {"": "straight", "straight": "curved", "curved": ""}[terms.position]
@@ -300,7 +305,9 @@ class ForceCurve:
             if position and not (position == "curved" and self.position_confounded)
             else []
         )
-        yield [replace(terms, cell=share * self.motions[0].band) for share in (0.25, 0.5, 1.0, 2.0) if beginning]
+        yield [
+            replace(terms, cell_bandwidth=share * self.motions[0].band) for share in (0.25, 0.5, 1.0, 2.0) if beginning
+        ]
 
     @cached_property
     def position_confounded(self) -> bool:
@@ -346,10 +353,10 @@ class ForceCurve:
 
     def _samples_of(self, motion: Motion) -> CurveSamples:
         """Masks, stroke indices and hat functions of a recording, independent of the terms and computed once."""
-        if id(motion) not in self._kept:
+        if id(motion) not in self._samples:
             hats = self.hat_basis(np.abs(motion.velocity))
-            self._kept[id(motion)] = motion.motion_masks(self.top), motion.stroke_numbers(self.top), hats
-        return self._kept[id(motion)]
+            self._samples[id(motion)] = motion.motion_masks(self.top_speed), motion.stroke_numbers(self.top_speed), hats
+        return self._samples[id(motion)]
 
     def design(self, terms: Terms, motions: Sequence[Motion], *, sliding: bool = False) -> Design:
         """Return the regression of some recordings; `sliding`: without turns and unfinished elastic rises."""
@@ -362,13 +369,13 @@ class ForceCurve:
             speeds = np.concatenate([side[:, None] * hats for side in sides], axis=1)
             bends, share = list[FloatArray](), self.relative_position(one.position)
             if terms.position:
-                bends = [share - 0.5] if terms.position == "straight" else list(splines(share)[:, 1:].T)
+                bends = [share - 0.5] if terms.position == "straight" else list(spline_basis(share)[:, 1:].T)
             further = np.column_stack([*bends, *([one.acceleration] if terms.mass else []), np.ones(len(sign))])
             columns = np.concatenate([one.low_pass(cell(speeds), one.step), cell(further)], axis=1)
             if sliding:  # an elastic rise must be complete
                 there = there & (np.abs(sign) > 0.9)
             rows = {
-                "columns": columns, "missing": one.measured - cell(one.known), "velocity": one.velocity,
+                "columns": columns, "missing": one.measured - cell(one.modelled), "velocity": one.velocity,
                 "acceleration": one.acceleration, "position": one.position, "sign": sign,
                 "stroke": stroke + number * 10**9, "recording": np.full(len(sign), number),
             }  # fmt: skip
@@ -377,18 +384,20 @@ class ForceCurve:
 
     def _sign(self, motion: Motion, terms: Terms) -> FloatArray:
         position = motion.memory.play("play", motion.position, terms.play) if terms.play else motion.position
-        if not terms.rise:  # the mean over the sample, in whose middle the piston may turn
+        if not terms.presliding_distance:  # the mean over the sample, in whose middle the piston may turn
             half = 0.5 * motion.step * np.abs(motion.acceleration) + 1e-300
             return np.clip(motion.velocity / half, -1.0, 1.0)
-        if terms.sharp:
-            return (position - motion.memory.play("rise", position, 2.0 * terms.rise)) / terms.rise
-        return motion.memory.bristle("rise", position, 1.0 / terms.rise, np.ones(len(position)))
+        if terms.prandtl:
+            return (
+                position - motion.memory.play("rise", position, 2.0 * terms.presliding_distance)
+            ) / terms.presliding_distance
+        return motion.memory.bristle("rise", position, 1.0 / terms.presliding_distance, np.ones(len(position)))
 
     @staticmethod
     def _cell(motion: Motion, terms: Terms) -> Callable[[FloatArray], FloatArray]:
-        if not terms.cell:
+        if not terms.cell_bandwidth:
             return lambda signals: signals
-        return lambda signals: motion.memory.low_pass("cell", signals, terms.cell, LOAD_CELL_DAMPING)
+        return lambda signals: motion.memory.low_pass("cell", signals, terms.cell_bandwidth, LOAD_CELL_DAMPING)
 
     def relative_position(self, position: FloatArray) -> FloatArray:
         """Position over the recorded range, 0 to 1."""
@@ -423,16 +432,16 @@ class ForceCurve:
         if terms.mass:
             force = force + self.mass[0] * motion.acceleration
         if terms.position:
-            force = force + splines(self.relative_position(motion.position)) @ self.over_position
+            force = force + spline_basis(self.relative_position(motion.position)) @ self.over_position
         return self._cell(motion, terms)(motion.low_pass(force, motion.step))
 
-    def missing(self, motion: Motion) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    def missing_force(self, motion: Motion) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         """Return the missing force [N] of a recording, and the mask of evaluated samples, shape (n,) each.
 
         Rests are excluded, and turns too unless a memory of the direction is part of the model.
         """
-        there = motion.motion_masks(self.top)[0 if self.terms.rise else 1]
-        return motion.measured - self._cell(motion, self.terms)(motion.known), there
+        there = motion.motion_masks(self.top_speed)[0 if self.terms.presliding_distance else 1]
+        return motion.measured - self._cell(motion, self.terms)(motion.modelled), there
 
     @classmethod
     def over_speed(cls, motions: Sequence[Motion]) -> ForceCurve:
@@ -470,25 +479,31 @@ class ForceCurve:
                 strokes = len(np.unique(design.stroke[here]))
                 rising = np.count_nonzero(here & (design.acceleration * side > 0.0))
                 alone = min(rising, np.count_nonzero(here) - rising) < 0.1 * np.count_nonzero(here)
-                if strokes < 2 or (alone and self.terms.rise):
+                if strokes < 2 or (alone and self.terms.presliding_distance):
                     continue  # after an elastic rise, the rest of a stroke only decelerates
                 row, at = np.zeros(len(self.values)), float(design.velocity[here].mean())
                 first = 0 if side > 0.0 else count
                 row[first : first + count], row[-1] = side * self.hat_basis(np.array([abs(at)]))[0], 1.0
-                found.append(Point(at=at, force=float(row @ self.values),
+                found.append(Point(velocity=at, force=float(row @ self.values),
                                    error=self.error(row), strokes=strokes))  # fmt: skip
-        return sorted(found, key=lambda point: point.at)
+        return sorted(found, key=lambda point: point.velocity)
 
     def point_means(self, signals: Sequence[FloatArray]) -> list[float]:
         """Return the mean of one signal per motion over the samples of each point, in the order of `points`."""
-        there = [one.motion_masks(self.top)[1] for one in self.motions]
+        there = [one.motion_masks(self.top_speed)[1] for one in self.motions]
         values, speed = (
             np.concatenate([one[here] for one, here in zip(parts, there, strict=True)])
             for parts in (signals, [one.velocity for one in self.motions])
         )
         place, sign = self.nearest_knot(np.abs(speed)), np.sign(speed)
         return [
-            float(np.mean(values[(place == self.nearest_knot(np.array([abs(one.at)]))[0]) & (sign == np.sign(one.at))]))
+            float(
+                np.mean(
+                    values[
+                        (place == self.nearest_knot(np.array([abs(one.velocity)]))[0]) & (sign == np.sign(one.velocity))
+                    ]
+                )
+            )
             for one in self.points
         ]
 
@@ -509,10 +524,10 @@ class ForceCurve:
         return np.zeros(KNOTS)
 
     @property
-    def opposing(self) -> float:
+    def opposing_share(self) -> float:
         """Share of the sliding samples in which the force over the speed opposes the motion."""
         design, first = self.sliding, 2 * len(self.knots)
-        sides = [[point.force for point in self.points if point.at * side > 0.0] for side in (1.0, -1.0)]
+        sides = [[point.force for point in self.points if point.velocity * side > 0.0] for side in (1.0, -1.0)]
         if not all(sides):
             return 0.0
         constant = 0.5 * sum(float(np.mean(side)) for side in sides)
@@ -531,7 +546,7 @@ class ForceCurve:
         return 1.483 * float(np.median(off)) / noise > ROUGH_RATIO
 
 
-def splines(share: FloatArray) -> FloatArray:
+def spline_basis(share: FloatArray) -> FloatArray:
     """Return the `KNOTS` uniform cubic B-splines of `model.tables` at positions from 0 to 1, shape (n, KNOTS)."""
     step = 1.0 / (KNOTS - 3)
     knots = step * np.arange(-3, KNOTS + 1)

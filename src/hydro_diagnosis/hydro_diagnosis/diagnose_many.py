@@ -31,7 +31,7 @@ from hydro_bridge.bags.types import RecordingError
 from hydro_core.cli import jobs
 from hydro_core.cli.console import UserError, bounded_number, command, plural, writable_folder
 from hydro_core.settings import read_yaml
-from hydro_diagnosis.bench_numbers import read_bench
+from hydro_diagnosis.bench_parameters import read_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import SUFFIXES, InputError
 from hydro_diagnosis.report_json import row_of
@@ -185,7 +185,7 @@ def main() -> int:
     found: dict[str, Any] = {}
     digest = sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:12]
     told = jobs.job_options(chosen) | {
-        "kept": chosen.out / f"found-{digest}.jsonl",
+        "results_file": chosen.out / f"found-{digest}.jsonl",
         "label": "diagnoses",
         "unit": "recording",
     }

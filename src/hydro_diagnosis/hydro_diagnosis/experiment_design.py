@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of the next recording, when the present ones do not separate the hypotheses.
 
-Every reference of a small catalog is simulated on the believed bench (`hydro_sim.model.plant.AnalyticPlant` with the
+Every reference of a small catalog is simulated on the assumed bench (`hydro_sim.model.plant.AnalyticPlant` with the
 box's own force law, without the effects). The criterion is the part of one cause's signature that the other cannot
 reproduce with any parameter values: the distance of two fitted models, in BIC.
 
@@ -25,7 +25,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import InputError, Recording
-from hydro_diagnosis.significance import DECISIVE
+from hydro_diagnosis.significance import VERY_STRONG_EVIDENCE
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
 from hydro_sim.model.plant import AnalyticPlant
@@ -46,13 +46,13 @@ def simulated_recording(
     `noise`, `seed`: scale and seed of the sensors' noise. `truth`: simulated bench, `bench` by default.
     """
     plant = AnalyticPlant(replace(truth or bench, effects=(), closures=()), noise=noise)
-    believed = replace(bench, effects=(), closures=())
-    states = simulate(plant, believed, Schedule(reference=reference, gains=gains, seconds=seconds), seed=seed)
+    without_effects = replace(bench, effects=(), closures=())
+    states = simulate(plant, without_effects, Schedule(reference=reference, gains=gains, seconds=seconds), seed=seed)
     columns = {name: states[name].copy() for name in STATE_FIELDS}
-    return check_recording(RawTable("rehearsal", states["time"].copy(), None, columns), believed)
+    return check_recording(RawTable("rehearsal", states["time"].copy(), None, columns), without_effects)
 
 
-PROPOSED = 20.0
+PROPOSED_SECONDS = 20.0
 """Length [s] of a proposed recording."""
 
 
@@ -85,7 +85,7 @@ def next_recording(problem: Problem, outcome: SearchOutcome, assessment: Assessm
     for claim in assessment.fit.claims:
         for rival in outcome.rivals.get(claim.effect.label, []):
             distance, other = rival.score - assessment.fit.score, rival.claims[-1].effect
-            if distance < DECISIVE and other.named and other.id != claim.effect.id:
+            if distance < VERY_STRONG_EVIDENCE and other.named and other.id != claim.effect.id:
                 close.append((distance, claim.effect.label, rival))
     if not close:
         return None
@@ -99,19 +99,19 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
     """Report entry with the catalog's reference on which two fits differ most; `alike`: their likeness, as a clause."""
     gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog(problem.bench)]
     gain, reference = max(gains, key=lambda one: one[0])
-    if gain < DECISIVE:
+    if gain < VERY_STRONG_EVIDENCE:
         why = f"No reference tells {names[0]} from {names[1]} on this bench: another sensor or a known load would."
         return {"why": why, "separates": names, "reference": None, "expected_gain": gain}
     why = f"{alike}; on this reference they differ most, by {gain**0.5:.3g} standard deviations of the noise."
     proposed = {
         "waveform": reference.waveform.name.lower(), "amplitude": reference.amplitude, "offset": reference.offset,
-        "frequency": reference.frequency, "seconds": PROPOSED,
+        "frequency": reference.frequency, "seconds": PROPOSED_SECONDS,
     }  # fmt: skip
     return {"why": why, "separates": names, "reference": proposed, "expected_gain": gain}
 
 
 def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
-    """Expected BIC difference between a fit and its rival after `PROPOSED` seconds of a reference."""
+    """Expected BIC difference between a fit and its rival after `PROPOSED_SECONDS` seconds of a reference."""
     seconds = 10.0
     try:
         recording = simulated_recording(problem.bench, reference, seconds=seconds)
@@ -124,7 +124,7 @@ def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, ri
     lengths = np.linalg.norm(columns, axis=0)
     basis = np.linalg.qr(columns[:, lengths > 0.0] / lengths[lengths > 0.0])[0]
     left = apart - basis @ (basis.T @ apart)
-    return float(left @ left) * PROPOSED / seconds
+    return float(left @ left) * PROPOSED_SECONDS / seconds
 
 
 def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:
@@ -138,10 +138,10 @@ def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> 
         return None
     place = max(fits, key=lambda k: fits[k].deviance)
     without, own = fits[place], found.claims[place].effect.label
-    prospects, _there_is = (screen or Screen(problem, without)).prospects(without, 3, {own})
+    candidates, _possible_gain = (screen or Screen(problem, without)).best_laws(without, 3, {own})
     enough = 0.9 * (without.deviance - found.deviance)
-    for prospect in prospects:  # with the next best law, as the last claim, in the place of this one
-        starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)
+    for candidate in candidates:  # with the next best law, as the last claim, in the place of this one
+        starts = (fit(problem, (*without.claims, start)) for start in candidate.starts)
         rival = min(starts, key=lambda one: one.deviance)
         gained = without.deviance - rival.deviance
         if gained >= enough and has_identified_shapes(problem, rival, rival.claims[-1]):

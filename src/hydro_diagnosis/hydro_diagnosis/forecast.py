@@ -3,7 +3,7 @@
 
 ::
 
-    f_r, gains, corrections as recorded ──> box, with the law and the bench that it believed ──> valve current
+    f_r, gains, corrections as recorded ──> box, with the law and the box's bench ─────────────> valve current
                                                ^                                                     │
                                                └── sensors with the recording's noise <── plant <────┘
                                                    bench file | corrected | corrected without one cause
@@ -29,8 +29,8 @@ import yaml
 from hydro_bridge.bags.location import is_bag
 from hydro_bridge.bags.recording import Recording, RecordingError, read_bag, read_messages, stream_bag
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law
-from hydro_diagnosis.bench_numbers import can_simulate
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.bench_parameters import can_simulate
+from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.preprocessing.quality import SATURATED
 from hydro_diagnosis.recording import Segment
@@ -51,11 +51,11 @@ LAW_STATE_TOPIC = "/hydro/law_state"
 
 
 @dataclass(frozen=True)
-class Loop:
-    """Recorded closed loop of an armed box: its belief, settings and schedule, with reference and measured force."""
+class RecordedLoop:
+    """Recorded closed loop of an armed box: bench model, settings and schedule, reference and measured force."""
 
     recording: str
-    belief: Bench
+    box_bench: Bench
     """Bench model of the box's force law."""
     config: BoxConfig
     schedule: Schedule
@@ -74,7 +74,9 @@ class Loop:
 
     def simulated(self, bench: Bench, sensors: Sensors) -> float:
         """RMSE [N] of the loop on a simulated bench; infinite if its box trips."""
-        states = simulate(_InitialisedPlant(bench, sensors, self.start), self.belief, self.schedule, config=self.config)
+        states = simulate(
+            _InitialisedPlant(bench, sensors, self.start), self.box_bench, self.schedule, config=self.config
+        )
         return float("inf") if np.any(states["flags"] & Flag.TRIPPED) else self.rmse(states["load_force"])
 
 
@@ -94,7 +96,7 @@ class _InitialisedPlant(AnalyticPlant):
 
 
 def forecasts(
-    problem: Problem, claims: Sequence[Claim], held: Sequence[Segment], paths: Iterable[str | Path]
+    problem: Problem, claims: Sequence[EffectHypothesis], held: Sequence[Segment], paths: Iterable[str | Path]
 ) -> tuple[list[ForecastReport] | None, str]:
     """Forecasts of the recordings in `held`, or None; with reasons for missing ones. `paths`: of the recordings."""
     if not can_simulate(problem.bench):
@@ -111,7 +113,7 @@ def forecasts(
     return found or None, "; ".join(reasons)
 
 
-def _forecast(loop: Loop, problem: Problem, claims: Sequence[Claim]) -> ForecastReport:
+def _forecast(loop: RecordedLoop, problem: Problem, claims: Sequence[EffectHypothesis]) -> ForecastReport:
     noise, law = problem.sensor_noise, loop.schedule.law.name.lower()
     if missing := {"load_force", "pressure_a", "pressure_b", "piston_position"} - noise.keys():
         raise ValueError(f"the noise of {', '.join(sorted(missing))} is not known from what was fitted")
@@ -147,10 +149,10 @@ def _newtons(rmse: float) -> str:
     return f"{rmse:.3g} N" if np.isfinite(rmse) else "a trip of the box"
 
 
-def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> Loop:
-    """Closed loop of a segment; the box's belief is `bench`, the nominal bench, or one in the recording at `path`.
+def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> RecordedLoop:
+    """Closed loop of a segment; the box's bench is `bench`, the nominal bench, or one in the recording at `path`.
 
-    The belief that best reproduces the recorded current is taken. Raises ValueError, its message without a full stop:
+    That which best reproduces the recorded current is taken. Raises ValueError, its message without a full stop:
     no reference or law is recorded, the armed part is too short, or the law does not reproduce the current.
     """
     if missing := [name for name in STATE_FIELDS if name not in segment.channels]:
@@ -170,9 +172,9 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
     if end - begin < round(least / SAMPLE_PERIOD):
         raise ValueError(f"its box is armed for less than {least:g} s without a gap")
     part = segment.cut(begin, end).channels
-    belief, config = _box(part, law, followed[begin:end], scales, _beliefs(bench, bag), spacing)
+    box_bench, config = _box(part, law, followed[begin:end], scales, _box_benches(bench, bag), spacing)
     current, nominal = part["valve_current"][::spacing], part["nominal_valve_current"][::spacing]
-    limit = belief.valve_current_max
+    limit = box_bench.valve_current_max
     added = np.where(np.abs(current) < SATURATED * limit, current - nominal, 0.0)  # by the filter
     corrected = not np.max(np.abs(added)) < 1e-6 * limit
     schedule = Schedule(
@@ -182,16 +184,16 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> L
         correction=np.asarray(np.repeat(added, spacing)[: end - begin]) if corrected else None,
         law=law,
     )
-    return Loop(
-        recording=segment.recording, belief=belief, config=config, schedule=schedule,
+    return RecordedLoop(
+        recording=segment.recording, box_bench=box_bench, config=config, schedule=schedule,
         start=np.array([part[name][0] for name in PLANT_FIELDS]),
         reference=part["reference_force"], force=part["load_force"],
         scored_samples=slice(-(-round(settle / SAMPLE_PERIOD) // spacing) * spacing, None, spacing),
     )  # fmt: skip
 
 
-def _beliefs(bench: Bench, bag: Recording | None) -> list[Bench]:
-    """Candidate beliefs of the box: the bench file's bench, the nominal one, and those stored in the recording."""
+def _box_benches(bench: Bench, bag: Recording | None) -> list[Bench]:
+    """Candidate benches of the box: the bench file's bench, the nominal one, and those stored in the recording."""
     found, texts = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()], list[Any]()
     if bag is not None:
         boxes = read_messages(bag.path, BOX_TOPIC) if BOX_TOPIC in bag.topics else iter(())
@@ -228,43 +230,43 @@ def _law_state(segment: Segment, bag: Recording | None) -> tuple[Law, FloatArray
 
 def _box(
     channels: Mapping[str, FloatArray], law: Law, followed: FloatArray, scales: tuple[float, float],
-    beliefs: Sequence[Bench], spacing: int,
+    benches: Sequence[Bench], spacing: int,
 ) -> tuple[Bench, BoxConfig]:  # fmt: skip
     """Belief and settings of the box with which its law best reproduces the recorded nominal current."""
     names = zip(("velocity_compensation", "valve_gain_scale"), scales, strict=True)
     fixed = {f"{name}{end}": scale for name, scale in names for end in ("", "_min", "_max")}
     wide = {f"delta_{gain}_{end}": sign * 500.0 for gain in ("kp", "ki") for end, sign in (("min", -1), ("max", 1))}
     tried: list[tuple[float, int, Bench, BoxConfig]] = []
-    for belief in beliefs:
-        config = BoxConfig().of_bench(belief)
+    for box_bench in benches:
+        config = BoxConfig().of_bench(box_bench)
         config = replace(config, compensated=replace(config.compensated, **fixed, **wide), **wide)  # type: ignore[arg-type]
-        tried.append((_law_off(channels, followed, scales, belief, config, spacing), len(tried), belief, config))
-    off, _, belief, config = min(tried)
+        tried.append((_law_off(channels, followed, scales, box_bench, config, spacing), len(tried), box_bench, config))
+    off, _, box_bench, config = min(tried)
     if not off <= MISSED / 4.0:  # a miss of `MISSED` is then not due to the law
         raise ValueError(
             f"the {law.name.lower()} law with its recorded gains misses the recorded nominal current by "
             f"{100.0 * off:.0f} %: what closed this loop is not known"
         )
-    return belief, config
+    return box_bench, config
 
 
 def _law_off(
-    channels: Mapping[str, FloatArray], followed: FloatArray, scales: tuple[float, float], belief: Bench,
+    channels: Mapping[str, FloatArray], followed: FloatArray, scales: tuple[float, float], box_bench: Bench,
     config: BoxConfig, spacing: int,
 ) -> float:  # fmt: skip
     """Relative RMS error of the law's nominal current; the initial value of the integral is fitted."""
-    n, nominal, error = belief.constants().view(np.recarray)[0], channels["nominal_valve_current"], followed[:, 0]
+    n, nominal, error = box_bench.constants().view(np.recarray)[0], channels["nominal_valve_current"], followed[:, 0]
     error = error - channels["load_force"]
     stiff = eq.stiffnesses(n, (n.bulk_modulus,) * 2, eq.clip(channels["piston_position"], 0.0, n.stroke))
     edges = eq.edge_drops(n.supply_pressure, n.tank_pressure, channels["pressure_a"], channels["pressure_b"])
     drops = (np.where(nominal >= 0.0, out, back) for out, back in zip(*edges, strict=True))
     into_a, into_b = (n.valve_gain * eq.signed_root(drop) for drop in drops)
     gain = scales[1] * eq.force_rate(n, stiff, (into_a, -into_b), 0.0)
-    gain = np.maximum(gain, config.constants(belief)["gain_floor"][0])
+    gain = np.maximum(gain, config.constants(box_bench)["gain_floor"][0])
     moving = scales[0] * eq.force_rate(n, stiff, (0.0, 0.0), channels["piston_velocity"])
     action = nominal * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
     current = channels["valve_current"]
-    stopped = (np.abs(current) >= SATURATED * belief.valve_current_max) & (current * error > 0.0)
+    stopped = (np.abs(current) >= SATURATED * box_bench.valve_current_max) & (current * error > 0.0)
     grown = np.cumsum(np.where(stopped, 0.0, channels["integral_gain"] * error)) * SAMPLE_PERIOD
     left = (action[1:] - grown[:-1])[spacing - 1 :: spacing]
     off = (left - left.mean()) / gain[spacing::spacing]

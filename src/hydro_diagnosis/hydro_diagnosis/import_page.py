@@ -17,11 +17,11 @@ from __future__ import annotations
 import http
 import tempfile
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from websockets.exceptions import ConnectionClosed
@@ -33,16 +33,18 @@ from hydro_bridge.dashboard.status import encode_message
 from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table
 from hydro_core.errors import UserError
-from hydro_diagnosis.bench_numbers import read_bench
+from hydro_diagnosis.bench_parameters import read_bench
 from hydro_diagnosis.column_matching import as_yaml
-from hydro_diagnosis.inspect_command import COLUMNS, ROWS, listed, missing, plausibility_warnings
+from hydro_diagnosis.inspect_command import COLUMNS, ROWS, list_columns, missing_equations, plausibility_warnings
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
-from hydro_diagnosis.io.columns import Columns
+from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import columns_of
-from hydro_diagnosis.io.units import UNITS
-from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable
+from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable_reason
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.report.diagnosis import Diagnosis
 
 HOST = "127.0.0.1"
 _SCRIPT = "import.js"
@@ -84,10 +86,13 @@ class Import:
     """Session of one page: stores its uploads and answers its requests.
 
     `connection`: to the page. `folder`: of its uploads. `bench`: baseline, until the page sends a bench file.
+    `diagnose`: `pipeline.diagnose`.
     """
 
-    def __init__(self, connection: ServerConnection, folder: Path, bench: Bench) -> None:
-        self._connection, self._folder, self._bench = connection, folder, bench
+    def __init__(
+        self, connection: ServerConnection, folder: Path, bench: Bench, diagnose: Callable[..., Diagnosis]
+    ) -> None:
+        self._connection, self._folder, self._bench, self._run = connection, folder, bench, diagnose
         self._first: tuple[Path, Columns] | None = None
         """Recording whose columns are shown, with these columns."""
 
@@ -113,7 +118,7 @@ class Import:
         """Doubts about the first recording under this map, and equations for which the map lacks fields."""
         doubts = plausibility_warnings(*self._first, columns, self._bench) if self._first else []
         doubts += self._first[1].broken.values() if self._first else []
-        return {"doubts": doubts, "missing": missing(columns)}
+        return {"doubts": doubts, "missing": missing_equations(columns)}
 
     def _take(self, upload: Upload) -> None:
         """Receive a bench file or a recording; only the last part of a name's path is used."""
@@ -129,10 +134,10 @@ class Import:
             self._send("bench", name=path.name)
             return
         if path.suffix.lower() not in (".mcap", *SUFFIXES):
-            raise InputError(f"{path.name}: {unreadable(path)}, nor a bench file")
+            raise InputError(f"{path.name}: {unreadable_reason(path)}, nor a bench file")
         table = Table(COLUMNS)
         found = columns_of(path, ROWS)
-        proposal = listed(path.name, found, None, table, self._bench)
+        proposal = list_columns(path.name, found, None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
         rows = [
             {key: f"{one:.4g}" if isinstance(one, float) else str(one) for key, one in row.items()}
@@ -142,9 +147,8 @@ class Import:
         self._send("columns", name=path.name, rows=rows, proposed=sources, **self._remarks(proposal))
 
     def _diagnose(self, request: Diagnose) -> None:
-        from hydro_diagnosis.pipeline import diagnose
         from hydro_diagnosis.report.corrected_bench import corrected_yaml
-        from hydro_diagnosis.report.page import rendered
+        from hydro_diagnosis.report.page import render_report
 
         columns = _map(request.columns)
         fit, check = ([self._folder / Path(name).name for name in names] for names in (request.fit, request.check))
@@ -154,10 +158,10 @@ class Import:
         def progress(text: str) -> None:
             self._send("progress", text=text, done=STAGES.index(text) if text in STAGES else None, stages=len(STAGES))
 
-        found = diagnose(fit, holdout=check, bench=self._bench, columns=columns, progress=progress)
+        found = self._run(fit, holdout=check, bench=self._bench, columns=columns, progress=progress)
         self._send(
-            "report", verdict=found.report.verdict, report=rendered(found), corrected=corrected_yaml(found.corrected),
-            columns=as_yaml(columns),
+            "report", verdict=found.report.verdict, report=render_report(found),
+            corrected=corrected_yaml(found.corrected), columns=as_yaml(columns),
         )  # fmt: skip
 
     def _send(self, kind: str, **content: Any) -> None:
@@ -171,8 +175,10 @@ def _map(columns: Mapping[str, Mapping[str, str]]) -> ColumnMap:
     return loaded
 
 
-def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Server:
+def serve_imports(port: int, diagnose: Callable[..., Diagnosis], bench: Bench, name: str = "the nominal one") -> Server:
     """Return a server of the page at `port` (0: any free one), to be run by `serve_forever`; `name`: of the bench.
+
+    `diagnose`: `pipeline.diagnose`, which stands above this module.
 
     Raises UserError if the port is not available.
     """
@@ -200,7 +206,7 @@ def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Ser
     def attend(connection: ServerConnection) -> None:
         with tempfile.TemporaryDirectory(prefix="hydro-import-") as folder:
             try:
-                Import(connection, Path(folder), bench).serve()
+                Import(connection, Path(folder), bench, diagnose).serve()
             except ConnectionClosed:
                 return
 
@@ -211,10 +217,10 @@ def serve_imports(port: int, bench: Bench, name: str = "the nominal one") -> Ser
         raise UserError(f"the page cannot be served at port {port}: {error.strerror or error}") from None
 
 
-def run(bench: str | None, port: int, *, opened: bool) -> int:
+def run(bench: str | None, port: int, diagnose: Callable[..., Diagnosis], *, opened: bool) -> int:
     """Serve the page until Ctrl-C, `opened` in a browser; `bench`: path of its file, None for the nominal one."""
     baseline, name = (read_bench(bench), [Path(bench).name]) if bench else (Bench.nominal(), [])
-    with serve_imports(port, baseline, *name) as server:
+    with serve_imports(port, diagnose, baseline, *name) as server:
         address = f"http://{HOST}:{server.socket.getsockname()[1]}/"
         print(f"drop recordings on the page: {address} (Ctrl-C ends it)", flush=True)
         if opened:

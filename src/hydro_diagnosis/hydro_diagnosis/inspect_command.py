@@ -14,17 +14,16 @@ from hydro_bridge.bags.recording import Extent
 from hydro_core.cli.console import Table, add_json_argument, command, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import EQUATION_REQUIREMENTS, read_bench
+from hydro_diagnosis.bench_parameters import EQUATION_REQUIREMENTS, read_bench
 from hydro_diagnosis.column_matching import as_yaml, propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap, Source
-from hydro_diagnosis.io.columns import Columns, is_time
+from hydro_diagnosis.io.columns import Columns, is_time, quantity, split_unit, to_si
 from hydro_diagnosis.io.table import columns_of, table_of
-from hydro_diagnosis.io.units import quantity, split_unit, to_si
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.wiring import check_plausibility
 from hydro_sim.model.bench import Bench
 
-COSTS = {
+IDENTIFIED_EFFECTS = {
     "pressure equations": "leaks, valve, oil and volumes",
     "motion equation": "friction, mass and end stops",
     "load equation": "the load's damping and play, and the load cell",
@@ -62,7 +61,7 @@ COLUMNS = {
 }
 
 
-def listed(name: str, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
+def list_columns(name: str, found: Columns, columns: ColumnMap | None, table: Table, bench: Bench) -> ColumnMap:
     """Add a row per column of a recording to `table`; returns the column map, proposed if `columns` is None."""
     chosen = propose_sources(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
@@ -125,13 +124,13 @@ def main() -> int:
     table, maps, remarks = Table(COLUMNS), [], []
     for path in chosen.recordings:
         found = columns_of(path, ROWS)
-        maps.append(listed(path.name, found, columns, table, bench))
+        maps.append(list_columns(path.name, found, columns, table, bench))
         said = plausibility_warnings(path, found, maps[-1], bench)
         if columns is None:
-            said += [_advice(maps[-1], chosen.bench), *missing(maps[-1])]
+            said += [_advice(maps[-1], chosen.bench), *missing_equations(maps[-1])]
         said += [*found.notes, *found.broken.values()]
         if columns is None:
-            said += unlike(found, maps[-1], bench)
+            said += unit_mismatches(found, maps[-1], bench)
         remarks += [f"{path.name}: {sentence}" for sentence in said]
     table.show(chosen.json)
     for remark in remarks:
@@ -176,7 +175,7 @@ def plausibility_warnings(path: Path, found: Columns, columns: ColumnMap, bench:
     ]
 
 
-def unlike(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
+def unit_mismatches(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
     """Return a sentence per unmapped field with a column of matching name, but with a unit of another quantity."""
     taken = {source.column for source in proposal.sources.values()}
     left = {split_unit(name)[0]: name for name in found.series if name not in taken and found.unit(name)}
@@ -192,14 +191,14 @@ def unlike(found: Columns, proposal: ColumnMap, bench: Bench) -> list[str]:
     ]
 
 
-def missing(proposal: ColumnMap) -> list[str]:
+def missing_equations(proposal: ColumnMap) -> list[str]:
     """Return a clause per equation that cannot be checked, with the fields that it lacks."""
     there = proposal.sources.keys()
     lacking: dict[str, list[str]] = {}
     for one in EQUATION_REQUIREMENTS:
         lacking.setdefault(one.equation, []).append(", ".join(sorted(one.channels - there)))
     return [
-        f"{COSTS[equation]} cannot be identified without {' or '.join(ways)}"
+        f"{IDENTIFIED_EFFECTS[equation]} cannot be identified without {' or '.join(ways)}"
         for equation, ways in lacking.items()
         if all(ways)
     ]

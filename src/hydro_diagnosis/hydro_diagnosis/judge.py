@@ -17,16 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.estimation.fit import Fit, fit, remove_claim
 from hydro_diagnosis.estimation.intervals import Interval, without_insignificant
-from hydro_diagnosis.estimation.problem import NOTICEABLE, Problem
-from hydro_diagnosis.selection.localisation import FreeForm, Place, free_forms, locate, locate_claims
+from hydro_diagnosis.estimation.problem import EXCESS_THRESHOLD, Problem
+from hydro_diagnosis.selection.localisation import FreeForm, MismatchLocation, free_forms, locate, locate_claims
 from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE
 
 MIN_EXPLAINED_SHARE = 0.98
 """Least share of the squared mismatch that retained causes explain if something remains: six sevenths of its RMS."""
-Accounted = dict[str, dict[str, float]]
+ExplainedShares = dict[str, dict[str, float]]
 """Shares explained by the `named` claims and by `all` terms, by equation."""
 _EQUATION = {"hydraulic": "sensor"}
 
@@ -39,25 +39,25 @@ class Assessment:
     """no_mismatch, explained, modelled, partly_explained or unknown."""
     fit: Fit
     """Fit with the retained claims."""
-    places: tuple[Place, ...]
+    locations: tuple[MismatchLocation, ...]
     """Location of the mismatch against the baseline."""
-    remainder: tuple[Place, ...]
+    remainder: tuple[MismatchLocation, ...]
     """Locations of the remaining mismatch."""
     forms: tuple[FreeForm, ...]
     """Free-form inputs for the remaining mismatch, the most informative first; empty if there is none."""
-    dropped: tuple[Claim, ...]
+    dropped: tuple[EffectHypothesis, ...]
     """Claims of the search that are not retained."""
 
 
-def retain_claims(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) -> tuple[Fit, list[Interval]]:
+def retain_claims(problem: Problem, holdout: Problem, found: Fit, baseline_fit: Fit) -> tuple[Fit, list[Interval]]:
     """Return the fit with the retained claims, and the intervals of its parameters.
 
-    `holdout`: held-out recordings; `found`: fit of the search; `nothing`: fit without claims.
+    `holdout`: held-out recordings; `found`: fit of the search; `baseline_fit`: fit without claims.
     """
     while True:
         count = len(found.claims)
-        if problem.noticeable(found.residual) and explained_share(problem, found, nothing) < MIN_EXPLAINED_SHARE:
-            suspects, noisy = set(), problem.remaining(found.residual)
+        if problem.has_excess(found.residual) and explained_share(problem, found, baseline_fit) < MIN_EXPLAINED_SHARE:
+            suspects, noisy = set(), problem.excess_channels(found.residual)
             for claim in found.cause_claims:  # that acts mainly in channels in which something remains
                 shown = problem.mean_squares(problem.residual(found.claims_without(claim)) - found.residual)
                 if max(shown, key=lambda name: shown[name]) in noisy:
@@ -69,7 +69,7 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) 
         ids = {one.effect.id for one in named}
         named = [one for one in named if set(one.effect.needs) <= ids]
         if len(named) < len(found.claims):
-            remains = problem.noticeable(found.residual) or any(not one.effect.named for one in found.claims)
+            remains = problem.has_excess(found.residual) or any(not one.effect.named for one in found.claims)
             found = fit(problem, named, iterations=0 if remains else ITERATIONS)
         elif worst := _most_harmful(problem, holdout, found):
             found = fit(problem, found.claims_without(worst))
@@ -77,7 +77,7 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, nothing: Fit) 
             return found, bounds
 
 
-def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> Claim | None:
+def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> EffectHypothesis | None:
     """Return the claim that increases the held-out deviance most, if by more than `CLAIM_THRESHOLD`; else None."""
     unseen = holdout.reweighted(found.claims)
     before = unseen.deviance(unseen.residual(found.claims))
@@ -89,12 +89,12 @@ def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> Claim | Non
     return harm[worst] if worst > CLAIM_THRESHOLD else None
 
 
-def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
+def explained_share(problem: Problem, found: Fit, baseline_fit: Fit) -> float:
     """Return the share of the excess over the noise that a fit accounts for.
 
     That of the channel with the smallest share among those in which it leaves more than noise; 1 if there are none.
     """
-    before, after = problem.mean_squares(nothing.residual), problem.mean_squares(found.residual)
+    before, after = problem.mean_squares(baseline_fit.residual), problem.mean_squares(found.residual)
     limit = problem.noise_thresholds
     gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
@@ -103,14 +103,14 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
 
 
 def assess(
-    problem: Problem, found: Fit, kept: Fit, nothing: Fit, holdout: Problem,
+    problem: Problem, found: Fit, kept: Fit, baseline_fit: Fit, holdout: Problem,
     accounted: Mapping[str, Mapping[str, float]],
 ) -> Assessment:  # fmt: skip
     """Return the verdict, with the locations of the mismatch and of what remains of it.
 
     Parameters
     ----------
-    found, kept, nothing
+    found, kept, baseline_fit
         Fits of the search, with the retained claims, and without claims.
     accounted
         `accounted_shares` of the held-out recordings.
@@ -120,7 +120,7 @@ def assess(
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
     left = (
-        problem.noticeable(kept.residual)
+        problem.has_excess(kept.residual)
         or any(not one.effect.named for one in dropped)
         or any(
             name in accounted and accounted[name]["all"] < 1.0 - PRACTICAL_SHARE
@@ -130,42 +130,44 @@ def assess(
     )
     if not left:
         verdict = ("modelled" if terms else "explained") if kept.cause_claims else "no_mismatch"
-        places = tuple(locate_claims(problem, kept, nothing.residual))
-        return Assessment(verdict, kept, places, (), (), dropped)
+        locations = tuple(locate_claims(problem, kept, baseline_fit.residual))
+        return Assessment(verdict, kept, locations, (), (), dropped)
     forms = free_forms(problem, kept)
     remainder = tuple(locate(problem, kept.residual, forms))
     if not remainder:  # an unnamed term may be small, and the held-out recordings may have more
         remainder = tuple(locate(holdout, holdout.residual(kept.claims))) or tuple(
-            locate_claims(problem, found, nothing.residual)
+            locate_claims(problem, found, baseline_fit.residual)
         )
         nowhere = tuple(() for _ in problem.models)  # in the fitted recordings
         remainder = tuple(replace(one, windows=nowhere) for one in remainder)
-    places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
+    locations = tuple(locate_claims(problem, kept, baseline_fit.residual)) or remainder
     whole = all(one["all"] >= 1.0 - PRACTICAL_SHARE for one in accounted.values()) and bool(accounted)
     if kept.cause_claims and whole:
         verdict = "modelled" if terms else "explained"
     else:
         verdict = "partly_explained" if names else "unknown"
-    return Assessment(verdict, kept, places, remainder, tuple(forms[:6]), dropped)
+    return Assessment(verdict, kept, locations, remainder, tuple(forms[:6]), dropped)
 
 
 def _remaining_equations(holdout: Problem, kept: Fit) -> list[str]:
     """Return the equations in which a fit leaves more than noise in the held-out recordings."""
     unseen = holdout.reweighted(kept.claims)
-    return [_EQUATION.get(name, name) for name in unseen.remaining(unseen.residual(kept.claims))]
+    return [_EQUATION.get(name, name) for name in unseen.excess_channels(unseen.residual(kept.claims))]
 
 
-def accounted_shares(errors: Mapping[str, Mapping[str, Any]], named: Mapping[str, Mapping[str, Any]]) -> Accounted:
+def accounted_shares(
+    errors: Mapping[str, Mapping[str, Any]], named: Mapping[str, Mapping[str, Any]]
+) -> ExplainedShares:
     """Return the shares that all terms, and that the named ones, account for, by equation.
 
     `errors`, `named`: `validation.equation_errors` with all terms and with the named ones. Equations in which the bench
     file misses nothing but noise are left out.
     """
-    found: Accounted = {}
+    found: ExplainedShares = {}
     for name, one in errors.items():
         floor = one["noise_floor"] ** 2
         missing = one["rmse_before"] ** 2 - floor
-        if missing > NOTICEABLE * floor:
+        if missing > EXCESS_THRESHOLD * floor:
             left = {"named": named[name]["rmse_after"], "all": one["rmse_after"]}
             found[_EQUATION.get(name, name)] = {
                 key: 1.0 - float(np.sqrt(max(after**2 - floor, 0.0) / missing)) for key, after in left.items()

@@ -11,18 +11,18 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from hydro_core.process import endings
+from hydro_core.process import termination
 from hydro_diagnosis.estimation.problem import Budget
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
 from hydro_diagnosis.selection.search import Search, SearchSettings
+from hydro_diagnosis.simulator_comparison import compare_reports
 from hydro_diagnosis.stage_bar import SIMULATOR
-from hydro_diagnosis.stages.hypotheses import read_repaired, reconsider_wiring
+from hydro_diagnosis.stages.hypotheses import prepare_best_wiring, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
-from hydro_diagnosis.stages.reading import Case, DiagnosisInput, Progress
+from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, Progress
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
-from hydro_diagnosis.twin import compare_reports
 from hydro_sim.model.bench import Bench
 
 
@@ -52,7 +52,7 @@ def diagnose(
         Held-out recordings; by default the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
-        A file or content needs only the parameters that the channels require (`bench_numbers.required_numbers`).
+        A file or content needs only the parameters that the channels require (`bench_parameters.required_parameters`).
     model
         File of a learned bench as the baseline, in place of `bench`.
     columns
@@ -65,7 +65,7 @@ def diagnose(
         Take the recordings as they are: repairs of wiring are not tried (`stages.hypotheses`).
     simulated
         Recordings of a simulator that was driven with the bench's commands: they are diagnosed against the same bench
-        file, and the results are compared (`twin`).
+        file, and the results are compared (`simulator_comparison`).
     simulated_columns
         Column map of the simulator's recordings; default: `columns`.
     settings
@@ -83,22 +83,22 @@ def diagnose(
     DiagnosisInterrupted
         On Ctrl-C once the recordings are read; its `report` contains the results so far.
     """
-    question = DiagnosisInput(
+    inputs = DiagnosisInput(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
         estimate=estimate, as_wired=as_wired, budget=Budget(seconds),
     )  # fmt: skip
     settings = settings or SearchSettings()
     if not simulated:
-        return _answered(_read(question, progress), settings, progress)
+        return _answered(_prepare(inputs, progress), settings, progress)
 
     def told(text: str) -> None:
         progress(SIMULATOR + text)
 
     beside = replace(
-        question, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)
+        inputs, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)
     )
-    simulator = _read(beside, told)  # both before any search: what cannot be read is refused at once
-    found = _answered(_read(question, progress), settings, progress)
+    simulator = _prepare(beside, told)  # both before any search: what cannot be read is refused at once
+    found = _answered(_prepare(inputs, progress), settings, progress)
     try:
         other = _answered(simulator, settings, told)
     except DiagnosisInterrupted as interrupted:
@@ -107,24 +107,26 @@ def diagnose(
     return replace(found, report=compare_reports(found.report, other.report))
 
 
-def _read(question: DiagnosisInput, progress: Progress) -> tuple[Case, float]:
-    """Case of a question, and the time taken to read it [s]."""
+def _prepare(inputs: DiagnosisInput, progress: Progress) -> tuple[PreparedDiagnosis, float]:
+    """Prepared diagnosis of an input, and the time taken to read it [s]."""
     begun = time.monotonic()
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
-        return read_repaired(question, progress), time.monotonic() - begun
+        return prepare_best_wiring(inputs, progress), time.monotonic() - begun
 
 
-def _answered(read: tuple[Case, float], settings: SearchSettings, progress: Progress) -> Diagnosis:
-    case, begun = read[0], time.monotonic() - read[1]
-    given = None not in case.numbers.values()
-    search = Search(case.problem, case.candidates, settings, progress, given=given)
+def _answered(read: tuple[PreparedDiagnosis, float], settings: SearchSettings, progress: Progress) -> Diagnosis:
+    prepared, begun = read[0], time.monotonic() - read[1]
+    given = None not in prepared.estimated_parameters.values()
+    search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
     try:
         with threadpool_limits(1, "blas"):
-            found = name_causes(case, search)
-            before, case = case, reconsider_wiring(case, found, progress)
-            if case.problem is not before.problem:
-                search = Search(case.problem, case.candidates, settings, progress, given=given)
-                found = name_causes(case, search)
-            return build_report(case, search, model_remainder(found, case, search), begun)
+            found = name_causes(prepared, search)
+            before, prepared = prepared, reconsider_wiring(prepared, found, progress)
+            if prepared.problem is not before.problem:
+                search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
+                found = name_causes(prepared, search)
+            return build_report(prepared, search, model_remainder(found, prepared, search), begun)
     except KeyboardInterrupt as interruption:
-        raise DiagnosisInterrupted(interrupted_report(case, search, begun), endings.exit_status(interruption)) from None
+        raise DiagnosisInterrupted(
+            interrupted_report(prepared, search, begun), termination.exit_status(interruption)
+        ) from None

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import numpy as np
 
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import PRESSURE, Claim
+from hydro_diagnosis.effects.base import PRESSURE, EffectHypothesis
 from hydro_diagnosis.effects.closure import evaluate_spline
-from hydro_diagnosis.effects.dynamics import opened
+from hydro_diagnosis.effects.dynamics import overlap_output
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
@@ -23,7 +23,7 @@ def _memory() -> None:
     path, record = np.zeros(10), Memory(1e-3)
     record.bristle("z", path, 2e5, np.ones(10))
     record.play("p", path, 0.1)
-    opened(np.zeros((10, 4)), 1e-3, 1e-4)
+    overlap_output(np.zeros((10, 4)), 1e-3, 1e-4)
     evaluate_spline(path, 0.0, 1.0, np.zeros(KNOTS))
 
 
@@ -33,7 +33,10 @@ def _equations() -> None:
     model = SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), Bench.nominal())
     begins = np.arange(20, 40, 10)
     causes = {effect.label: effect for effect in LIBRARY}
-    leak, gain = Claim(causes["leakage_internal"], {"coefficient": 0.0}), Claim(causes["valve_gain"], {"ratio": 1.0})
+    leak, gain = (
+        EffectHypothesis(causes["leakage_internal"], {"coefficient": 0.0}),
+        EffectHypothesis(causes["valve_gain"], {"ratio": 1.0}),
+    )
     for claims in ((), (leak,), (gain,)):
         model.residuals(PRESSURE, claims), model.motion_residual(claims)
         plant = Plant.of(model, claims)

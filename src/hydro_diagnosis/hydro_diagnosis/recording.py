@@ -13,21 +13,21 @@ import numpy.typing as npt
 
 from hydro_core.signals import FloatArray
 
-TEXTS = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
-SUFFIXES = (*TEXTS, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
+TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
+SUFFIXES = (*TEXT_SUFFIXES, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
 SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
-LAST_THIRD = "the last third of the only recording was held back to check on"
+LAST_THIRD_NOTE = "the last third of the only recording was held back to check on"
 """Note on a data set of one recording, whose last third is held out."""
 
 
-def named_in_full(paths: Sequence[str | Path]) -> set[Path]:
+def ambiguous_paths(paths: Sequence[str | Path]) -> set[Path]:
     """Paths that share a file name with another, and are therefore named in full (most bags are called `bag`)."""
     different = {Path(path) for path in paths}
     stems = Counter(path.stem for path in different)
     return {path for path in different if stems[path.stem] > 1}
 
 
-def unreadable(path: Path) -> str:
+def unreadable_reason(path: Path) -> str:
     """Return the reason why a file cannot be read as a recording."""
     if path.suffix.lower() in SPREADSHEETS:
         return "a spreadsheet: save its table as CSV"
@@ -63,7 +63,7 @@ class Segment:
     """Samples per row of the logger: 1 at 1 kHz, 5 at 200 Hz; the samples between rows are interpolated by splines."""
     measured: npt.NDArray[np.bool_] | None = None
     """Mask of the recorded samples, shape (n,); None: all are recorded."""
-    thinner: Segment | None = None
+    half_rows: Segment | None = None
     """The same segment from half of the rows, if rows are missing: shows how much these may change results."""
 
     def __len__(self) -> int:
@@ -105,7 +105,7 @@ class Segment:
             start=self.start + self.step * begin,
             channels={name: values[begin:end] for name, values in self.channels.items()},
             measured=None if self.measured is None else self.measured[begin:end],
-            thinner=None if self.thinner is None else self.thinner.cut(begin, end),
+            half_rows=None if self.half_rows is None else self.half_rows.cut(begin, end),
         )
 
 

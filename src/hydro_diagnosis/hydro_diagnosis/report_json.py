@@ -173,7 +173,7 @@ class ParameterDifference:
     unit: str
 
     @property
-    def tells(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether the difference is significant: one value is missing, or the interval excludes 0."""
         return self.difference is None or (self.ci95 is not None and not self.ci95[0] <= 0.0 <= self.ci95[1])
 

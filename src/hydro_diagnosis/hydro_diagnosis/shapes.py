@@ -63,7 +63,7 @@ class Shape:
         ]  # fmt: skip
 
     @property
-    def numbers(self) -> int:
+    def parameter_count(self) -> int:
         """Number of its parameters, including the speed over which a rise fades."""
         return len(self.names) + bool(self.stribeck)
 
@@ -93,22 +93,22 @@ class FittedShape:
 
     shape: Shape
     values: FloatArray
-    reach: FloatArray
+    half_width: FloatArray
     """Half-width of each 95 % interval given this shape, discrepancy included."""
     low: FloatArray
     high: FloatArray
     """Bounds of the 95 % intervals, which span all shapes that may hold."""
     squares: float
     """Weighted sum of the squared residuals at the points, with Huber's loss for outliers."""
-    missed: int
-    worst: float
+    missed_points: int
+    largest_miss: float
     """Largest residual at a point, over its uncertainty or the practically relevant force, whichever is larger."""
 
     def force(self, speed: FloatArray, direction: FloatArray | None = None) -> FloatArray:
         """Return the force [N] at velocities `speed` [m/s] and directions after their memory, shape (n,)."""
         return np.asarray(self.shape.columns(speed, direction) @ self.values)
 
-    def number(self, name: str, factor: float = 1.0) -> list[tuple[float, float, float]]:
+    def coefficient_intervals(self, name: str, factor: float = 1.0) -> list[tuple[float, float, float]]:
         """Return value and bounds of the 95 % interval of each coefficient of a term, times a `factor` of -1 or 1."""
         rows = [k for k, one in enumerate(self.shape.names) if one == name]
         found = [(self.values[k], self.low[k], self.high[k]) for k in rows]
@@ -122,7 +122,7 @@ class FittedShape:
 
 def fit_shape(points: Sequence[Point], shape: Shape, top: float) -> FittedShape:
     """Return a shape with its coefficients fitted to the points; `top`: top speed [m/s]."""
-    speed, force, error = (np.array([getattr(one, name) for one in points]) for name in ("at", "force", "error"))
+    speed, force, error = (np.array([getattr(one, name) for one in points]) for name in ("velocity", "force", "error"))
     largest = max(float(np.max(np.abs(force))), 1e-30)
     matters = PRACTICAL_SHARE * largest
     columns, plain = shape.columns(speed), 1.0 / np.hypot(error, 0.5 * matters)
@@ -140,17 +140,17 @@ def fit_shape(points: Sequence[Point], shape: Shape, top: float) -> FittedShape:
     covariance = np.diag(np.square(error)) + level * alike
     moves = inverse * weight
     errors = np.sqrt(np.maximum(np.diag(moves @ covariance @ moves.T), 0.0))
-    reach = errors * float(stdtrit(max(free, 1), CONFIDENCE))
+    half_width = errors * float(stdtrit(max(free, 1), CONFIDENCE))
     missing = np.abs(off) / np.maximum(matters, COVERAGE_FACTOR * error)
     return FittedShape(
         shape=shape,
         values=values,
-        reach=reach,
-        low=values - reach,
-        high=values + reach,
+        half_width=half_width,
+        low=values - half_width,
+        high=values + half_width,
         squares=float(np.sum(np.where(far > 1.0, COVERAGE_FACTOR**2 * (2.0 * far - 1.0), np.square(off * plain)))),
-        missed=int(np.count_nonzero(missing > 1.0)),
-        worst=float(np.max(missing)),
+        missed_points=int(np.count_nonzero(missing > 1.0)),
+        largest_miss=float(np.max(missing)),
     )
 
 
@@ -177,10 +177,10 @@ def simplest_shape(
         for dry, drag, constant in product((False, True), range(3), (False, True))
         for share in ((0.0, *STRIBECK_VELOCITY_RATIOS) if dry else (0.0,))
     ]
-    whole = [fit_shape(points, shape, top) for shape in shapes if shape.numbers <= room]
-    whole = [one for one in whole if not one.missed and possible(one)]
+    whole = [fit_shape(points, shape, top) for shape in shapes if shape.parameter_count <= room]
+    whole = [one for one in whole if not one.missed_points and possible(one)]
     if whole:
-        return min(whole, key=lambda one: (one.shape.numbers, one.squares))
+        return min(whole, key=lambda one: (one.shape.parameter_count, one.squares))
     current = fit_shape(points, Shape(), top)
     while True:
         tried = [fit_shape(points, shape, top) for shape in current.shape.richer(top)]
@@ -191,19 +191,19 @@ def simplest_shape(
             break
         current = best
     either_way = fit_shape(points, Shape(dry=True, constant=True), top)
-    alone = current.worst > COVERAGE_FACTOR and room == 1 and len(points) > 2
-    return either_way if alone and not either_way.missed and possible(either_way) else current
+    alone = current.largest_miss > COVERAGE_FACTOR and room == 1 and len(points) > 2
+    return either_way if alone and not either_way.missed_points and possible(either_way) else current
 
 
 def drop_uncertain(points: Sequence[Point], found: FittedShape, top: float) -> FittedShape:
     """Return the shape without terms that may be absent, the least evident dropped first; intervals span both fits."""
     while len(found.values):
-        unsure = {name for name, value, reach in zip(found.shape.names, found.values, found.reach, strict=True)
+        unsure = {name for name, value, reach in zip(found.shape.names, found.values, found.half_width, strict=True)
                   if abs(value) <= reach}  # fmt: skip
         if not unsure:
             break
         fewer = [fit_shape(points, found.shape.without(name), top) for name in sorted(unsure)]
-        fewer = [one for one in fewer if found.missed or one.worst < COVERAGE_FACTOR]
+        fewer = [one for one in fewer if found.missed_points or one.largest_miss < COVERAGE_FACTOR]
         if not fewer:  # without them a point is missed grossly: they are needed, and their intervals end at 0
             low = np.where(found.values > 0.0, np.maximum(found.low, 0.0), found.low)
             return replace(found, low=low, high=np.where(found.values < 0.0, np.minimum(found.high, 0.0), found.high))
@@ -223,13 +223,13 @@ def curve_shape(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> F
         return None
     if is_unidirectional(curve):
         allowed = allowed - {"constant"}  # not distinguishable from dry friction
-    found = simplest_shape(curve.points, curve.top, viscous, allowed)
-    return drop_uncertain(curve.points, found, curve.top)
+    found = simplest_shape(curve.points, curve.top_speed, viscous, allowed)
+    return drop_uncertain(curve.points, found, curve.top_speed)
 
 
 def is_unidirectional(curve: ForceCurve) -> bool:
     """Return whether all points are of one direction: dry friction cannot be told from a constant force."""
-    speeds = [one.at for one in curve.points]
+    speeds = [one.velocity for one in curve.points]
     return min(speeds) > 0.0 or max(speeds) < 0.0
 
 
@@ -247,12 +247,12 @@ def missing_indication(curve: ForceCurve) -> str:
     if len(curve.points) < 2:
         return "hardly a speed is held"
     if is_unidirectional(curve):  # the force must vary relevantly with the speed, and always oppose the motion
-        force = np.array([one.force * np.sign(one.at) for one in curve.points])
+        force = np.array([one.force * np.sign(one.velocity) for one in curve.points])
         follows = force.min() > 0.0 and np.ptp(force) > PRACTICAL_SHARE * force.max()
         return "" if follows else "all motion is one way, and the force does not follow the speed"
-    if curve.opposing < MIN_OPPOSING_SHARE:
+    if curve.opposing_share < MIN_OPPOSING_SHARE:
         return (
-            f"the force opposes the motion in {100.0 * curve.opposing:.0f} % of what moves: that of friction does in "
-            f"{100.0 * MIN_OPPOSING_SHARE:.0f} % and more"
+            f"the force opposes the motion in {100.0 * curve.opposing_share:.0f} % of what moves: that of friction "
+            f"does in {100.0 * MIN_OPPOSING_SHARE:.0f} % and more"
         )
     return ""

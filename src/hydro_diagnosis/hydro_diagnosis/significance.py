@@ -13,9 +13,9 @@ COVERAGE_FACTOR = 2.0
 """Standard uncertainties from which a value is significant (coverage factor k): `QUANTILE`, rounded up."""
 OUTLIER_FACTOR = 3.0
 """Standard deviations beyond which a single value is an outlier (Huber 1964): noise exceeds them once in 400 values."""
-DECISIVE = 10.0
+VERY_STRONG_EVIDENCE = 10.0
 """Difference of two BICs, or of two deviances, that is very strong evidence (Kass and Raftery 1995, section 3.2)."""
-CLAIM_THRESHOLD = 2.0 * DECISIVE
+CLAIM_THRESHOLD = 2.0 * VERY_STRONG_EVIDENCE
 """Evidence [BIC, deviance] that a claim needs beyond its parameters' price: a choice, checked on recordings with
 nothing missing (`benchmarks.null_simulations`)."""
 PRACTICAL_SHARE = 0.05

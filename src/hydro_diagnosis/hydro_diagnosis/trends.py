@@ -24,7 +24,7 @@ from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table, UserError, add_json_argument, command, plural, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.change_points import FEWEST, PiecewiseTrend, course
+from hydro_diagnosis.change_points import MIN_RECORDINGS, PiecewiseTrend, fit_trend
 from hydro_diagnosis.effects import LIBRARY, FitParameter
 from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.significance import QUANTILE
@@ -106,7 +106,7 @@ def series_of(study: Path, dates: str | None = None) -> list[Series]:
             settled = diagnoses.index[diagnoses.verdict.isin(("no_mismatch", "explained", "modelled"))]
             absent = settled.difference(claimed[rows.cause_there.iloc[0]])
             away = (points.value - neutral.neutral).abs()
-            spread = np.nanmax([neutral.smallest, points.sd.median(), away.min() / QUANTILE])
+            spread = np.nanmax([neutral.smallest_reported, points.sd.median(), away.min() / QUANTILE])
             unnamed = {"value": neutral.neutral, "sd": spread, "bound": spread * (away / points.sd).min()}
             points = pd.concat([points, pd.DataFrame(unnamed, index=absent)])
         points["time"] = (diagnoses.begin.loc[points.index] - pd.Timestamp(0, tz="UTC")) / _DAY
@@ -123,17 +123,17 @@ def row_of(
     line, last = found.lines[-1], found.changes[-1] if found.changes else None
     now, spread = float(line.at(line.end)), QUANTILE * float(line.sd(line.end))
     then = series.time <= line.end - asked.new
-    before = course(series.time[then], series.value[then], series.sd[then], series.bound[then])
-    new = before is not None and found.findings > before.findings
+    before = fit_trend(series.time[then], series.value[then], series.sd[then], series.bound[then])
+    new = before is not None and found.finding_count > before.finding_count
     ahead = (inf, inf, inf)  # days to the limit; without evidence for a slope only one that is passed counts
     if limit is not None:
         start = NEUTRAL[series.key].neutral if series.key in NEUTRAL else float(found.lines[0].at(found.lines[0].begin))
-        reached = line.reaches(limit, limit > start)
-        ahead = reached if found.running or reached[0] == 0.0 else ahead
+        reached = line.time_to_limit(limit, limit > start)
+        ahead = reached if found.has_slope or reached[0] == 0.0 else ahead
     return dict(zip(_COLUMNS, (
         bench, series.name, *(_date(one) for one in ((last.time, last.earliest, last.latest) if last else (inf,) * 3)),
         last.evidence if last else None, float(found.lines[-2].at(found.lines[-2].end)) if last else None,
-        now, now - spread, now + spread, 30.0 * line.slope if found.running else None,
+        now, now - spread, now + spread, 30.0 * line.slope if found.has_slope else None,
         limit, *(_date(line.end + one) for one in ahead), bool(new or ahead[0] <= asked.horizon),
     ), strict=True))  # fmt: skip
 
@@ -157,7 +157,7 @@ def sentence(row: Mapping[str, Any], unit: str) -> str:
     return told + "."
 
 
-def picture(series: Series, found: PiecewiseTrend, limit: float | None) -> str:
+def trend_plot(series: Series, found: PiecewiseTrend, limit: float | None) -> str:
     """Plot the estimates with their intervals, the fitted lines, the change points and the limit, as SVG text."""
     with svg(1, (8.0, 2.4)) as (axes, text):
         axis, zero = axes[0], pd.Timestamp(0)
@@ -213,12 +213,14 @@ def main() -> int:
     limits, told, short = dict(asked.limit), [], []
     for study in asked.studies:
         for series in series_of(study, asked.dates):
-            found = course(series.time, series.value, series.sd, series.bound)
+            found = fit_trend(series.time, series.value, series.sd, series.bound)
             if found is None:
-                short.append(f"{study}: {series.name}: {plural(len(series.time), 'recording')}, {FEWEST} are needed")
+                short.append(
+                    f"{study}: {series.name}: {plural(len(series.time), 'recording')}, {MIN_RECORDINGS} are needed"
+                )
                 continue
             row = row_of(str(study), series, found, limits.get(series.key), asked)
-            told.append((row, sentence(row, series.unit), picture(series, found, row["limit"])))
+            told.append((row, sentence(row, series.unit), trend_plot(series, found, row["limit"])))
 
     def urgency(row: Mapping[str, Any]) -> tuple[bool, str, float]:
         """Sort key of rows: new changes and near limits first, then the nearest limit, then the evidence of change."""

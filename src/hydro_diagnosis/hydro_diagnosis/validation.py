@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, claims_key
+from hydro_diagnosis.effects.base import MOTION, EffectHypothesis, FloatArray, claims_key
 from hydro_diagnosis.effects.memory import Indices
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -25,7 +25,7 @@ from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_N
 from hydro_diagnosis.recording import UNITS
 from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLIER_FACTOR
 
-MOST = 0.25
+MAX_LEFT_OUT_SHARE = 0.25
 """Largest share of the windows that may be left out; if more are unpredictable, the errors are over all windows."""
 HORIZON = 0.07
 """Length of a window [s]."""
@@ -53,7 +53,7 @@ class Comparison:
 
 Simulated = tuple[FloatArray, dict[str, FloatArray]]
 """Initial states of windows, shape (4, windows), and reading minus recording by channel, shape (rows, windows)."""
-Known = dict[tuple[Any, ...], Simulated]
+SimulationCache = dict[tuple[Any, ...], Simulated]
 """Cache of simulations, by segment, horizon, kind of start and claims."""
 
 
@@ -111,7 +111,7 @@ class _Windows:
         several pressures are tried first, a step that increases the cost is halved, and the best state is returned.
         """
         state = recorded
-        if self.plant.sticks:
+        if self.plant.has_stiction:
             tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _TRIED]
             costs = np.sum(np.square(self._misses(np.concatenate(tries, axis=1), recorded)), axis=0)
             first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
@@ -145,12 +145,13 @@ class _Windows:
 
 
 def compare(
-    models: Sequence[SegmentModel], before: Sequence[Claim], after: Sequence[Claim], noise: dict[str, float], *,
-    seconds: float, windows: int, shooting: bool, known: Known | None = None,
+    models: Sequence[SegmentModel], before: Sequence[EffectHypothesis], after: Sequence[EffectHypothesis],
+    noise: dict[str, float], *,
+    seconds: float, windows: int, shooting: bool, cache: SimulationCache | None = None,
 ) -> Comparison:  # fmt: skip
-    """Return the errors of two claim sets over the same windows of held-out recordings; `known`: cache, extended."""
+    """Return the errors of two claim sets over the same windows of held-out recordings; `cache`: extended."""
     seen: list[_Seen] = []
-    known = {} if known is None else known
+    cache = {} if cache is None else cache
     each = max(windows // len(models), 1)
     for number, model in enumerate(models):
         length = round(seconds / model.step)
@@ -163,17 +164,17 @@ def compare(
             for claims in (before, after):
                 stretch = _Windows(Plant.of(model, claims), begins, length, noise)
                 key = (number, seconds, shooting, *claims_key(claims))
-                if key not in known:
+                if key not in cache:
                     state = stretch.plant.start(begins)  # as recorded, smoothed
                     state = stretch.shot(state) if shooting else state
-                    known[key] = state, stretch.apart(state)
-                found.append(known[key])
+                    cache[key] = state, stretch.apart(state)
+                found.append(cache[key])
             (_, old), (state, new) = found
             none = np.zeros(len(begins), dtype=bool)
             left_out = stretch.unpredictable(state, new) if shooting else none
         seen.append(_Seen(model, begins, old, new, left_out))
     count, out = sum(len(one.begins) for one in seen), sum(int(np.sum(one.left_out)) for one in seen)
-    if out > MOST * count:
+    if out > MAX_LEFT_OUT_SHARE * count:
         seen = [replace(one, left_out=np.zeros_like(one.left_out)) for one in seen]
     names = dict.fromkeys(name for one in seen for name in one.before)
     channels = {name: _channel(name, [one for one in seen if name in one.before], noise) for name in names}
@@ -224,24 +225,24 @@ _EQUATION_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load"
 
 def holdout_errors(
     problem: Problem,
-    unseen: Problem,
-    claims: Sequence[Claim],
-    known: Known | None = None,
+    holdout: Problem,
+    claims: Sequence[EffectHypothesis],
+    cache: SimulationCache | None = None,
 ) -> dict[str, Any]:
     """Return the errors of the baseline and of the corrected model, as under `fit` in report.json.
 
-    `unseen`: held-out recordings; noise and baseline are those of `problem`. `known`: simulations so far, which it
+    `holdout`: held-out recordings; noise and baseline are those of `problem`. `cache`: simulations so far, which it
     extends.
     """
-    models = unseen.models
-    equations = equation_errors(unseen, claims)
-    rod = any(model.at_the_rod for model in models)
+    models = holdout.models
+    equations = equation_errors(holdout, claims)
+    rod = any(model.load_cell_at_rod for model in models)
     if rod or not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
         why = "a forward simulation needs current, position and both pressures, and the moving mass"
         why = "a forward simulation needs a law of the load, which was measured here" if rod else why
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
-    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=48, shooting=True, known=known)
+    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=48, shooting=True, cache=cache)
     left_out = horizon.left_out
     why = (
         f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
@@ -250,7 +251,7 @@ def holdout_errors(
         if left_out
         else ""
     )
-    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, known=known)
+    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, cache=cache)
     return {
         "holdout": horizon.channels,
         "horizon_s": HORIZON,
@@ -260,7 +261,7 @@ def holdout_errors(
     }
 
 
-def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, dict[str, Any]]:
+def equation_errors(problem: Problem, claims: Sequence[EffectHypothesis]) -> dict[str, dict[str, Any]]:
     """Return the errors on the recordings of `problem`, by channel, before and after the claims are added.
 
     As under `fit.equations` in report.json; `signal`: root mean square of the equation's measured signal.

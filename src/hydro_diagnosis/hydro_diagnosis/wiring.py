@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import UnknownParameterError, guard
+from hydro_diagnosis.bench_parameters import UnknownParameterError, guard_unknown
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import means
-from hydro_diagnosis.io.units import to_si
+from hydro_diagnosis.io.columns import means, to_si
 from hydro_diagnosis.recording import MEASURED
 from hydro_sim.model.bench import Bench
 
@@ -34,7 +33,7 @@ Channels = Mapping[str, FloatArray]
 class Repair:
     """Repair of a mistake in one field: its true value at t is `factor` x(t + `delay`) + `offset`, x as recorded.
 
-    Or its column is exchanged with another field's (`exchanged`), or assigned to another field (`becomes`).
+    Or its column is exchanged with another field's (`exchanged_with`), or assigned to another field (`reassigned_to`).
     """
 
     field: str
@@ -47,19 +46,19 @@ class Repair:
     """Unit in which the field was recorded, if the mistake is a unit's."""
     delay: float = 0.0
     """Delay of the recorded field [s]; negative: early."""
-    exchanged: str = ""
+    exchanged_with: str = ""
     """Field with which its column was exchanged; empty for none."""
-    becomes: str | None = None
+    reassigned_to: str | None = None
     """Field that its column actually contains, empty to omit it; None: its own."""
 
     def apply(self, channels: Channels, step: float) -> Channels:
         """Return the repaired channels; `step`: sampling time [s]."""
         values = channels[self.field]
-        if self.becomes is not None:
+        if self.reassigned_to is not None:
             others = {name: one for name, one in channels.items() if name != self.field}
-            return {**others, self.becomes: values} if self.becomes else others
-        if self.exchanged:
-            return {**channels, self.field: channels[self.exchanged], self.exchanged: values}
+            return {**others, self.reassigned_to: values} if self.reassigned_to else others
+        if self.exchanged_with:
+            return {**channels, self.field: channels[self.exchanged_with], self.exchanged_with: values}
         if self.delay:
             at = np.arange(len(values), dtype=np.float64)
             values = np.interp(at + self.delay / step, at, values)
@@ -68,12 +67,12 @@ class Repair:
     def edit(self, columns: ColumnMap) -> ColumnMap:
         """Return the column map with the repair applied."""
         source = columns.sources[self.field]
-        if self.becomes is not None:
+        if self.reassigned_to is not None:
             without = columns.changed(self.field, None)
-            return without.changed(self.becomes, source) if self.becomes else without
-        if self.exchanged:
-            there = columns.sources[self.exchanged]
-            return columns.changed(self.field, there).changed(self.exchanged, source)
+            return without.changed(self.reassigned_to, source) if self.reassigned_to else without
+        if self.exchanged_with:
+            there = columns.sources[self.exchanged_with]
+            return columns.changed(self.field, there).changed(self.exchanged_with, source)
         if self.unit and not self.offset:
             return columns.changed(self.field, replace(source, unit=self.unit))
         steps, factor = list(source.steps), self.factor
@@ -106,15 +105,15 @@ def in_other_units(field: str, units: Sequence[str], taken: Mapping[str, str]) -
 
 INSPECTED_SAMPLES = 200_000
 """Number of samples inspected, from the first."""
-PRESSURES = (0.05, 3.0)
+PLAUSIBLE_PRESSURES = (0.05, 3.0)
 """Plausible range of the highest pressure, relative to the supply pressure."""
-BEYOND = 1.5
+UNIT_MISMATCH_RATIO = 1.5
 """Multiple of the stroke or largest current above which a value is taken to be in another unit."""
-MARGIN = 0.01
+STROKE_MARGIN = 0.01
 """Share of the stroke by which a position may lie outside of it."""
-TOGETHER = 0.9
+MIN_CORRELATION = 0.9
 """Correlation above which a regression slope is used."""
-MEAN = 10
+BLOCK_SAMPLES = 10
 """Samples per block mean in regressions between channels."""
 
 AlternativeRepairs = tuple[Repair, ...]
@@ -133,7 +132,7 @@ class PlausibilityCheck:
 
 def check_plausibility(table: RawTable, bench: Bench) -> PlausibilityCheck:
     """Check the fields of a recording for plausibility; checks that need unknown parameters of `bench` are omitted."""
-    found, bench, taken = PlausibilityCheck(units=dict(table.units)), guard(bench), table.units
+    found, bench, taken = PlausibilityCheck(units=dict(table.units)), guard_unknown(bench), table.units
     looked = {name: values[:INSPECTED_SAMPLES] for name, values in table.columns.items()}
     looked = {name: values for name, values in looked.items() if np.isfinite(values).sum() > 0.5 * len(values)}
     rows = np.all([np.isfinite(values) for values in looked.values()], axis=0)
@@ -161,7 +160,7 @@ def _copies(channels: Channels) -> Iterator[AlternativeRepairs]:
             ):
                 pairs.reverse()  # falls as the force rises: likely pressure_b's column
             yield tuple(
-                Repair(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out", becomes="")
+                Repair(wrong, f"{wrong} holds the column of {right}: name its own, or leave it out", reassigned_to="")
                 for wrong, right in pairs
             )
 
@@ -173,9 +172,9 @@ def _pressures(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> It
             continue
         share = float(np.quantile(channels[name], 0.99)) / supply
         alive = float(np.quantile(channels[name], 0.05)) > -0.02 * share * supply
-        if alive and not PRESSURES[0] < share < PRESSURES[1]:
+        if alive and not PLAUSIBLE_PRESSURES[0] < share < PLAUSIBLE_PRESSURES[1]:
             units = in_other_units(name, ("Pa", "hPa", "kPa", "psi", "bar", "MPa"), taken)
-            fitting = [one for one in units if PRESSURES[0] < one.factor * share < PRESSURES[1]]
+            fitting = [one for one in units if PLAUSIBLE_PRESSURES[0] < one.factor * share < PLAUSIBLE_PRESSURES[1]]
             yield tuple(sorted(fitting, key=lambda one: abs(float(np.log(one.factor * share / 0.6)))))
 
 
@@ -189,16 +188,16 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
     zero = 0.5 * stroke - 0.5 * float(position.min() + position.max())  # m, by the travel, or below by the spring
     if "load_force" in channels:
         slope, left = block_regression(position, channels["load_force"])
-        if not left > 1.0 - TOGETHER**2:
+        if not left > 1.0 - MIN_CORRELATION**2:
             factor = slope / bench.spring_stiffness
             rest = float(np.median(channels["load_force"] / bench.spring_stiffness - factor * position))
             zero = bench.spring_rest_position + rest
-    if low >= -MARGIN and high <= 1.0 + MARGIN:
-        if "piston_position" in taken and high < MARGIN:
+    if low >= -STROKE_MARGIN and high <= 1.0 + STROKE_MARGIN:
+        if "piston_position" in taken and high < STROKE_MARGIN:
             yield tuple(_lengths(factor, max(-low, high), taken))
         return
-    velocity = Repair("piston_position", "piston_position is the velocity", becomes="piston_velocity")
-    if max(-low, high) > BEYOND:
+    velocity = Repair("piston_position", "piston_position is the velocity", reassigned_to="piston_velocity")
+    if max(-low, high) > UNIT_MISMATCH_RATIO:
         yield (velocity, *_lengths(factor, max(-low, high), taken))
         return
     sign = -1.0 if factor < 0.0 else 1.0
@@ -211,7 +210,7 @@ def _position(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Ite
 def _lengths(factor: float, share: float, taken: Mapping[str, str]) -> Iterator[Repair]:
     """Units in which the position fits the stroke and the spring force, and the size of an encoder count."""
     for one in in_other_units("piston_position", ("m", "mm", "cm", "um", "in"), taken):
-        if one.factor * share < 1.0 + MARGIN and (not factor or 1.0 / 3.0 < abs(factor) / one.factor < 3.0):
+        if one.factor * share < 1.0 + STROKE_MARGIN and (not factor or 1.0 / 3.0 < abs(factor) / one.factor < 3.0):
             yield one
     if factor:
         size = float(f"{abs(factor):.2g}")
@@ -226,17 +225,17 @@ def _current(channels: Channels, bench: Bench, taken: Mapping[str, str]) -> Iter
     if "valve_current" not in channels:
         return
     largest, limit = float(np.max(np.abs(channels["valve_current"]))), bench.valve_current_max
-    if largest > BEYOND * limit:
+    if largest > UNIT_MISMATCH_RATIO * limit:
         scales = (
             *in_other_units("valve_current", ("mA",), taken),
             Repair("valve_current", f"valve_current is in per cent of {limit:g} A", factor=limit / 100.0),
             Repair("valve_current", f"valve_current is in volts, 10 V for {limit:g} A", factor=limit / 10.0),
             Repair("valve_current", f"valve_current is a share of {limit:g} A", factor=limit),
         )
-        yield tuple(one for one in scales if one.factor * largest <= BEYOND * limit)
+        yield tuple(one for one in scales if one.factor * largest <= UNIT_MISMATCH_RATIO * limit)
 
 
-def block_regression(on: FloatArray, dependent: FloatArray, samples: int = MEAN) -> tuple[float, float]:
+def block_regression(on: FloatArray, dependent: FloatArray, samples: int = BLOCK_SAMPLES) -> tuple[float, float]:
     """Return the regression slope of `dependent` on `on`, by means of `samples` each, and the residual variance share.
 
     0 and 1 if one of the signals is constant.

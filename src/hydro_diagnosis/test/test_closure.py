@@ -19,7 +19,7 @@ from hydro_diagnosis.closure.admission import admit, share_closed
 from hydro_diagnosis.closure.evidence import equals_ruled_out, excluded_blocks, has_identified_shapes, held_out_gain
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.selection import ClosureFit, closures
-from hydro_diagnosis.effects import CANDIDATES, Claim
+from hydro_diagnosis.effects import CANDIDATES, EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.effects.memory import Memory, bristle_force, first_order_lag
 from hydro_diagnosis.estimation.fit import fit
@@ -45,8 +45,8 @@ def problem_with(*closures: dict[str, Any], ruled_out: tuple[str, ...] = (), eff
     return problem_in(record(replace(BENCH, closures=closures, effects=effects), 3), ruled_out=causes)
 
 
-def term(equation: str, form: str, **values: float) -> Claim:
-    return Claim(closure(FORMS[equation, form], BENCH), values)
+def term(equation: str, form: str, **values: float) -> EffectHypothesis:
+    return EffectHypothesis(closure(FORMS[equation, form], BENCH), values)
 
 
 # -- words of the grammar against their closed forms -------------------------------------------------------------------
@@ -151,7 +151,7 @@ def test_a_law_is_found_with_all_of_its_numbers(
     problem = problem_with(entry(equation, form, **numbers))
     found = next(closures(problem, fit(problem, ())))
     assert [one.effect.label for one in found.fit.claims] == [f"closure:{equation}:{form}"]
-    assert not problem.noticeable(found.fit.residual)
+    assert not problem.has_excess(found.fit.residual)
     for bound, value in zip(intervals(problem, found.fit), numbers.values(), strict=True):
         assert bound.value == pytest.approx(value, rel=tolerance, abs=0.0)
 
@@ -182,7 +182,7 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law_where_th
     names = [effect.adapted(BENCH) for effect in CANDIDATES if effect.label in likely]
     found = next(closures(problem, fit(problem, ()), names))
     assert {one.effect.label: dict(one.values) for one in found.fit.claims} == wanted
-    assert found.form == "law" and not found.problem.noticeable(found.fit.residual)
+    assert found.form == "law" and not found.problem.has_excess(found.fit.residual)
     if effects == (DRY,):  # which leaves its sign in doubt: there, not in the judgement
         assert problem.uncertainty != found.problem.uncertainty
 
@@ -191,7 +191,7 @@ def test_what_a_formula_read_off_a_smooth_function_promises_is_what_it_gains() -
     """The splines' sum stands for the law's own responses, to first order."""
     problem = problem_with(entry("motion", "quadratic drag", coefficient=800.0))
     nothing = fit(problem, ())
-    (best,), _ = Screen(problem, nothing).prospects(nothing, 1)
+    (best,), _ = Screen(problem, nothing).best_laws(nothing, 1)
     assert best.effect.label == "closure:motion:quadratic drag"
     assert best.gain == pytest.approx(held_out_gain(problem, nothing, fit(problem, best.starts)), rel=0.1)
 

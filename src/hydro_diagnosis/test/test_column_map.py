@@ -17,9 +17,8 @@ from scipy.io import savemat
 from hydro_core.signals import FloatArray, StateArray
 from hydro_diagnosis.column_matching import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import Columns
+from hydro_diagnosis.io.columns import UNITS, Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
-from hydro_diagnosis.io.units import UNITS
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 

@@ -14,9 +14,9 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import parse_bench
+from hydro_diagnosis.bench_parameters import parse_bench
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.curves import ForceCurve, Motion, Point, Terms, motions, splines
+from hydro_diagnosis.curves import ForceCurve, Motion, Point, Terms, motions, spline_basis
 from hydro_diagnosis.effects.closure import evaluate_spline
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.problem import Problem
@@ -67,7 +67,7 @@ def shape_of(curve: ForceCurve) -> FittedShape:
 def test_the_curve_is_that_of_the_truth_within_its_errors() -> None:
     curve = ForceCurve.over_speed(recorded(rubbing(10.0, 60.0), drift=1.0))
     assert len(curve.points) > 10
-    off = [(one.force - np.sign(one.at) * 10.0 - 60.0 * one.at) / one.error for one in curve.points]
+    off = [(one.force - np.sign(one.velocity) * 10.0 - 60.0 * one.velocity) / one.error for one in curve.points]
     assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
@@ -96,28 +96,28 @@ def test_the_simplest_shape_is_named_whatever_the_size_of_the_machine(truth: dic
 def test_one_number_that_misses_few_points_grossly_does_not_stand() -> None:
     def named(*forces: float) -> FittedShape:
         at, errors = (-0.0131, 0.0127, 0.0179), (12.0, 8.9, 29.0)
-        points = [Point(at=v, force=f, error=e, strokes=5) for v, f, e in zip(at, forces, errors, strict=True)]
+        points = [Point(velocity=v, force=f, error=e, strokes=5) for v, f, e in zip(at, forces, errors, strict=True)]
         return drop_uncertain(points, simplest_shape(points, 0.0137, allowed=NAMES | {"directional"}), 0.0137)
 
     loaded = named(-1995.0, 6569.0, 6953.0)  # eha_loaded of benchmarks.real_recordings: a load that acts one way
-    assert loaded.shape.names == ["dry", "constant"] and not loaded.missed
+    assert loaded.shape.names == ["dry", "constant"] and not loaded.missed_points
     assert all(low >= 0.0 for low in loaded.low)
     assert named(-4200.0, 4100.0, 4500.0).shape.names == ["dry"]
 
 
-@pytest.mark.parametrize("sharp", [False, True])
-def test_an_elastic_beginning_is_found_with_its_distance(sharp: bool) -> None:
+@pytest.mark.parametrize("prandtl", [False, True])
+def test_an_elastic_beginning_is_found_with_its_distance(prandtl: bool) -> None:
     """Dry friction behind an elastic beginning: Dahl's, or Prandtl's, which yields at once."""
 
     def elastic(position: FloatArray, _v: FloatArray, _a: FloatArray) -> FloatArray:
         memory, level, rise = Memory(STEP), 10.0, 0.003
-        if sharp:
+        if prandtl:
             return level * (position - memory.play("x", position, 2.0 * rise)) / rise
         return memory.bristle("x", position, level / rise, np.full_like(position, level))
 
     curve = ForceCurve(recorded(elastic))
-    assert curve.terms.sharp == sharp and not curve.terms.cell
-    assert curve.terms.rise == pytest.approx(0.003, rel=0.1)
+    assert curve.terms.prandtl == prandtl and not curve.terms.cell_bandwidth
+    assert curve.terms.presliding_distance == pytest.approx(0.003, rel=0.1)
     found = shape_of(curve)
     assert found.shape.names == ["dry"] and found.values[0] == pytest.approx(10.0, rel=0.03)
 
@@ -127,13 +127,13 @@ def test_a_slow_cell_is_no_elastic_beginning() -> None:
         return Memory(STEP).low_pass("cell", 10.0 * np.sign(v) + 100.0 * v, 1.5, 0.7071)
 
     curve = ForceCurve(recorded(law))
-    assert curve.terms.cell == pytest.approx(1.5, rel=0.35) and not curve.terms.rise
+    assert curve.terms.cell_bandwidth == pytest.approx(1.5, rel=0.35) and not curve.terms.presliding_distance
 
 
 def test_a_spring_and_a_mass_are_terms_beside_the_speed() -> None:
     sprung = ForceCurve(recorded(lambda x, v, _a: 10.0 * np.sign(v) + 2000.0 * (x - 0.05)))
     assert sprung.terms == Terms(position="straight")
-    rise = np.ptp(splines(np.array([0.0, 1.0])) @ sprung.over_position)
+    rise = np.ptp(spline_basis(np.array([0.0, 1.0])) @ sprung.over_position)
     assert rise == pytest.approx(2000.0 * np.ptp(sprung.limits), rel=0.02)
     heavy = ForceCurve(recorded(lambda _x, v, a: 10.0 * np.sign(v) + 80.0 * a))
     assert heavy.terms == Terms(mass=True)
@@ -143,7 +143,7 @@ def test_a_spring_and_a_mass_are_terms_beside_the_speed() -> None:
 
 def test_curves_over_the_position_are_those_that_the_simulation_takes() -> None:
     values, share = np.random.default_rng(1).standard_normal(12), np.linspace(0.0, 1.0, 101)
-    assert splines(share) @ values == pytest.approx(evaluate_spline(2.0 + share, 2.0, 3.0, values), abs=1e-9)
+    assert spline_basis(share) @ values == pytest.approx(evaluate_spline(2.0 + share, 2.0, 3.0, values), abs=1e-9)
 
 
 def test_what_does_not_oppose_the_motion_is_not_named_and_the_missing_sign_is_told() -> None:

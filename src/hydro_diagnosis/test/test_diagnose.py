@@ -26,8 +26,8 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
+from hydro_diagnosis.stages.parameter_checks import confirmation_note
 from hydro_diagnosis.stages.reading import baseline
-from hydro_diagnosis.stages.unclaimed import confirmed
 from hydro_diagnosis.validation import equation_errors
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
@@ -79,7 +79,7 @@ def test_recordings_of_one_name_are_told_apart_by_their_paths(worn: list[Path], 
 def test_numbers_of_the_bench_file_are_confirmed_if_they_are_right(problem: Problem) -> None:
     area = 1.1 * problem.bench.piston_area
     wrong = Problem([problem.models[0].segment], replace(problem.bench, piston_area=area))
-    told = [confirmed(one, fit(one, []), [], LIBRARY) for one in (problem, wrong)]
+    told = [confirmation_note(one, fit(one, []), [], LIBRARY) for one in (problem, wrong)]
     assert "piston area within 0.3 %" in told[0] and "piston area" not in told[1]
 
 

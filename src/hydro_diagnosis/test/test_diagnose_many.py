@@ -15,7 +15,7 @@ import pytest
 from hydro_bridge.bags.recording import BagWriter, read_bag
 from hydro_core.signals import FloatArray
 from hydro_diagnosis import diagnose_many, trends
-from hydro_diagnosis.change_points import course
+from hydro_diagnosis.change_points import fit_trend
 from hydro_diagnosis.diagnose_many import split_bag, write_study
 from hydro_sim.model.bench import Bench
 from tests.checks import status_of
@@ -122,8 +122,8 @@ def test_wear_and_repair_are_both_dated_and_scatter_is_not(scale: float) -> None
     noise, sd = rng.standard_normal(200), np.full(200, 0.3)
     noise[::40] += 15.0  # wrong values
     worn = np.where((time >= 80) & (time < 140), 0.2 * (time - 80), 0.0)
-    found, quiet = (course(time, scale * one, scale * sd) for one in (noise + worn, noise))
-    assert found and quiet and not quiet.findings
+    found, quiet = (fit_trend(time, scale * one, scale * sd) for one in (noise + worn, noise))
+    assert found and quiet and not quiet.finding_count
     begin, repair = found.changes
     assert begin.earliest - 5 <= 80 <= begin.latest + 5 and repair.time == 140
 
@@ -134,8 +134,8 @@ def test_scatter_that_lasts_for_days_is_no_wear() -> None:
         lasting, own = np.random.default_rng(seed).standard_normal((2, 120))
         for day in range(1, 120):
             lasting[day] = 0.7 * lasting[day - 1] + np.sqrt(1.0 - 0.7**2) * lasting[day]
-        found = course(time, lasting + own, np.ones(120))
-        told += found.findings if found else 0
+        found = fit_trend(time, lasting + own, np.ones(120))
+        told += found.finding_count if found else 0
     assert told <= 1
 
 

@@ -12,15 +12,15 @@ import pytest
 import yaml
 
 from hydro_core.files import bench_digest
-from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
-from hydro_diagnosis.effects.base import Machine, scale_bounds
+from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Effect, EffectHypothesis
+from hydro_diagnosis.effects.base import MachineScales, scale_bounds
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.model.simulation import Plant
-from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, finish
+from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, smooth_kinematic
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
 from hydro_sim.emulator.offline import record_offline
@@ -43,7 +43,7 @@ STEP = 1e-3
 
 def test_a_rise_towards_standstill_is_gone_at_the_top_speed() -> None:
     stribeck = next(one for one in ADAPTED if one.id == "friction_stribeck")
-    found = scale_bounds(stribeck, Machine(force=100.0, speed=0.6, stroke=0.05))
+    found = scale_bounds(stribeck, MachineScales(force=100.0, speed=0.6, stroke=0.05))
     velocity = next(one for one in found.parameters if one.name == "velocity")
     assert np.exp(-np.square(0.6 / velocity.high)) == pytest.approx(0.05, abs=1e-3)  # else it passes for dry friction
 
@@ -52,13 +52,16 @@ def test_effect_shows_only_where_it_acts_and_vanishes_at_its_neutral_value(probl
     nothing = problem.residual([])
 
     def check(effect: Effect) -> None:
-        change = problem.residual([Claim(effect, {one.name: one.probes[0] for one in effect.parameters})]) - nothing
+        change = (
+            problem.residual([EffectHypothesis(effect, {one.name: one.start_values[0] for one in effect.parameters})])
+            - nothing
+        )
         power = np.bincount(problem.layout.channel, np.square(change), len(CHANNELS))
         shown = {CHANNELS[k] for k in np.flatnonzero(power > 1e-9 * power.max())}
         may = {name for block in effect.blocks for name in BLOCKS[block]} | {"motion"}  # forces reach the motion
         assert shown and shown <= may
-        if effect.parameters[0].smallest > 0.0 and "soft" not in effect.label:
-            neutral = Claim(effect, {one.name: one.neutral for one in effect.parameters})
+        if effect.parameters[0].smallest_reported > 0.0 and "soft" not in effect.label:
+            neutral = EffectHypothesis(effect, {one.name: one.neutral for one in effect.parameters})
             assert np.max(np.abs(problem.residual([neutral]) - nothing)) < 1e-6
 
     each([effect for effect in ADAPTED if not effect.needs], check, lambda effect: effect.label)
@@ -123,7 +126,7 @@ def test_friction_is_averaged_over_the_velocities_within_the_test_function() -> 
     time = (np.arange(400) - 200.0) * STEP
     channels = {"piston_position": 0.04 + 0.5 * acceleration * time**2}
     model = SegmentModel(Segment("loose", 0.0, STEP, channels), BENCH)
-    got = finish(model.dry_friction([claim("friction_stribeck", strength, width)]))
+    got = smooth_kinematic(model.dry_friction([claim("friction_stribeck", strength, width)]))
 
     fine = np.linspace(-8.0, 8.0, 4001)
     bell = np.exp(-0.5 * (fine / TOTAL_WIDTH) ** 2)
@@ -184,23 +187,23 @@ PASSED = {
     "pressure_b": 9e6, "current": 1e-4, "opening": 5e-4, "hydraulic_force": 50.0, "load_force": 50.0,
 }  # fmt: skip
 """Thresholds that this motion passes."""
-TERMS: tuple[Law | Table, ...] = (*grammar.LAWS, *grammar.ROUNDED[::4], *grammar.TABLES)
+TERMS: tuple[Law | Table, ...] = (*grammar.LAWS, *grammar.LAWS_WITH_REVERSAL_VELOCITY[::4], *grammar.TABLES)
 DRAG, TABLE = grammar.FORMS["motion", "quadratic drag"], grammar.FORMS["load", "table over position"]
 
 
-def claimed(law: Law | Table) -> Claim:
+def claimed(law: Law | Table) -> EffectHypothesis:
     """A term at its typical size; a table goes up and down."""
     effect = closure(law, BENCH, LIMITS[law.variable] if isinstance(law, Table) else (0.0, 1.0))
-    amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
+    amplitudes = [one for one in effect.parameters if one.smallest_reported > 0.0]
     share = next((one for form, one in SHARES.items() if law.form.startswith(form)), 1.0)
-    sizes = {one.name: share * one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
+    sizes = {one.name: share * one.start_values[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
     starts = effect.start_values()
-    numbers = law.numbers if isinstance(law, Law) else ()
-    passed = {one.name: PASSED[one.over] for one in numbers if one.over}
-    return Claim(effect, {**starts[len(starts) // 2], **passed, **sizes})
+    numbers = law.shape_parameters if isinstance(law, Law) else ()
+    passed = {one.name: PASSED[one.threshold_signal] for one in numbers if one.threshold_signal}
+    return EffectHypothesis(effect, {**starts[len(starts) // 2], **passed, **sizes})
 
 
-def entry(term: Claim) -> dict[str, Any]:
+def entry(term: EffectHypothesis) -> dict[str, Any]:
     return term.effect.to_closure(term.values)
 
 
@@ -224,7 +227,7 @@ def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> No
     back = claims_of(Bench.load(path))
     assert [(one.effect.label, one.values) for one in back] == [(one.effect.label, one.values) for one in claims]
     assert isinstance(back[1].effect, Closure) and back[1].effect.limits == LIMITS["position"]
-    assert Bench.load(path).digest == bench_digest.digest(bench_digest.read_numbers(path)) != BENCH.digest
+    assert Bench.load(path).digest == bench_digest.digest(bench_digest.read_parameters(path)) != BENCH.digest
 
 
 def test_a_law_that_has_a_name_is_an_effect_of_the_corrected_bench_and_no_closure() -> None:
@@ -234,9 +237,9 @@ def test_a_law_that_has_a_name_is_an_effect_of_the_corrected_bench_and_no_closur
     assert (grown.label, grown.family, grown.blocks) == ("port_drag", "friction", {"motion"})
     assert grown.sentence({"coefficient": 600.0}) == "Ports drag. It is 600 N s2/m2 times v |v|."
     (coefficient,) = grown.parameters
-    assert (coefficient.low, coefficient.high, coefficient.smallest) == (0.0, 9e3, 0.01 * DRAG.typical)
+    assert (coefficient.low, coefficient.high, coefficient.smallest_reported) == (0.0, 9e3, 0.01 * DRAG.typical)
     numbers = {"coefficient": 600.0}
-    assert Claim(grown, numbers).to_mapping() == {"id": "port_drag", "parameters": numbers}
+    assert EffectHypothesis(grown, numbers).to_mapping() == {"id": "port_drag", "parameters": numbers}
 
 
 def test_a_table_is_constant_beyond_what_was_seen() -> None:

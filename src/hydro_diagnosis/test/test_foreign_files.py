@@ -81,7 +81,7 @@ def europe(force: Sequence[str], times: Sequence[str] = ()) -> str:
     return lines(HEAD.replace(",", ";"), times or german(T), force, german(X), sign=";")
 
 
-TEXTS: dict[str, tuple[str, dict[str, FloatArray]]] = {
+TEXT_SUFFIXES: dict[str, tuple[str, dict[str, FloatArray]]] = {
     # kind 4: thousands and decimal signs
     "thousands, quoted": (table(T, quoted(BIG)), {"load_force": BIG}),
     "thousands in the time": (table(quoted(999.8 + T)), {"time": 999.8 + T}),
@@ -163,9 +163,9 @@ def holds(table: RawTable, answer: Mapping[str, FloatArray], within: float = 1e-
         np.testing.assert_allclose(read, wanted, rtol=0.0, atol=within * size, err_msg=field)
 
 
-@pytest.mark.parametrize("case", TEXTS)
+@pytest.mark.parametrize("case", TEXT_SUFFIXES)
 def test_a_text_is_read_as_a_person_reads_it(case: str, tmp_path: Path) -> None:
-    text, answer = TEXTS[case]
+    text, answer = TEXT_SUFFIXES[case]
     path = tmp_path / "run.csv"
     path.write_text(text, encoding="utf-8")
     unnamed = ColumnMap.load("time='column 0',load_force='column 1',piston_position='column 2'[mm]")

@@ -17,6 +17,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from hydro_core.signals import StateArray
 from hydro_diagnosis.import_page import serve_imports
+from hydro_diagnosis.pipeline import diagnose
 from hydro_sim.model.bench import Bench
 from tests import browser
 
@@ -26,7 +27,7 @@ FIELDS = {"x": ("piston_position", 1e3), "pa": ("pressure_a", 1e-5), "pb": ("pre
 
 @pytest.fixture
 def address() -> Iterator[str]:
-    with serve_imports(0, Bench.nominal()) as server:
+    with serve_imports(0, diagnose, Bench.nominal()) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         yield f"127.0.0.1:{server.socket.getsockname()[1]}"

@@ -11,8 +11,8 @@ import pytest
 
 from hydro_core.signals import FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis import diagnose
-from hydro_diagnosis.bench_numbers import parse_bench
-from hydro_diagnosis.effects import Claim
+from hydro_diagnosis.bench_parameters import parse_bench
+from hydro_diagnosis.effects import EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem, sensor_noise
@@ -22,8 +22,8 @@ from hydro_diagnosis.judge import accounted_shares, assess, retain_claims
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.selection.localisation import free_forms
-from hydro_diagnosis.stages.reporting import line_of
-from hydro_diagnosis.validation import HORIZON, MOST, compare, equation_errors
+from hydro_diagnosis.stages.reporting import common_spectral_line
+from hydro_diagnosis.validation import HORIZON, MAX_LEFT_OUT_SHARE, compare, equation_errors
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from tests.segments import claim, frame, problem_in, problem_of, record, segment
@@ -115,7 +115,7 @@ def test_windows_that_nothing_can_predict_are_left_out_and_a_wrong_model_gains_n
             assert kept > 0.8 * every > 5.0
             continue
         assert kept < 1.15 < 3.0 < every
-        assert found.left_out and len(found.left_out) <= MOST * found.windows
+        assert found.left_out and len(found.left_out) <= MAX_LEFT_OUT_SHARE * found.windows
         assert all(window["recording"] == "run" and 0.0 < window["start"] < 25.0 for window in found.left_out)
 
 
@@ -175,7 +175,7 @@ def test_a_line_is_told_with_frequency_and_share_whatever_its_phase(frequency: f
         noise(seed) + wave(frequency, phase) + 3.0 / np.sqrt(2.0) * walk(seed + 4) / walk(seed + 4).std()
         for seed, phase in ((1, 0.3), (2, 2.0), (3, 4.0))
     )
-    found = line_of((part(one, two), part(three)), "load")
+    found = common_spectral_line((part(one, two), part(three)), "load")
     assert found.frequency == pytest.approx(frequency, abs=0.03)
     assert found.share == pytest.approx(0.5, abs=0.05)
     assert f"{found.frequency:.3g} Hz" in found.sentence
@@ -187,7 +187,7 @@ def test_a_line_is_told_with_frequency_and_share_whatever_its_phase(frequency: f
     ids=["noise", "another", "walk", "faint"],
 )
 def test_a_line_that_not_every_recording_has_is_not_told(held: FloatArray) -> None:
-    assert line_of((part(noise(1) + wave(20.0, 0.3)), part(held)), "load") is None
+    assert common_spectral_line((part(noise(1) + wave(20.0, 0.3)), part(held)), "load") is None
 
 
 # -- the next recording ------------------------------------------------------------------------------------------------
@@ -221,7 +221,7 @@ def test_a_recording_is_proposed_that_tells_the_two_best_laws_apart() -> None:
     drag, values = ("motion", "quadratic drag"), {"coefficient": 400.0}
     truth = replace(NOMINAL, closures=({"equation": drag[0], "form": drag[1], "parameters": values},))
     narrow = problem_in(record(truth, 3, 6.0, Waveform.SINE))
-    proposed = next_for_law(narrow, fit(narrow, [Claim(closure(grammar.FORMS[drag], NOMINAL), values)]))
+    proposed = next_for_law(narrow, fit(narrow, [EffectHypothesis(closure(grammar.FORMS[drag], NOMINAL), values)]))
     assert proposed["separates"][0] == "quadratic drag (motion)" != proposed["separates"][1]
     assert proposed["separates"][1] in proposed["why"] and "%" in proposed["why"]
     assert proposed["reference"] and proposed["expected_gain"] > 10.0

@@ -19,13 +19,12 @@ from hydro_bridge.bags.recording import BagWriter
 from hydro_core.cli.console import Table
 from hydro_core.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.inspect_command import COLUMNS, listed
+from hydro_diagnosis.inspect_command import COLUMNS, list_columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
-from hydro_diagnosis.preprocessing import streaming
+from hydro_diagnosis.preprocessing import loading
 from hydro_diagnosis.preprocessing.box_clock import BETWEEN
-from hydro_diagnosis.preprocessing.loading import load_dataset
+from hydro_diagnosis.preprocessing.loading import check_bag, load_dataset
 from hydro_diagnosis.preprocessing.quality import check_recording, frozen_encoder, sampling_grid, uneven
-from hydro_diagnosis.preprocessing.streaming import read_bag_within
 from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages import naming, reading
@@ -130,7 +129,7 @@ def test_fast_logger_gives_the_rows_at_the_box_s_milliseconds(nominal: StateArra
     columns["valve_current"] = nominal["valve_current"][fine // 4]
     table = RawTable("run", 2.5e-4 * fine[late:], None, {name: one[late:] for name, one in columns.items()})
     (segment,) = check_recording(table, BENCH).segments
-    assert segment.step == 1e-3 and segment.thinner is None
+    assert segment.step == 1e-3 and segment.half_rows is None
     assert np.allclose(segment.channels["piston_position"], nominal["piston_position"][late : len(segment) + late])
 
 
@@ -151,19 +150,21 @@ def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
     tried: list[Problem] = []
     monkeypatch.setattr(naming, "closures", lambda problem, *_: tried.append(problem) or ())
     frame(nominal)[::spacing].to_csv(tmp_path / "run.csv", index=False)
-    question = DiagnosisInput(recordings=[tmp_path / "run.csv"], holdout=[], bench=BENCH, model=None, columns=None,
+    inputs = DiagnosisInput(recordings=[tmp_path / "run.csv"], holdout=[], bench=BENCH, model=None, columns=None,
                         without=[], estimate=[], as_wired=True)  # fmt: skip
-    case = reading.read(question, lambda text: None)
-    assert case.problem.unseen_ringing == pytest.approx(0.0 if shown else 86.5, abs=0.5)
-    assert any("the mass rings on the oil at 86.5 Hz" in note for note in case.facts["data_quality"]) != shown
-    labels = {effect.label for effect in case.candidates}
+    prepared = reading.prepare(inputs, lambda text: None)
+    assert prepared.problem.aliased_resonance == pytest.approx(0.0 if shown else 86.5, abs=0.5)
+    assert (
+        any("the mass rings on the oil at 86.5 Hz" in note for note in prepared.report_fields["data_quality"]) != shown
+    )
+    labels = {effect.label for effect in prepared.candidates}
     assert ({"bulk_modulus", "dead_volume:a", "moving_mass", "sensor_lag:pressure_a"} <= labels) == shown
     assert {"sensor_lag:load_force", "friction_coulomb", "valve_deadband"} <= labels
     remains: Any = SimpleNamespace(
-        problem=case.problem, holdout=None, proof={}, simulated={}, curve=None, by_curve=None,
+        problem=prepared.problem, holdout=None, holdout_report={}, simulations={}, curve=None, by_curve=None,
         assessment=SimpleNamespace(remainder=(SimpleNamespace(equation="load"),), fit=None),
     )  # fmt: skip
-    naming.model_remainder(remains, case, Search(case.problem, []))
+    naming.model_remainder(remains, prepared, Search(prepared.problem, []))
     assert bool(tried) == shown
 
 
@@ -275,9 +276,9 @@ def minute(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
 
 def test_bag_read_in_stretches_is_the_bag(minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch) -> None:
     path, whole = minute
-    monkeypatch.setattr(streaming, "STRETCH", 7_001)
-    monkeypatch.setattr(streaming, "WHOLE", 9)
-    again = read_bag_within(path, BENCH)
+    monkeypatch.setattr(loading, "STRETCH", 7_001)
+    monkeypatch.setattr(loading, "MAX_WHOLE_STRETCHES", 9)
+    again = check_bag(path, BENCH)
     assert again.quality == whole.quality
     assert [one.start for one in again.segments] == [one.start for one in whole.segments]
     for one, other in zip(again.segments, whole.segments, strict=True):
@@ -288,7 +289,7 @@ def test_bag_read_in_stretches_is_the_bag(minute: tuple[Path, Recording], monkey
 def test_a_bag_that_was_cut_off_says_so(minute: tuple[Path, Recording], tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(next(minute[0].glob("*.mcap")).read_bytes()[:2_000_000])
-    assert "cut.mcap was not finished" in read_bag_within(cut, BENCH).quality[0]
+    assert "cut.mcap was not finished" in check_bag(cut, BENCH).quality[0]
     assert "cut.mcap was not finished" in columns_of(cut).notes[0]
 
 
@@ -300,7 +301,7 @@ def test_one_damaged_block_is_a_gap_and_a_note(chunk: int, minute: tuple[Path, R
     data = bytearray(whole.read_bytes())
     data[chunks[chunk].chunk_start_offset + chunks[chunk].chunk_length // 2] ^= 0x10
     path.write_bytes(data)
-    found = read_bag_within(path, BENCH)
+    found = check_bag(path, BENCH)
     assert found.quality[0] == "run.mcap: run.mcap is damaged: 1 of its blocks could not be read"
     assert minute[1].seconds - 8.0 < found.seconds < minute[1].seconds - 0.5
     assert columns_of(path).notes[0] in found.quality[0]
@@ -312,7 +313,7 @@ def test_a_thinned_bag_is_listed_as_the_whole_one(minute: tuple[Path, Recording]
     for name, values in whole.series.items():
         np.testing.assert_array_equal(thin.series[name], values[::8])
     for found in (whole, thin):
-        listed(path, found, None, table := Table(COLUMNS), BENCH)
+        list_columns(path, found, None, table := Table(COLUMNS), BENCH)
         rows.append(table.rows)
     for one, other in zip(*rows, strict=True):
         assert other == {**one, "shape": other["shape"], "rate": pytest.approx(one["rate"], rel=1e-3)}
@@ -322,9 +323,9 @@ def test_windows_of_a_long_bag_are_what_it_holds(
     minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, whole = minute
-    monkeypatch.setattr(streaming, "STRETCH", 5_000)
-    monkeypatch.setattr(streaming, "WINDOW", 2.0)
-    kept = read_bag_within(path, BENCH)
+    monkeypatch.setattr(loading, "STRETCH", 5_000)
+    monkeypatch.setattr(loading, "WINDOW", 2.0)
+    kept = check_bag(path, BENCH)
     assert len(kept.segments) == 15
     assert sum(one.start >= 40.0 for one in kept.segments) == 5
     assert "15 windows of 2 s were kept" in kept.quality[-1]

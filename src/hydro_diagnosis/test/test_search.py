@@ -13,16 +13,16 @@ import pytest
 from hydro_core.signals import Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
+from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Effect, EffectHypothesis
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import is_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, Budget, Problem
-from hydro_diagnosis.estimation.unknown_numbers import estimated_claims
+from hydro_diagnosis.estimation.unknown_parameters import estimated_claims
 from hydro_diagnosis.judge import assess, retain_claims
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.search import Search, SearchOutcome, SearchSettings
 from hydro_diagnosis.stages.naming import StageResult
-from hydro_diagnosis.stages.reporting import describe
+from hydro_diagnosis.stages.reporting import effect_reports
 from hydro_sim.model.bench import Bench
 from tests.segments import claim, problem_in, problem_of, record
 
@@ -37,10 +37,10 @@ def search(problem: Problem, effects: Sequence[Effect] = ADAPTED) -> SearchOutco
 
 def test_nothing_is_claimed_where_nothing_is_missing(problem: Problem) -> None:
     outcome = search(problem)
-    squares = problem.mean_squares(outcome.nothing.residual)
+    squares = problem.mean_squares(outcome.baseline_fit.residual)
     assert all(0.75 < square < 1.25 for square in squares.values()), squares
     assert outcome.fit.claims == ()
-    assert list(closures(problem, outcome.nothing)) == []
+    assert list(closures(problem, outcome.baseline_fit)) == []
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def test_one_slow_sine_tells_overlap_lag_and_leak_apart(half_width: float) -> No
     bench = corrected_bench(NOMINAL, [claim(label, *given) for label, given in sizes.items()])
     outcome = search(problem_in(record(bench, 3, 6.0, Waveform.SINE, 200.0, frequency=0.5)))
     found = {one.effect.label: [*one.values.values()] for one in outcome.fit.claims}
-    assert found.keys() == sizes.keys() and not outcome.problem.noticeable(outcome.fit.residual)
+    assert found.keys() == sizes.keys() and not outcome.problem.has_excess(outcome.fit.residual)
     assert found["valve_deadband"] + found["leakage_internal"] == pytest.approx([half_width, 1e-13], rel=1e-3, abs=0.0)
 
 
@@ -109,7 +109,7 @@ def test_what_remains_is_judged_by_how_many_residuals_tell(problem: Problem, squ
     """12 s: 2300 residuals in most channels, but 117 means over 100 ms, whose mean square chance brings to 1.4."""
     for index, name in enumerate(CHANNELS):
         residual = np.where(problem.layout.channel == index, square**0.5, 1.0)
-        assert problem.noticeable(residual) == (name in remains), name
+        assert problem.has_excess(residual) == (name in remains), name
 
 
 def test_a_search_that_ends_early_says_why() -> None:
@@ -117,10 +117,10 @@ def test_a_search_that_ends_early_says_why() -> None:
         moving_mass=1.6, viscous_friction=90.0, spring_stiffness=18500.0, spring_rest_position=0.0405,
         bulk_modulus=1.2e9, supply_pressure=15.2e6, dead_volume_a=2.2e-4, area_ratio=0.58,
     )  # fmt: skip
-    for settings, why in ({"most": 2}, "2 causes at most"), ({"effort": 150}, "150 evaluations"):
+    for settings, why in ({"max_claims": 2}, "2 causes at most"), ({"effort": 150}, "150 evaluations"):
         outcome = Search(worn_out, ADAPTED, SearchSettings(**settings)).run()
-        assert why in outcome.cut_short
-        assert worn_out.noticeable(outcome.fit.residual)
+        assert why in outcome.stop_reason
+        assert worn_out.has_excess(outcome.fit.residual)
 
 
 def test_budget_of_work_ends_it_with_the_best_answer_so_far(worn: list[Path]) -> None:
@@ -138,8 +138,8 @@ def test_budget_grows_with_what_is_recorded_unless_it_is_chosen() -> None:
         assert budget.seconds == seconds
 
 
-def sized(effect: Effect, **values: float) -> Claim:
-    return Claim(effect, {**{one.name: one.probes[0] for one in effect.parameters}, **values})
+def sized(effect: Effect, **values: float) -> EffectHypothesis:
+    return EffectHypothesis(effect, {**{one.name: one.start_values[0] for one in effect.parameters}, **values})
 
 
 def test_amplitude_at_a_bound_of_physics_or_too_small_to_matter_is_not_claimed() -> None:
@@ -147,7 +147,7 @@ def test_amplitude_at_a_bound_of_physics_or_too_small_to_matter_is_not_claimed()
         for one in effect.amplitudes:
             for bound in {one.low, one.high} - {one.neutral}:
                 assert not is_significant(sized(effect, **{one.name: bound})), effect.label
-        small = {one.name: one.neutral + 0.9 * one.smallest for one in effect.amplitudes}
+        small = {one.name: one.neutral + 0.9 * one.smallest_reported for one in effect.amplitudes}
         assert not is_significant(sized(effect, **small)), effect.label
         assert is_significant(sized(effect)), effect.label
 
@@ -180,8 +180,8 @@ def test_hoses_that_widen_are_no_wrong_bulk_modulus() -> None:
     problem = problem_of(dead_volume_a=NOMINAL.dead_volume_a + more, dead_volume_b=NOMINAL.dead_volume_b + more)
     outcome = search(problem, EFFECTS)
     assert [one.effect.label for one in outcome.fit.claims] == [HOSES]
-    kept, _ = retain_claims(problem, problem, outcome.fit, outcome.nothing)
-    found = assess(problem, outcome.fit, kept, outcome.nothing, problem, {})
+    kept, _ = retain_claims(problem, problem, outcome.fit, outcome.baseline_fit)
+    found = assess(problem, outcome.fit, kept, outcome.baseline_fit, problem, {})
     assert found.verdict == "unknown" and found.fit.claims == ()
     assert found.dropped[0].values["compliance"] == pytest.approx(1.1e-14, rel=0.02, abs=0.0)
     assert {place.equation for place in found.remainder} <= {"pressure_a", "pressure_b"}
@@ -194,11 +194,11 @@ def test_wrong_bulk_modulus_is_no_hoses() -> None:
     rival = fit(problem, [claim(HOSES)])
     assert rival.score > outcome.fit.score + 100.0
     assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals["bulk_modulus"]]
-    kept, bounds = retain_claims(problem, problem, outcome.fit, outcome.nothing)
-    judgement = assess(problem, outcome.fit, kept, outcome.nothing, problem, {})
-    (effect,) = describe(
+    kept, bounds = retain_claims(problem, problem, outcome.fit, outcome.baseline_fit)
+    judgement = assess(problem, outcome.fit, kept, outcome.baseline_fit, problem, {})
+    (effect,) = effect_reports(
         StageResult(problem=problem, outcome=outcome, assessment=judgement, bounds=bounds, holdout=problem,
-                    simulated={}, proof={}, accounted={})
+                    simulations={}, holdout_report={}, accounted={})
     )  # fmt: skip
     assert HOSES not in [one.id for one in effect.rivals]  # the table has no such id
     (alike,) = effect.look_alikes

@@ -19,8 +19,8 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import InputError
-from hydro_diagnosis.stages.hypotheses import read_repaired, suspected_repairs
-from hydro_diagnosis.stages.reading import Case, DiagnosisInput
+from hydro_diagnosis.stages.hypotheses import prepare_best_wiring, suspected_repairs
+from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis
 from hydro_diagnosis.wiring import check_plausibility, reversed_sign
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
@@ -81,10 +81,10 @@ def written(folder: Path, *runs: Channels, change: Change = lambda channels: cha
     return paths
 
 
-def read(recordings: list[Path], **options: Any) -> Case:
+def read(recordings: list[Path], **options: Any) -> PreparedDiagnosis:
     given = {"bench": None, "model": None, "columns": None, "without": (), "estimate": (), "as_wired": False}
-    question = DiagnosisInput(recordings=recordings[:1], holdout=recordings[1:], **{**given, **options})
-    return read_repaired(question, lambda text: None)
+    inputs = DiagnosisInput(recordings=recordings[:1], holdout=recordings[1:], **{**given, **options})
+    return prepare_best_wiring(inputs, lambda text: None)
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +139,8 @@ def test_zero_within_the_stroke_is_told_from_a_spring_that_rests_elsewhere(tmp_p
 
 def test_a_unit_that_a_map_states_wrongly_is_replaced(runs: list[Channels], tmp_path: Path) -> None:
     recordings = written(tmp_path, *runs, change=scaled("pressure_a", by=1e-5))
-    case = read(recordings, columns="pressure_a=pressure_a[kPa]")
-    assert "pressure_a is in bar, not kPa" in case.wiring and "pressure_a=pressure_a[bar]" in case.wiring
+    prepared = read(recordings, columns="pressure_a=pressure_a[kPa]")
+    assert "pressure_a is in bar, not kPa" in prepared.wiring and "pressure_a=pressure_a[bar]" in prepared.wiring
 
 
 @pytest.mark.study
@@ -178,16 +178,16 @@ def test_current_a_row_late_is_repaired_and_a_row_early_is_a_dead_time(nominal: 
 
 def test_both_explanations_are_told_where_both_fit(runs: list[Channels], tmp_path: Path) -> None:
     """A current that is 25 ms early is a dead time of 25 ms: it stays one."""
-    case = read(written(tmp_path, *runs, change=moved("valve_current", -25)))
-    assert case.question.columns is None
-    assert "early, but were diagnosed as recorded (in a trial of both, " in case.wiring
-    assert 'diagnose with --columns "valve_current=valve_current@-2' in case.wiring
+    prepared = read(written(tmp_path, *runs, change=moved("valve_current", -25)))
+    assert prepared.inputs.columns is None
+    assert "early, but were diagnosed as recorded (in a trial of both, " in prepared.wiring
+    assert 'diagnose with --columns "valve_current=valve_current@-2' in prepared.wiring
 
 
 def test_as_wired_tries_no_repair_and_a_map_that_repairs_is_enough(runs: list[Channels], tmp_path: Path) -> None:
     paths = written(tmp_path, *runs, change=scaled("load_force", by=-1.0))
     as_wired = read(paths, as_wired=True)
-    assert as_wired.wiring == "" and as_wired.question.columns is None
+    assert as_wired.wiring == "" and as_wired.inputs.columns is None
     assert read(paths, columns=ColumnMap.load("load_force=load_force*-1")).wiring == ""
     with pytest.raises(InputError, match="the stroke of the bench from 0 to 80 mm"):
         read(written(tmp_path, *runs, change=scaled("piston_position", by=1e3)), as_wired=True)

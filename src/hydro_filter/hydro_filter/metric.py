@@ -39,7 +39,7 @@ from hydro_filter.model.loop import Loop, closing_current, coordinate_names, mak
 from hydro_filter.model.records import FILTER, library, linearize, make_record
 from hydro_sim.box.firmware import address_of
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import MadeFor, parse_provenance
+from hydro_sim.files.pairing import Provenance, parse_provenance
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import NOMINAL
 
@@ -91,13 +91,13 @@ def linearize_at_rest(
             c_1=velocity_compensation,
         ),
     )  # fmt: skip
-    return rest.transition[0], rest.push[0], rest.feedback[0]
+    return rest.transition[0], rest.input_vector[0], rest.feedback[0]
 
 
 def closed_loop_at_rest(loop: Loop, proportional_gain: float, velocity_compensation: float = 1.0) -> FloatArray:
     """Return F + G K at rest with the valve closed, shape (n, n)."""
-    free, push, feedback = linearize_at_rest(loop, proportional_gain, velocity_compensation)
-    return free + np.outer(push, feedback)
+    transition, input_vector, feedback = linearize_at_rest(loop, proportional_gain, velocity_compensation)
+    return transition + np.outer(input_vector, feedback)
 
 
 def spectral_radius(closed: FloatArray) -> float:
@@ -105,7 +105,7 @@ def spectral_radius(closed: FloatArray) -> float:
     return float(np.abs(np.linalg.eigvals(closed)).max())
 
 
-def solve_lyapunov(closed: FloatArray, own_decay: float) -> FloatArray:
+def solve_lyapunov(closed: FloatArray, decay_share: float) -> FloatArray:
     """Return the solution P, shape (n, n), of the discrete Lyapunov equation for a share of the loop's decay rate.
 
     Raises ValueError if the loop does not decay.
@@ -113,7 +113,7 @@ def solve_lyapunov(closed: FloatArray, own_decay: float) -> FloatArray:
     slowest = spectral_radius(closed)
     if slowest >= 1.0:
         raise ValueError("a metric is wanted of a loop that does not decay: the certified range of K_p is too wide")
-    sped = closed / slowest**own_decay
+    sped = closed / slowest**decay_share
     return np.asarray(solve_discrete_lyapunov(sped.T, np.eye(len(closed))))
 
 
@@ -158,10 +158,11 @@ def limit_to_stable_range(loop: Loop, design: MetricDesign) -> MetricDesign:
 
 def solve_riccati(loop: Loop, design: MetricDesign) -> tuple[FloatArray, FloatArray]:
     """Return Riccati solution P, shape (n, n), and feedback K [A], shape (n,), of the optimal correction at rest."""
-    unit, (free, push, _) = 0.14 * loop.believed.valve_current_max, linearize_at_rest(loop, design.gain_low)
-    push, weights = unit * push, [*design.foreign_weights, *[design.added_weight] * (len(loop.scale) - LOOP_SIZE)]
-    weight = np.asarray(solve_discrete_are(free, push[:, np.newaxis], np.diag(weights), np.array([[design.effort]])))
-    feedback = -(push @ weight @ free) / (design.effort + push @ weight @ push)
+    transition, input_vector, _ = linearize_at_rest(loop, design.gain_low)
+    unit = 0.14 * loop.box_bench.valve_current_max
+    g, weights = unit * input_vector, [*design.foreign_weights, *[design.added_weight] * (len(loop.scale) - LOOP_SIZE)]
+    weight = np.asarray(solve_discrete_are(transition, g[:, np.newaxis], np.diag(weights), np.array([[design.effort]])))
+    feedback = -(g @ weight @ transition) / (design.effort + g @ weight @ g)
     return weight, unit * feedback
 
 
@@ -205,7 +206,7 @@ class ScheduledMetric:
     """Names of the loop's coordinates."""
     training: dict[str, Any] = field(default_factory=dict)
     """Command, settings, held-out violations, digest of the model that it was solved on."""
-    made: MadeFor | None = None
+    provenance: Provenance | None = None
     """Bench and model that it is for; None: not recorded in the file."""
     velocity_compensation: float = 1.0
     """C_1 of the law whose loop decays, at C_2 = 1; 1: the paper's."""
@@ -213,7 +214,7 @@ class ScheduledMetric:
     """Metric for another C_1 in the same file; None: there is none."""
 
     @property
-    def certificates(self) -> tuple[ScheduledMetric, ...]:
+    def all_metrics(self) -> tuple[ScheduledMetric, ...]:
         """All metrics of the file: this one and, if there is one, that for another C_1."""
         return (self,) if self.another is None else (self, self.another)
 
@@ -263,15 +264,15 @@ class ScheduledMetric:
         """Return M(K_p), shape (n, n), at K_p = `gain` [1/s]."""
         width = len(self.coordinates)
         record = make_record(FILTER, self.firmware_fields | {"loop.coordinates": width}, {"table": self.table})
-        made = np.empty((width, width))
-        library().hydro_c_filter_metric(address_of(record), gain, self.velocity_compensation, address_of(made))
-        return made
+        matrix = np.empty((width, width))
+        library().hydro_c_filter_metric(address_of(record), gain, self.velocity_compensation, address_of(matrix))
+        return matrix
 
     def save(self, path: str | Path) -> None:
         """Write the metric to a safetensors file."""
         tensors: weights.Tensors = {}
         headers: list[dict[str, Any]] = []
-        for prefix, one in zip(("", f"{SECOND_METRIC}."), self.certificates, strict=False):
+        for prefix, one in zip(("", f"{SECOND_METRIC}."), self.all_metrics, strict=False):
             tensors |= {prefix + name: getattr(one, name) for name in ARRAYS}
             headers.append({
                 "floor": one.floor, "coordinates": list(one.coordinates), "thresholds": asdict(one.thresholds),
@@ -280,7 +281,7 @@ class ScheduledMetric:
         header, *second = headers
         if second:
             header[SECOND_METRIC] = second[0]
-        weights.save(path, tensors, {"structure": STRUCTURE, **header}, self.made)
+        weights.save(path, tensors, {"structure": STRUCTURE, **header}, self.provenance)
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> ScheduledMetric:
@@ -292,15 +293,15 @@ class ScheduledMetric:
                 f"{path} has structure {header.get('structure')!r}, not a metric's: `learn_metric` makes one"
             )
         try:
-            made, other = parse_provenance(header), header.get(SECOND_METRIC)
-            another = None if other is None else cls._of(tensors, other, made, f"{SECOND_METRIC}.")
-            return replace(cls._of(tensors, header, made), another=another)
+            provenance, other = parse_provenance(header), header.get(SECOND_METRIC)
+            another = None if other is None else cls._of(tensors, other, provenance, f"{SECOND_METRIC}.")
+            return replace(cls._of(tensors, header, provenance), another=another)
         except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
 
     @classmethod
     def _of(
-        cls, tensors: weights.Tensors, header: Mapping[str, Any], made: MadeFor | None, prefix: str = ""
+        cls, tensors: weights.Tensors, header: Mapping[str, Any], provenance: Provenance | None, prefix: str = ""
     ) -> ScheduledMetric:
         """Return one metric of a file; raises ValueError if its tensors and its header do not form one."""
         arrays = {name: np.asarray(tensors[prefix + name], np.float64) for name in ARRAYS}
@@ -318,8 +319,8 @@ class ScheduledMetric:
         if not 0.0 < floor < MAX_MAGNITUDE:
             raise InvalidTensorError(f"floor is {floor:g}: M is definite for a floor above 0 only")
         return cls(
-            floor=floor, thresholds=thresholds, coordinates=coordinates, training=dict(header["training"]), made=made,
-            velocity_compensation=c_1, gains=gains, table=arrays["table"],
+            floor=floor, thresholds=thresholds, coordinates=coordinates, training=dict(header["training"]),
+            provenance=provenance, velocity_compensation=c_1, gains=gains, table=arrays["table"],
         )  # fmt: skip
 
 

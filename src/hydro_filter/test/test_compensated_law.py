@@ -97,7 +97,7 @@ def test_twins_under_the_law_come_together_as_the_loops_slowest_eigenvalue_says(
 def test_the_certificate_holds_at_every_gain_of_each_law(bench: Bench, model: Bench, metric: ScheduledMetric) -> None:
     """Lyapunov's inequality at rest, between the table's gains, too; at C_1 = 1 there is none above 100 1/s."""
     loop, kept = make_loop(model, bench), np.exp(-2.0 * 0.1 * SAMPLE_PERIOD)
-    for one, c_1 in zip(metric.certificates, (1.0, C_1), strict=True):
+    for one, c_1 in zip(metric.all_metrics, (1.0, C_1), strict=True):
         for gain in np.linspace(one.gains[0], one.gains[-1], 50):
             closed, weight = closed_loop_at_rest(loop, gain, c_1), one.matrix(gain)
             assert np.linalg.eigvalsh(closed.T @ weight @ closed - kept * weight).max() < 0.0
@@ -112,14 +112,14 @@ def test_a_file_keeps_both_and_the_shipped_one_holds_for_the_papers_law(
     metric = replace(metric, training={"command": "learn_metric"})
     metric.save(tmp_path / "both.safetensors")
     both = ScheduledMetric.load(tmp_path / "both.safetensors")
-    assert [one.velocity_compensation for one in both.certificates] == [1.0, C_1]
-    for ours, theirs in zip(both.certificates, metric.certificates, strict=True):
+    assert [one.velocity_compensation for one in both.all_metrics] == [1.0, C_1]
+    for ours, theirs in zip(both.all_metrics, metric.all_metrics, strict=True):
         np.testing.assert_array_equal(ours.table, theirs.table)
         np.testing.assert_array_equal(ours.gains, theirs.gains)
         assert (ours.thresholds, ours.training) == (theirs.thresholds, theirs.training)
     shipped = loop_filter(ScheduledMetric.load(), model, bench)
     assert shipped.missing_certificate(compensated=True) and not shipped.missing_certificate(compensated=False)
-    alone = loop_filter(both.certificates[1], model, bench)
+    alone = loop_filter(both.all_metrics[1], model, bench)
     assert alone.missing_certificate(compensated=False) and not alone.missing_certificate(compensated=True)
 
 

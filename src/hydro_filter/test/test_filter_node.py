@@ -41,7 +41,7 @@ from hydro_msgs.msg import BoxInfo, Correction
 from hydro_msgs.msg import LawState as LawStateMessage
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import MadeFor
+from hydro_sim.files.pairing import Provenance
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -128,7 +128,7 @@ def written(folder: Path, model: Bench, metric: ScheduledMetric) -> tuple[str, .
     """Words of a filter of these, which are written to files."""
     file, of = folder / "metric.safetensors", folder / "model.yaml"
     of.write_text(yaml.safe_dump(model.to_mapping()))
-    replace(metric, made=MadeFor(box=NOMINAL.digest, model=learned_bench.digest(of))).save(file)
+    replace(metric, provenance=Provenance(box=NOMINAL.digest, model=learned_bench.digest(of))).save(file)
     return "--metric", str(file), "--model", str(of)
 
 

@@ -71,7 +71,7 @@ def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(
 
 
 def test_a_plant_whose_thread_fails_ends_its_node_with_the_error(tmp_path: Path) -> None:
-    with failing(tmp_path, "hydro_sim.simulation.realtime", "Simulation", "_show") as (process, probe):
+    with failing(tmp_path, "hydro_sim.simulation.realtime", "Simulation", "_update_flags") as (process, probe):
         probe.wait(lambda: len(probe.states) > 100, 60.0)
         (tmp_path / "fail").touch()
         assert process.wait(60.0) == 1

@@ -13,7 +13,7 @@ import pytest
 
 from hydro_core.signals import SAMPLE_PERIOD, Flag, FloatArray, ReferenceSignal, StateArray, Waveform, to_matrix
 from hydro_filter import metric
-from hydro_filter.controller.loop_filter import loop_parts
+from hydro_filter.controller.loop_filter import filter_record
 from hydro_filter.model import records
 from hydro_filter.model.coordinates import LOOP_SIZE
 from hydro_filter.model.loop import (
@@ -98,21 +98,21 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is()
 def test_what_the_loop_has_no_place_for_is_refused_in_a_sentence(tmp_path: Path) -> None:
     """Closures that remember, a second lag of a sensor, a metric of other coordinates; one of the same is read back."""
     for law in (law for law in LAWS if law.memory_element is not None):
-        numbers = {"coefficient": law.typical, **{one.name: one.probes[0] for one in law.numbers}}
+        numbers = {"coefficient": law.typical, **{one.name: one.start_values[0] for one in law.shape_parameters}}
         closure = {"equation": law.equation, "form": law.form, "parameters": numbers}
         with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
             make_loop(replace(NOMINAL, closures=(closure,)), NOMINAL)
     with pytest.raises(ValueError, match="a place for one lag of the pressure sensor of a, the bench file has more"):
         make_loop(having(SLOW_A, SLOW_A), NOMINAL)
     with pytest.raises(ValueError, match=r"this model's loop has .*current_1: make one with"):
-        loop_parts(metric.ScheduledMetric.load(), CASES["1 ms"], NOMINAL)
+        filter_record(metric.ScheduledMetric.load(), CASES["1 ms"], NOMINAL)
     loop = make_loop(ALL, NOMINAL)
     made = metric.ScheduledMetric.from_design(loop, metric.MetricDesign(gain_low=40.0, gain_high=60.0))
     made.save(tmp_path / "wide.safetensors")
     read = metric.ScheduledMetric.load(tmp_path / "wide.safetensors")
     assert read.coordinates == coordinate_names(loop)
     np.testing.assert_array_equal(read.table, made.table)
-    loop_parts(read, ALL, NOMINAL)
+    filter_record(read, ALL, NOMINAL)
 
 
 def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(capfd: pytest.CaptureFixture[str]) -> None:
@@ -221,7 +221,7 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(loop: Loop, cases: lis
             force = loop["gain"][0] * loop["area"] * (ended[0] - loop["ratio"] * ended[1])
             return np.array([force, *later * ended[spools], *ended[cells], ended[2], ended[3], speed]) / loop.scale
 
-        exact = np.column_stack([seen.transition[0], seen.push[0] * 0.01])
+        exact = np.column_stack([seen.transition[0], seen.input_vector[0] * 0.01])
         assert np.abs(exact - derivative(shown, LOOP_SIZE + 1)).max() <= 1e-6 * np.abs(exact).max()
 
     each(cases, check)

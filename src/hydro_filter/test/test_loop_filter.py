@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from hydro_core.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.factory import FilterChoice
-from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter, filter_record
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import without_overlap
 from hydro_filter.model.sample import Sample
@@ -88,7 +88,7 @@ def test_it_never_raises_and_never_leaves_the_valve(values: list[float], others:
 
 
 def test_a_disarmed_bench_and_an_old_state_are_left_alone(made: LoopFilter, states: StateArray) -> None:
-    sample, bypass = Sample.from_record(states[500]), LoopFilter(made.parts, LoopFilterSettings(bypass=True))
+    sample, bypass = Sample.from_record(states[500]), LoopFilter(made.record, LoopFilterSettings(bypass=True))
     assert made.correct(sample._replace(armed=False)) == (0.0, 0.0, 0.0, CorrectionStatus.PASS)
     assert made.correct(sample, age=0.006).status is CorrectionStatus.STALE
     assert bypass.correct(sample)[::3] == (0.0, CorrectionStatus.BYPASSED)
@@ -96,7 +96,7 @@ def test_a_disarmed_bench_and_an_old_state_are_left_alone(made: LoopFilter, stat
 
 @pytest.mark.parametrize("gains", [(300.0, 15.0), (-30.0, -3.0)])
 def test_gains_that_the_loop_does_not_bear_are_held(gains: tuple[float, float]) -> None:
-    assert not closed(LoopFilter(MADE.parts, LoopFilterSettings(bypass=True)), gains).bounded
+    assert not closed(LoopFilter(MADE.record, LoopFilterSettings(bypass=True)), gains).bounded
     held = closed(MADE, gains)
     assert held.bounded and tracking_rmse(held.states[1000:]) < 15.0
 
@@ -109,8 +109,8 @@ def test_stable_gains_are_left_alone(gains: tuple[float, float]) -> None:
 
 def test_the_integral_cannot_wind_up_without_end() -> None:
     """What it asks for beyond its allowance is a displacement: at no allowance it is taken away altogether."""
-    made, none = default_filter(NOMINAL), LoopFilter(MADE.parts.copy())
-    none.parts["integral_allowance"] = 0.0
+    made, none = default_filter(NOMINAL), LoopFilter(MADE.record.copy())
+    none.record["integral_allowance"] = 0.0
     sample = Sample.from_record(closed(made, (-30.0, 0.0), seconds=0.5).states[-1])
     more = 3000.0 / 1.2e7  # A
     wound = sample._replace(nominal_current=sample.nominal_current + more, valve_current=sample.valve_current + more)
@@ -143,7 +143,7 @@ def overlapped(model: Bench, width: float = WIDTH) -> Bench:
 @pytest.fixture(scope="module")
 def across(model: Bench) -> LoopFilter:
     """A filter of a bench file with an overlap."""
-    return LoopFilter(loop_parts(ScheduledMetric.load(), overlapped(model), NOMINAL))
+    return LoopFilter(filter_record(ScheduledMetric.load(), overlapped(model), NOMINAL))
 
 
 def test_the_overlap_is_the_bench_files(model: Bench) -> None:
@@ -169,8 +169,8 @@ def test_a_filter_that_counts_with_the_overlap_follows_closer_than_one_that_take
     model: Bench, across: LoopFilter, share: float
 ) -> None:
     """Also where the bench's overlap is a fifth narrower or wider than the file's."""
-    plant, blind = AnalyticPlant(overlapped(model, share * WIDTH)), LoopFilter(across.parts.copy())
-    blind.parts["back"] = blind.parts["out"] = 0.0
+    plant, blind = AnalyticPlant(overlapped(model, share * WIDTH)), LoopFilter(across.record.copy())
+    blind.record["back"] = blind.record["out"] = 0.0
     runs = [closed(one, (250.0, 15.0), plant, amplitude=300.0) for one in (across, blind)]
     assert all(one.bounded for one in runs)
     counted, ignored = (tracking_rmse(one.states[1000:]) for one in runs)

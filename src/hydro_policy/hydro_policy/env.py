@@ -25,9 +25,9 @@ from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from hydro_core.bench_scales import rescale
 from hydro_core.settings import SettingsError, from_mapping
 from hydro_core.signals import Law
-from hydro_core.size import rescale
 from hydro_policy.envs.environment import Environment, Episodes
 from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.envs.vector_env import VectorBench
@@ -91,19 +91,19 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         source = SimulationSetup(
             model=str(bench or "analytic"), box=None if box is None else str(box), randomise=randomise
         )
-        believed, config = source.believed(), source.box_config()
+        box_bench, config = source.box_bench(), source.box_config()
         if law not in get_args(LawName):
             raise SettingsError(f"law is one of {', '.join(get_args(LawName))}, not {law!r}")
         name = "paper" if law == "paper" else "wide"
-        task = configuration(name, base=(config.base_kp, config.base_ki), size=believed.size).task
+        task = configuration(name, base=(config.base_kp, config.base_ki), size=box_bench.size).task
         task = task if law != "compensated" else replace(task, gains=GainRange.enclosing(config.compensated))
         self.simulation, self.law, self.task = source, law, task
         fixed = reference != "random"
         self._reference = from_mapping(Reference, reference, "reference").signal if fixed else None
-        ranges = rescale(events.Randomisation(), NOMINAL, believed.size) if randomise else None
-        self._episodes = Episodes(source=source.simulated(), believed=believed, randomisation=ranges)
-        fleet = VectorBench([believed] * num_envs, [self._episodes.plant() for _ in range(num_envs)], config)
-        self._environment = Environment(fleet, self.task, Law.COMPENSATED if law == "compensated" else Law.PAPER)
+        ranges = rescale(events.Randomisation(), NOMINAL, box_bench.size) if randomise else None
+        self._episodes = Episodes(source=source.simulated(), box_bench=box_bench, randomisation=ranges)
+        vector_bench = VectorBench([box_bench] * num_envs, [self._episodes.plant() for _ in range(num_envs)], config)
+        self._environment = Environment(vector_bench, self.task, Law.COMPENSATED if law == "compensated" else Law.PAPER)
         self.num_envs, self._limit = num_envs, max_episode_steps
         self.single_observation_space = Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32)
         self.single_action_space = Box(-1.0, 1.0, (ACTIONS,), np.float32)
@@ -127,7 +127,7 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         for index in np.flatnonzero(chosen):
             if (new := seeds[index]) is not None:
                 self._seeds[index], self._episode[index] = new, 0
-            self._begin(int(index))
+            self._start_episode(int(index))
         self._ended &= ~chosen
         return self._environment.observation.astype(np.float32), {}
 
@@ -135,7 +135,7 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         """Advance all benches by 10 ms; `actions`, shape (n, 2), are clamped to [-1, 1]."""
         made = self._environment.step(np.clip(np.asarray(actions, np.float64), -1.0, 1.0), restart=False)
         self._steps += 1
-        observation, reward, terminated = made.following.astype(np.float32), made.reward, made.terminated
+        observation, reward, terminated = made.next_observation.astype(np.float32), made.reward, made.terminated
         truncated: Marks = self._steps >= (np.inf if self._limit is None else self._limit)
         info: dict[str, Any] = {}
         begins: Marks = np.zeros(self.num_envs, bool)
@@ -147,7 +147,7 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
             for index in np.flatnonzero(begins):
                 info = self._add_info(info, {"final_obs": observation[index].copy(), "final_info": {}}, int(index))
         for index in np.flatnonzero(begins):
-            self._begin(int(index))
+            self._start_episode(int(index))
             observation[index] = self._environment.observation[index]
         self._ended = terminated | truncated
         return observation, reward, terminated, truncated, info
@@ -163,14 +163,14 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
             )
         policy = policy_of(learner, self.task.size)
         notes: dict[str, object] = {"learner": type(learner).__module__, "law": self.law}
-        policy.save(Path(path), self.task.gains, notes, self.simulation.made_for())
+        policy.save(Path(path), self.task.gains, notes, self.simulation.provenance())
 
-    def _begin(self, index: int) -> None:
+    def _start_episode(self, index: int) -> None:
         episode, seed = int(self._episode[index]), self._seeds[index]
         reference = self._reference or events.reference(self.task, episode, seed)
         environment = self._environment
-        reference = self._episodes.install(environment.fleet, index, reference, episode, seed)
-        environment.begin_one(index, reference, events.stream_seed(seed, episode, events.NOISE))
+        reference = self._episodes.install(environment.vector_bench, index, reference, episode, seed)
+        environment.reset_one(index, reference, events.stream_seed(seed, episode, events.NOISE))
         self._episode[index] += 1
         self._steps[index] = 0
 

@@ -12,7 +12,7 @@ import numpy as np
 from hydro_core.signals import SAMPLES_PER_STEP, ReferenceSignal
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import FILTERS, FilterName
-from hydro_policy.envs.vector_env import VectorBench, fleet_filter
+from hydro_policy.envs.vector_env import VectorBench, vector_filter
 from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
 from hydro_policy.task.mdp import ACTIONS
@@ -26,11 +26,11 @@ def _learner() -> None:
         compile_updates(configuration(name).sac)
 
 
-def _fleet(plant: Callable[[], Plant], filter_kind: FilterName) -> None:
+def _vector_bench(plant: Callable[[], Plant], filter_kind: FilterName) -> None:
     bench = Bench.nominal()
-    fleet = VectorBench([bench], [plant()], filters=fleet_filter(filter_kind, bench, 1))
-    fleet.begin(0, ReferenceSignal(), 0)
-    fleet.step(np.zeros((1, ACTIONS)))
+    vector_bench = VectorBench([bench], [plant()], filters=vector_filter(filter_kind, bench, 1))
+    vector_bench.reset(0, ReferenceSignal(), 0)
+    vector_bench.step(np.zeros((1, ACTIONS)))
 
 
 def _estimator() -> None:
@@ -44,7 +44,7 @@ STEPS: dict[str, Callable[[], None]] = {
     "learner": _learner,
     "estimator": _estimator,
     **{
-        f"{name} benches, filter {kind}": partial(_fleet, make, kind)
+        f"{name} benches, filter {kind}": partial(_vector_bench, make, kind)
         for (name, make), kind in product(_PLANTS.items(), FILTERS)
     },
 }

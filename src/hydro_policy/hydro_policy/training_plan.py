@@ -37,10 +37,10 @@ from hydro_policy.supervision.plant_supervisor import Outputs, PlantSupervisor
 from hydro_policy.task.cases import Case, ExamSettings, Score
 from hydro_policy.task.mdp import events
 
-CHANCE = 0.025
+SIGNIFICANCE_LEVEL = 0.025
 """Significance level of the one-sided tests for a better score, over the run's tests so far (Bonferroni)."""
 
-LEAD = 16.0
+EXTRA_SETTLING_TIME = 16.0
 """Additional settling time [s] of each controller in an examination after arming, or with the fixed gains.
 
 The state of the box's integral after arming, or under other gains, decays with the time constant K_p / K_i: 6 s for
@@ -100,12 +100,12 @@ class TrainingPlan(Plan):
         if state is not None:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.policy = self.explorer.policy
-        self.exam: Comparison | None = None  # the present examination
+        self.examination: Comparison | None = None  # the present examination
         self.scores: list[Score] = []  # of the present examination
         self._candidate: bytes | None = None
         self._good, self._best = best, best
         if best is not None:
-            learner.save_policy(best)
+            learner.store_good_agent(best)
         self._fresh = True  # no episode has passed since the box was armed
         self.set_trials(self._in_turn())
 
@@ -121,13 +121,13 @@ class TrainingPlan(Plan):
         """Whether all episodes are done."""
         return self.progress.episode >= self.settings.episodes
 
-    def begin(self, trial: Trial) -> None:
-        """Start a training episode or an examination, as `Plan.begin`.
+    def prepare_trial(self, trial: Trial) -> None:
+        """Start a training episode or an examination, as `Plan.prepare_trial`.
 
         An examination's first trial loads the learner's current parameters into the policy.
         """
-        self.start()
-        if self.exam is None:
+        self.accept_initial_agent()
+        if self.examination is None:
             number, signal = self.progress.episode + 1, trial.case.signal
             self.explorer.current = EpisodeRecord(
                 episode=number, amplitude=signal.amplitude, frequency=signal.frequency
@@ -147,15 +147,17 @@ class TrainingPlan(Plan):
         """Yield the trials: episodes, with an examination first, last, and after each `exam.every` episodes."""
         task, exam, progress, learner = self.settings.task, self.settings.exam, self.progress, self.learner
         while True:
-            self.exam, self.scores, done = None, [], progress.episode
+            self.examination, self.scores, done = None, [], progress.episode
             if exam.every and progress.examined < done and (self.trained or done % exam.every == 0):
                 controllers: list[Controller] = [PolicyController(self.policy, task.gains, EXAMINED)]
                 if reference_too := not progress.reference_rmse:
                     controllers.append(FixedGains(exam.reference_kp, exam.reference_ki, self.settings.base_gains))
-                self.exam = Comparison(exam.evaluation, controllers, LEAD if self._fresh or reference_too else 0.0)
-                for trial in self.exam.trials:
+                self.examination = Comparison(
+                    exam.evaluation, controllers, EXTRA_SETTLING_TIME if self._fresh or reference_too else 0.0
+                )
+                for trial in self.examination.trials:
                     self.scores.append((yield trial))
-                best = self.add_exam(self.scores, self.policy.digest())
+                best = self.add_examination(self.scores, self.policy.digest())
             elif self.trained:
                 return
             else:
@@ -182,9 +184,9 @@ class TrainingPlan(Plan):
         self._fresh = True
         self.set_trials(self._in_turn())
 
-    def prepare_step(self, *, exact: bool) -> None:
-        """Wait for the learner's due updates if the plant runs on its own clock (`exact`), as `Plan.prepare_step`."""
-        self.learner.exact = exact
+    def prepare_step(self, *, synchronous: bool) -> None:
+        """Wait for the learner's due updates if the plant waits, too (`synchronous`), as `Plan.prepare_step`."""
+        self.learner.synchronous = synchronous
         self.learner.wait_for_updates()
 
     def poll(self) -> str:
@@ -200,7 +202,7 @@ class TrainingPlan(Plan):
 
     # ---------------------------------------------------------------------------------------------------- results
 
-    def add_exam(self, scores: Sequence[Score], digest: str = "") -> bool:
+    def add_examination(self, scores: Sequence[Score], digest: str = "") -> bool:
         """Record an examination of the policy with this digest; returns whether its score is significantly the best.
 
         A disturbed examination (lost samples, late commands) makes no policy the best. The first one is of the initial
@@ -210,7 +212,7 @@ class TrainingPlan(Plan):
         reference = progress.reference_rmse or reference_rmse(self.settings.exam, scores)
         if not any(run.disturbed for run in scores if run.controller != EXAMINED):
             progress.reference_rmse = reference
-        rmse, score, error = verdict(scores, reference)
+        rmse, score, error = examination_score(scores, reference)
         beaten = sum(own < fixed for own, fixed in zip(rmse, reference, strict=True))
         errors = [*(exam["error"] for exam in progress.exams if not exam.get("spoilt")), error]
         best_error = next((exam["error"] for exam in reversed(progress.exams) if exam["best"]), 0.0)
@@ -231,7 +233,7 @@ class TrainingPlan(Plan):
         Too many stops in a row end the run.
         """
         where = f"episode {self.explorer.current.episode}"
-        if self.exam is not None:
+        if self.examination is not None:
             where, self.progress.examined = "the examination", self.progress.episode
         self.progress.rollbacks += 1
         self.rollbacks_in_a_row += 1
@@ -250,7 +252,7 @@ class TrainingPlan(Plan):
 
     # ----------------------------------------------------------------------------------------------------- agents
 
-    def start(self) -> None:
+    def accept_initial_agent(self) -> None:
         """Accept the initial agent as the last good one if there is none yet; the learner must be ready."""
         if self._good is None:
             self.propose()
@@ -265,7 +267,7 @@ class TrainingPlan(Plan):
         if self._candidate is not None:
             self._good = self._candidate
             self._best = self._good if best else self._best
-            self.learner.save_policy(self._good)
+            self.learner.store_good_agent(self._good)
             self.rollbacks_in_a_row = 0
 
     @property
@@ -285,7 +287,7 @@ class TrainingPlan(Plan):
 
 
 def significantly_better(score: float, best: float, errors: Sequence[float], best_error: float = 0.0) -> bool:
-    """Return whether a score is significantly below the best one: one-sided z-test, Bonferroni-corrected (`CHANCE`).
+    """Return whether a score is significantly below the best one: one-sided z-test, Bonferroni-corrected.
 
     `errors`: standard errors of the run's scores, this one's last; 0: unknown (single runs). Their root mean square is
     a lower bound on both errors of the test, since two repeats alone are a poor estimate of the scatter. `best_error`:
@@ -294,7 +296,7 @@ def significantly_better(score: float, best: float, errors: Sequence[float], bes
     known = [error for error in errors if error > 0.0]
     pooled = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
     noise = math.hypot(max(errors[-1], pooled), max(best_error, pooled))
-    return score < best - NormalDist().inv_cdf(1.0 - CHANCE / max(len(errors) - 1, 1)) * noise
+    return score < best - NormalDist().inv_cdf(1.0 - SIGNIFICANCE_LEVEL / max(len(errors) - 1, 1)) * noise
 
 
 def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[float]:
@@ -306,7 +308,7 @@ def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[floa
     ]
 
 
-def verdict(scores: Sequence[Score], reference: Sequence[float]) -> tuple[list[float], float, float]:
+def examination_score(scores: Sequence[Score], reference: Sequence[float]) -> tuple[list[float], float, float]:
     """Return the policy's force RMSE at each sine [N], mean over the repeats; its score; the score's standard error.
 
     The score is the mean ratio of the policy's RMSE to `reference`, the RMSE of the fixed gains [N]: below 1 the policy
@@ -327,6 +329,6 @@ def _by_case(scores: Sequence[Score]) -> list[list[Score]]:
     return [[score for score in scores if score.case == name] for name in names]
 
 
-def training(plan: TrainingPlan, watch: PlantSupervisor) -> TrialRunner[TrainingPlan]:
+def training(plan: TrainingPlan, supervisor: PlantSupervisor) -> TrialRunner[TrainingPlan]:
     """Return the trial runner of a training plan, with a safety monitor."""
-    return TrialRunner(plan, watch, monitor=SafetyMonitor(plan.settings.monitor))
+    return TrialRunner(plan, supervisor, monitor=SafetyMonitor(plan.settings.monitor))

@@ -40,10 +40,10 @@ def altered(states: StateArray, **channels: object) -> StateArray:
 def test_a_right_bench_passes_and_one_that_drifts_is_warned_of() -> None:
     noise, off = checks.sensor_noise(REST, BENCH)
     assert noise["load_force"] == pytest.approx(0.6, rel=0.1) and abs(off) < 1.0
-    assert min(checks.channel_correlations(MOTION, BENCH).values()) > checks.FOLLOWS
+    assert min(checks.channel_correlations(MOTION, BENCH).values()) > checks.CORRELATION_MIN
     force, time = REST["load_force"], REST["time"]
     creeping = altered(REST, load_force=force + 0.4 * time)
-    assert checks.creep(creeping) - checks.creep(REST) == pytest.approx(0.4)
+    assert checks.drift_rate(creeping) - checks.drift_rate(REST) == pytest.approx(0.4)
     assert checks.drift_warning(creeping, 300.0) == ""
     warning = checks.drift_warning(altered(REST, load_force=force + 6.4 * time), 300.0)
     assert "crept by 6.4 N/s: null the valve" in warning

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import NEUTRAL, CorrectionStatus, Flag, FloatArray, Law
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, CorrectionStatus, Flag, FloatArray, Law
 from hydro_filter.controller.loop_filter import Result
 from hydro_policy.compensation.estimator import BOX_SHARE, START, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
@@ -71,7 +71,7 @@ def test_with_a_cell_the_fit_is_on_the_force_in_front_of_it() -> None:
             shown += (phasor / (1.0 + 2.0 * cell.damping * s + s * s)).imag
         compensator.step(specimen, shown, ACTIVE)
         plain.step(specimen, shown, ACTIVE)
-    np.testing.assert_allclose(compensator.coefficients[0], NEUTRAL, atol=2e-3)
+    np.testing.assert_allclose(compensator.coefficients[0], NEUTRAL_COEFFICIENTS, atol=2e-3)
     assert abs(compensator.coefficients[0, 2]) < 0.2 * plain.coefficients[0, 2]
     assert plain.coefficients[0, 1] == pytest.approx(2.0 * cell.damping / (OMEGA * cell.bandwidth), rel=0.05)
 
@@ -165,9 +165,9 @@ class Heard(OfflineGraph):
     def law(self) -> int:
         return int(self.box.state["acting"]["law"][0])
 
-    def gains(self, delta_kp, delta_ki, step):
+    def publish_gains(self, delta_kp, delta_ki, step):
         self.gained.append((self.law, delta_kp))
-        super().gains(delta_kp, delta_ki, step)
+        super().publish_gains(delta_kp, delta_ki, step)
 
     def sample(self):
         output = super().sample()
@@ -254,7 +254,7 @@ def test_gains_held_by_a_person_are_those_of_the_law_that_acts_which_does_not_ch
     for law, change in ((Law.PAPER, 75.0), (Law.COMPENSATED, 90.0 - LAW.base_kp)):
         while graph.armed[-1] != (True, law):
             graph.run(session, 0.01, compensation=live)
-        override.hold(*FIXED, 1.0, graph.time)
+        override.start(*FIXED, 1.0, graph.time)
         graph.gained.clear()
         graph.run(session, 0.9, compensation=live)
         assert set(graph.gained) == {(int(law), change)}
@@ -270,7 +270,7 @@ def test_under_mismatch_the_law_s_base_gains_hold_and_its_run_begins_again(start
     graph.gained.clear()
     graph.run(session, 2.0, compensation=live)
     assert set(graph.gained) == {(int(Law.COMPENSATED), 0.0)} and not session.scores
-    assert session.watch.summary == "armed, waiting for a filter that fits" and MISMATCH in graph.sentences
+    assert session.supervisor.summary == "armed, waiting for a filter that fits" and MISMATCH in graph.sentences
     graph.answer = fits
     graph.run(session, 1.0, compensation=live)
     assert not session.scores, "from its beginning"

@@ -71,12 +71,12 @@ def test_episode_is_that_of_the_inner_environment() -> None:
     inner = Environment(VectorBench([bench], [AnalyticPlant(bench)]), task)
     seen = environment.reset(seed=7)[0], environment.reset()[0]
     for episode in (0, 1):
-        first = inner.begin([events.reference(task, episode, 7)], [events.stream_seed(7, episode, events.NOISE)])
+        first = inner.reset([events.reference(task, episode, 7)], [events.stream_seed(7, episode, events.NOISE)])
         np.testing.assert_array_equal(seen[episode], first[0].astype(np.float32))
     for action in np.random.default_rng(1).uniform(-1, 1, (20, 2)).astype(np.float32):
         observation, reward, *_ = environment.step(action)
         made = inner.step(action[np.newaxis].astype(float))
-        np.testing.assert_array_equal(observation, made.following[0].astype(np.float32))
+        np.testing.assert_array_equal(observation, made.next_observation[0].astype(np.float32))
         assert reward == made.reward[0]
     assert environment.spec is not None and environment.spec.max_episode_steps == 1800
 

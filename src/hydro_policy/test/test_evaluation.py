@@ -76,10 +76,10 @@ def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path
     trace.states["sequence"], trace.states["load_force"] = (7, 8, load_force.RING_SIZE + 9), 1.0
     for sequence in trace.states["sequence"]:
         load_force.write_force(ring, int(sequence), 3.0)
-    found = score(trace, 0, felt=load_force.read_forces(tmp_path / "load_force", trace.states["sequence"]))
+    found = score(trace, 0, specimen_force=load_force.read_forces(tmp_path / "load_force", trace.states["sequence"]))
     assert (found.rmse, found.true_rmse) == (1.0, 3.0)
     trace.states["sequence"][2] = 9  # not kept any more
-    lost = score(trace, 0, felt=load_force.read_forces(tmp_path / "load_force", trace.states["sequence"]))
+    lost = score(trace, 0, specimen_force=load_force.read_forces(tmp_path / "load_force", trace.states["sequence"]))
     assert math.isnan(lost.true_rmse)
 
 
@@ -107,7 +107,9 @@ def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better(train
         """Two runs of each sine, 4 % below and above this share of the fixed gains' error."""
         plan.propose()
         runs = [(repeat, share * scatter * fixed) for repeat, scatter in enumerate((0.96, 1.04))]
-        return plan.add_exam([scored(EXAMINED, f"{k}", rmse[k], repeat) for repeat, rmse in runs for k in range(4)])
+        return plan.add_examination(
+            [scored(EXAMINED, f"{k}", rmse[k], repeat) for repeat, rmse in runs for k in range(4)]
+        )
 
     assert examined(0.5)
     learner._learner.sac.agent.actor.parameters[:] *= 1.1
@@ -140,7 +142,7 @@ def test_an_interrupted_comparison_makes_only_the_trials_that_are_missing(compar
     assert [score.run for score in resumed.scores] == [trial.empty_score().run for trial in resumed.plan.trials]
     for last in ({"kind": "end", "complete": True}, {"kind": "episode"}):  # compared, or another policy
         record.events.append(last)
-        assert not record.unfinished("trial")
+        assert not record.events_of_interrupted("trial")
         record.events.pop()
 
 
@@ -149,10 +151,10 @@ def test_search_finds_the_best_pair_and_never_climbs_beyond_the_first_that_is_st
     search, limit = GridSearch(GridSettings()), 127.0
     while (pair := search.next()) is not None:
         bowl = 1.0 + ((pair[0] - 113.0) / 60.0) ** 2 + ((pair[1] - 22.0) / 40.0) ** 2
-        search.tell(pair, [5.0 * bowl, 40.0 * bowl] if pair[0] <= limit else [math.inf, math.inf])
+        search.add_result(pair, [5.0 * bowl, 40.0 * bowl] if pair[0] <= limit else [math.inf, math.inf])
     assert abs(search.best[0] - 113.0) <= 7.5 and abs(search.best[1] - 22.0) <= 7.5
-    assert [kp for kp, _ in search.tried if kp > limit] == [150.0, 135.0, 127.5], "each below those stopped before"
-    assert len(search.tried) < 30 and search.any_completed and np.isinf(search.scores[(150.0, 15.0)])
+    assert [kp for kp, _ in search.results if kp > limit] == [150.0, 135.0, 127.5], "each below those stopped before"
+    assert len(search.results) < 30 and search.any_completed and np.isinf(search.scores[(150.0, 15.0)])
 
 
 def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_track_well() -> None:
@@ -163,7 +165,7 @@ def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_tr
     session = TrialRunner(plan, PlantSupervisor(graph, True), monitor=SafetyMonitor())
     graph.run(session, 120.0)
     assert session.finished
-    tried = plan.search.tried
+    tried = plan.search.results
     assert 90.0 < max(kp for kp, _ in tried) < 200.0, "it rose to the edge and not far beyond"
     assert np.mean(tried[plan.search.best] / tried[(60.0, 15.0)]) < 1.0
     assert not any("force_limit" in sentence for sentence in graph.sentences)
@@ -195,7 +197,7 @@ def test_a_recorded_reference_is_read_played_by_the_box_and_sent_in_pieces(compa
     assert away < 0.15 and np.abs(np.diff(played)).max() < 10.0
     graph, session = compare((90.0, 15.0), frequencies=(), recorded=asked.recorded, settle=2.0, measure=3.0)
     graph.run(session, 30.0)
-    assert graph.references[-len(case.pieces) - 1 :] == [case.signal, *case.pieces]
+    assert graph.references[-len(case.segments) - 1 :] == [case.signal, *case.segments]
     (score,), (row,) = session.scores, report.table(session).rows
     assert row["shake"] == f"{score.rmse:.2f}, {100.0 * score.rmse / score.reference_rms:.2f} %"
     assert 0.0 < score.rmse < 0.2 * score.reference_rms and 60.0 < score.reference_rms < 200.0

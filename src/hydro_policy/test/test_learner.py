@@ -80,7 +80,7 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(run: RunDirectory) 
 
     resumed = LearnerSupervisor(SETTINGS, run, checkpoint)
     wait(lambda: resumed.ready)
-    assert resumed.updates == 600 and resumed.replay.produced == 700
+    assert resumed.updates == 600 and resumed.replay.total_appended == 700
     kill(resumed)
     resumed.stop({"episode": 6})  # nobody there: the acting side writes the checkpoint itself
     assert load_checkpoint(run.latest).trainer == {"episode": 6}

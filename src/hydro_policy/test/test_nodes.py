@@ -36,7 +36,7 @@ from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.learned_bench import shipped_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor
+from hydro_sim.files.pairing import BoxIdentity, Provenance
 from hydro_sim.model.bench import Bench
 from tests.checks import ran, wait
 
@@ -88,7 +88,7 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
 
 def test_an_interrupted_evaluation_is_resumed_and_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     policy = tmp_path / "policy.safetensors"
-    made = MadeFor(box=Bench.nominal().digest, base_kp=15.0, base_ki=5.0)
+    made = Provenance(box=Bench.nominal().digest, base_kp=15.0, base_ki=5.0)
     Policy(SacSettings()).save(policy, GainRange(), made=made)  # all zero: mid-range, K_p = 52.5, K_i = 10
     figures, folder = tmp_path / "evaluation.json", RunDirectory(tmp_path / "runs" / "a")
     place = ("--plant", "sim", "--runs", folder.path.parent, "--name", "a")

@@ -25,13 +25,13 @@ from tests.checks import ran
 
 def test_an_interrupted_run_ends_with_the_same_weights(pretraining: PretrainSettings, tmp_path: Path) -> None:
     whole, begun, resumed = (Pretraining(pretraining, load_model(), Bench.nominal()) for _ in range(3))
-    begun.round()
+    begun.run_round()
     save_checkpoint(tmp_path / "latest", dump(begun.sac), begun.replay, begun.state())
     resumed.restore(load_checkpoint(tmp_path / "latest"), begun.best)
     assert resumed.episode == 2
     for each in (whole, resumed):
         while not each.finished:
-            each.round()
+            each.run_round()
     np.testing.assert_array_equal(resumed.sac.actor_parameters(), whole.sac.actor_parameters())
     assert resumed.history == whole.history and resumed.best == whole.best
 
@@ -71,7 +71,7 @@ def test_command_trains_on_a_bench_with_hidden_states_and_writes_agent_policy_an
     assert ended.returncode == 0, ended.stderr
     setup = load_simulation_setup(run)
     assert setup.simulated() == Bench.load(file)
-    assert setup.made_for().model == "", "a policy is for the box's bench, not for what was simulated"
+    assert setup.provenance().model == "", "a policy is for the box's bench, not for what was simulated"
     policy, gains, notes = load_policy(run / "policy.safetensors")
     assert gains.delta_kp_max == 285.0 and np.isfinite(policy.act(np.zeros(13))).all()
     assert str(notes["command"]).endswith(f"--json {table}")

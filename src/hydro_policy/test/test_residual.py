@@ -14,7 +14,7 @@ from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.compensation.residual import PAUSE, RESIDUAL_MAX, Network, Period, Residual
+from hydro_policy.compensation.residual import PAUSE, RESIDUAL_MAX, Network, PeriodDetector, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
@@ -66,14 +66,14 @@ def test_period_of_what_repeats_is_found_and_none_of_what_does_not() -> None:
     pulses = np.where(time % 1.7 < 0.4, 50.0, 0.0)
     sine, drifting = 300.0 * np.sin(2.0 * np.pi * 1.3 * time), np.sin(time) + np.sin(np.sqrt(3.0) * time)
     shifted = np.where(time < 7.0, sine, 300.0 * np.sin(2.0 * np.pi * 0.8 * time))
-    references, period = np.stack((sine, pulses, drifting, np.full_like(time, 40.0), shifted)), Period(5)
+    references, period = np.stack((sine, pulses, drifting, np.full_like(time, 40.0), shifted)), PeriodDetector(5)
     for step, now in enumerate(references.T):
         period.step(now, np.full(5, step + 1))
         if step == 650:
             np.testing.assert_allclose(period.steps, (100.0 / 1.3, 170.0, 0.0, 0.0, 100.0 / 1.3), atol=0.05)
-            assert (period.trust[[0, 1, 4]] > 0.98).all()
+            assert (period.confidence[[0, 1, 4]] > 0.98).all()
         if step == 710:
-            assert period.trust[4] == 0.0, "another sine has been there for 0.1 s"
+            assert period.confidence[4] == 0.0, "another sine has been there for 0.1 s"
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
     agent = sac.agent
     vectors = {"actor": agent.actor.parameters, "critics": agent.critics.parameters, "targets": agent.targets}
     for name, vector in vectors.items():
-        of_files = sac.places["actor" if name == "actor" else "critics"]
+        of_files = sac.parameter_indices["actor" if name == "actor" else "critics"]
         want = torch.cat([each.detach().ravel() for each in getattr(equations, name)])
         torch.testing.assert_close(torch.from_numpy(vector[of_files]), want, **tolerance)
         assert not np.delete(vector, of_files).any(), "the padding has learnt"

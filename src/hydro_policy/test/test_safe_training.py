@@ -18,10 +18,10 @@ from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH
+from hydro_policy.supervision.plant_supervisor import FALLBACK, MISMATCH, MODEL_FITS
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import GainRange, Step, StepClock
-from hydro_policy.training_plan import LEAD
+from hydro_policy.training_plan import EXTRA_SETTLING_TIME
 from hydro_sim.model.bench import Bench
 from tests.offline_graph import PASSED
 
@@ -44,9 +44,9 @@ def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_fro
     graph, learner, session = train(bench=BENCH, exam=EXAM)
     graph.run(session, 60.0, learner)
     assert session.finished and not session.plan.abort_reason
-    exams, progress = session.plan.record.of("exam"), session.plan.progress
+    exams, progress = session.plan.record.events_of("exam"), session.plan.progress
     assert [exam["episode"] for exam in exams] == [0, 1, 2] and exams[0]["best"]
-    assert learner.replay.produced == progress.total_steps == 300
+    assert learner.replay.total_appended == progress.total_steps == 300
     assert len(progress.reference_rmse) == 4, "the fixed gains are examined once"
     for exam in exams:
         ratios = np.array(exam["rmse"]) / progress.reference_rmse
@@ -59,7 +59,7 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
     graph, learner, session = train(bench=BENCH, top=285.0)
     started = actor_parameters(learner.snapshot())
     graph.run(session, 12.0, learner)
-    stops = session.plan.record.of("stop")
+    stops = session.plan.record.events_of("stop")
     assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
     assert "4 rollbacks in a row" in session.plan.abort_reason
     assert all("error of" in stop["reason"] or "chattering" in stop["reason"] for stop in stops), "not the box"
@@ -72,7 +72,7 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
 
 def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well(train) -> None:
     graph, learner, session = train(bench=BENCH, episodes=3, exam=EXAM, monitor=MonitorSettings(rollbacks_max=50))
-    graph.run(session, 13.5 + 2.0 * LEAD, learner)
+    graph.run(session, 13.5 + 2.0 * EXTRA_SETTLING_TIME, learner)
     assert session.phase is Phase.TRAINING
     good = session.plan.good
     session._stop(session.plan.trial, "a test says so", np.zeros(14))
@@ -122,11 +122,11 @@ def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_
     graph, learner, session = train(bench=BENCH, episodes=3)
     graph.run(session, 1.5, learner)
     assert session.phase is Phase.TRAINING
-    began, produced = len(graph.gains_published), learner.replay.produced
-    assert "(40, 7) for 0.5 s" in session.override.hold(40.0, 7.0, 0.5, graph.time)
+    began, produced = len(graph.gains_published), learner.replay.total_appended
+    assert "(40, 7) for 0.5 s" in session.override.start(40.0, 7.0, 0.5, graph.time)
     graph.run(session, 0.5, learner)
     assert {g[:2] for g in graph.gains_published[began:]} == {(25.0, 2.0)} and len(graph.gains_published) > began + 45
-    assert learner.replay.produced == produced + 1, "the step that it interrupted was still the policy's"
+    assert learner.replay.total_appended == produced + 1, "the step that it interrupted was still the policy's"
     assert session.plan.explorer.current.overridden_steps >= 45 and session.override.description == "K_p 40, K_i 7"
     graph.run(session, 0.1, learner)
     assert session.override.description == "no"
@@ -140,9 +140,9 @@ def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_
 @pytest.mark.parametrize("asked", [(200.0, 10.0, 0.0), (math.nan, 10.0, 0.0), (60.0, -1.0, 0.0), (60.0, 10.0, -1.0)])
 def test_an_override_out_of_reach_is_refused_and_changes_nothing(asked: tuple[float, float, float]) -> None:
     override = GainOverride()
-    override.hold(60.0, 10.0, 0.0, 0.0)
+    override.start(60.0, 10.0, 0.0, 0.0)
     with pytest.raises(ValueError, match=r"cannot be held|lasts"):
-        override.hold(*asked, 1.0)
+        override.start(*asked, 1.0)
     assert override.gains(2.0) == (45.0, 5.0)
 
 
@@ -150,15 +150,15 @@ def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_i
     graph, learner, session = train(bench=BENCH, episodes=1)
     graph.run(session, 0.8, learner)
     assert session.phase is Phase.TRAINING
-    before, said = learner.replay.produced, len(graph.sentences)
+    before, said = learner.replay.total_appended, len(graph.sentences)
     graph.answer = Result.uncorrected(CorrectionStatus.MISMATCH)
     graph.run(session, 0.1, learner)
     assert [gains[:2] for gains in graph.gains_published[-8:]] == [FALLBACK] * 8
-    assert learner.replay.produced <= before + 1 and graph.sentences[said] == MISMATCH
+    assert learner.replay.total_appended <= before + 1 and graph.sentences[said] == MISMATCH
     graph.run(session, 0.4, learner)
     graph.answer = PASSED
     graph.run(session, 3.0, learner)
-    assert session.finished and FITS in graph.sentences and session.plan.progress.rollbacks == 0
+    assert session.finished and MODEL_FITS in graph.sentences and session.plan.progress.rollbacks == 0
     assert session.plan.explorer.current.overridden_steps == pytest.approx(50, abs=2)
 
 
@@ -191,7 +191,7 @@ def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it(compare) -
     session.on_tick(0.0)
     for sequence in range(1, 400):
         if sequence == 105:
-            session.override.hold(60.0, 10.0, 0.0, 0.0)
+            session.override.start(60.0, 10.0, 0.0, 0.0)
         elif sequence == 205:
             session.override.release()
         sample[STATE_FIELDS.index("load_force")] = 500.0 if 100 < sequence < 205 else 0.0
@@ -206,12 +206,12 @@ def test_a_trip_under_gains_that_a_person_holds_is_not_held_against_the_policy(t
     tripped, sequence = int(Flag.TRIPPED | Flag.FORCE_LIMIT), 100_000
     for phase in (Phase.EVALUATING, Phase.TRAINING):
         assert session.phase is phase
-        session.override.hold(20.0, 5.0, 0.0, graph.time)
+        session.override.start(20.0, 5.0, 0.0, graph.time)
         session.on_sample(sequence, np.zeros(14), tripped, graph.time)
-        assert session.phase is Phase.PAUSED and session.watch.calming
+        assert session.phase is Phase.PAUSED and session.supervisor.recovering
         assert session.plan.progress.rollbacks == session.plan.rollbacks_in_a_row == 0
         session.override.release()
         while phase is Phase.EVALUATING and session.phase is not Phase.TRAINING:
             graph.run(session, 0.1, learner)
-    assert len(session.plan.record.of("exam")) == 1, "the examination began again and came to its end"
-    assert not session.plan.record.of("stop")
+    assert len(session.plan.record.events_of("exam")) == 1, "the examination began again and came to its end"
+    assert not session.plan.record.events_of("stop")

@@ -12,7 +12,7 @@ import pytest
 
 from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.evaluation.report import best
-from hydro_policy.evaluation.runner import REPEATS, SILENCE, Phase
+from hydro_policy.evaluation.runner import REPEATS_MAX, WATCHDOG_TRIP, Phase
 from hydro_policy.runs.run_directory import RunRecord
 from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE
 from hydro_policy.task.mdp import StepClock, TaskSettings, rewards
@@ -27,7 +27,7 @@ def test_training_runs_its_episodes_and_every_transition_and_curve_is_what_happe
     graph.run(session, 10.0, learner)
     progress = session.plan.progress
     assert session.phase is Phase.FINISHED and progress.episode == 2 and learner.updates > 150
-    assert progress.total_steps == learner.replay.produced == 300
+    assert progress.total_steps == learner.replay.total_appended == 300
     rows, _ = learner.replay.snapshot()
     observations, following, actions, rewards, terminated = np.split(rows, np.cumsum([13, 13, 2, 1]), axis=1)
     assert not terminated.any(), "an episode's end is a truncation"
@@ -78,7 +78,7 @@ def test_lost_plant_pauses_within_150_ms_and_asks_to_disarm(train) -> None:
     session.on_tick(graph.time + 0.09)
     assert session.phase is Phase.TRAINING and graph.guard.armed
     session.on_tick(graph.time + 0.15)
-    assert session.phase is Phase.PAUSED and session.watch.condition == "no plant" and not graph.guard.armed
+    assert session.phase is Phase.PAUSED and session.supervisor.condition == "no plant" and not graph.guard.armed
 
 
 def test_a_trip_is_a_termination_with_penalty(train) -> None:
@@ -99,7 +99,7 @@ def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller(compar
     assert best(session) == "", "nothing is compared with what did not act"
 
 
-@pytest.mark.parametrize(("silence", "spoilt", "stopped"), [(0.3, 1, ""), (0.07, 1, ""), (0.3, 3, SILENCE)])
+@pytest.mark.parametrize(("silence", "spoilt", "stopped"), [(0.3, 1, ""), (0.07, 1, ""), (0.3, 3, WATCHDOG_TRIP)])
 def test_a_run_in_which_the_machine_was_held_up_is_started_again(compare, silence: float, spoilt: int, stopped) -> None:
     """The box hears nothing in the first runs: for so long that it trips, or that base gains act."""
     graph, session = compare((90.0, 15.0))
@@ -119,7 +119,7 @@ def test_a_run_in_which_the_machine_was_held_up_is_started_again(compare, silenc
     (score,) = session.scores
     assert score.stopped == stopped and math.isnan(score.rmse) is bool(stopped) and not session.warnings
     again = [sentence for sentence in graph.sentences if "fixed (90, 15) at 2 Hz is started again" in sentence]
-    assert len(again) == min(spoilt, REPEATS)
+    assert len(again) == min(spoilt, REPEATS_MAX)
     assert (score.samples, score.held) == ((0, 0) if stopped else (500, 0))
 
 
@@ -157,7 +157,7 @@ def test_a_run_of_which_samples_did_not_arrive_is_started_again_and_the_last_one
     take = session.on_sample
     session.on_sample = lambda sequence, *sample: sequence % 50 != 7 and take(sequence, *sample)
     graph.run(session, 30.0)
-    assert sum("is started again: 2 % of the samples did not arrive" in told for told in graph.sentences) == REPEATS
+    assert sum("is started again: 2 % of the samples did not arrive" in told for told in graph.sentences) == REPEATS_MAX
     assert session.scores[0].lost == 10 and "2 % of the samples did not arrive" in session.warnings[0]
 
 

@@ -11,9 +11,9 @@ import pytest
 from hydro_bridge.safety.guard_settings import GuardSettings
 from hydro_bridge.serial.protocol import Details, encode_hello
 from hydro_bridge.serial.stream import Decoder
+from hydro_core.bench_scales import rescale
 from hydro_core.settings import to_mapping
 from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_core.size import rescale
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import MetricDesign, ScheduledMetric
 from hydro_filter.model.loop import make_loop
@@ -77,7 +77,7 @@ def test_learning_curves_are_those_of_the_nominal_bench(pretraining: PretrainSet
     here, there = (Pretraining(rescale(usual, NOMINAL, bench.size), bench, bench) for bench in (ONE, OTHER))
     for each in (here, there):
         while not each.finished:
-            each.round()
+            each.run_round()
     assert here.sac.updates > 100
     np.testing.assert_allclose(there.sac.actor_parameters(), here.sac.actor_parameters(), rtol=0.0, atol=1e-6)
     for one, other in zip(here.history, there.history, strict=True):

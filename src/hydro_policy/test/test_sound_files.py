@@ -18,7 +18,7 @@ from safetensors.numpy import load_file, save_file
 from hydro_filter.metric import ScheduledMetric, shipped_metric
 from hydro_policy.nodes.plant_options import plant_options_as_yaml
 from hydro_policy.nodes.trainer import parse_options, parser
-from hydro_policy.nodes.training import begin_checkpoint, check_run
+from hydro_policy.nodes.training import check_run, write_initial_checkpoint
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
@@ -62,7 +62,7 @@ def test_a_file_that_is_damaged_or_cut_short_is_refused_by_name(kind: str, tmp_p
 def test_a_run_killed_at_once_goes_on_and_a_damaged_checkpoint_is_refused_with_its_place(tmp_path: Path) -> None:
     run, start = RunDirectory(tmp_path / "run").create(), shipped_agent("paper")
     settings = start.adapt_settings(configuration("paper"))
-    begin_checkpoint(run, settings, start)
+    write_initial_checkpoint(run, settings, start)
     run.save_settings(settings)
     checkpoint = load_checkpoint(run.latest)
     assert (checkpoint.produced, checkpoint.trainer) == (0, {})

@@ -12,7 +12,7 @@ from hydro_core.signals import STATE_FIELDS, Command, CorrectionStatus, Flag, Re
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.sample import Sample
 from hydro_policy.envs.environment import Environment
-from hydro_policy.envs.vector_env import VectorBench, fleet_filter, records
+from hydro_policy.envs.vector_env import VectorBench, records, vector_filter
 from hydro_policy.task.mdp import GainRange, StepClock, TaskSettings, observe, rewards
 from hydro_sim.box.box import Box, BoxConfig, Integral
 from hydro_sim.files.learned_bench import make_plant
@@ -41,7 +41,7 @@ def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str, 
     fleet.links["gain_delay"] = 10  # the offline schedule changes gains with the step's own sample
     changes = gains - (15.0, 5.0)
     for index in range(3):
-        fleet.begin(index, SINE, 7 if index == 1 else 100 + index, (changes[0, 0], changes[0, 1]))
+        fleet.reset(index, SINE, 7 if index == 1 else 100 + index, (changes[0, 0], changes[0, 1]))
     got = [fleet.samples[1, -1:].copy()]
     for row in changes[1:]:
         got.append(fleet.step(np.array([[0.0, 0.0], row, [50.0, 5.0]]))[1].copy())
@@ -53,9 +53,9 @@ def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str, 
 def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
     task = TaskSettings(gains=GainRange(delta_kp_max=60.0))
     environment = Environment(VectorBench([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)]), task)
-    environment.begin([SINE, SINE], [1, 2])
+    environment.reset([SINE, SINE], [1, 2])
     rng, clock, before = np.random.default_rng(0), StepClock(), np.zeros(2)
-    last = environment.fleet.samples[1, -1:]
+    last = environment.vector_bench.samples[1, -1:]
     clock.add(0, records(last, STATE_FIELDS)[0], int(Flag.ARMED))
     for _ in range(5):
         np.testing.assert_array_equal(
@@ -75,7 +75,7 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
     """K_p = 300 swings up beyond the force limit: terminal, with the penalty; the next step runs from rest."""
     task = TaskSettings(gains=GainRange(delta_kp_max=285.0))
     environment = Environment(VectorBench([BENCH] * 2, [AnalyticPlant(SLOW_CELL) for _ in range(2)]), task)
-    environment.begin([SINE, SINE], [0, 1])
+    environment.reset([SINE, SINE], [0, 1])
     for _ in range(400):
         transitions = environment.step(np.array([[1.0, 0.0], [-1.0, 0.0]]))
         if transitions.terminated.any():
@@ -83,7 +83,7 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
     np.testing.assert_array_equal(transitions.terminated, [True, False])
     assert transitions.reward[0] == -task.trip_penalty
     assert np.isfinite(transitions.rows()).all() and len(transitions.rows()) == 2
-    tripped, other = environment.fleet.samples[:, -1]["sequence"]
+    tripped, other = environment.vector_bench.samples[:, -1]["sequence"]
     assert tripped == 0 < other
     following = environment.step(np.array([[-1.0, 0.0], [-1.0, 0.0]]))
     assert not following.terminated.any() and following.samples[0]["sequence"][0] == 1
@@ -93,10 +93,10 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
 
 def test_a_filter_in_the_fleet_is_the_filter_beside_the_box() -> None:
     """With `Box` and the filter as the node runs it, a correction acting one sample late: to the bit."""
-    filters = fleet_filter("learned", BENCH, 2)
+    filters = vector_filter("learned", BENCH, 2)
     fleet = VectorBench([BENCH] * 2, [AnalyticPlant(SLOW_CELL) for _ in range(2)], filters=filters)
     for index in range(2):
-        fleet.begin(index, SINE, index)
+        fleet.reset(index, SINE, index)
     changes = np.array([[0.0, 0.0], [120.0, 10.0]])
     got = np.concatenate([fleet.samples[1, -1:].copy()] + [fleet.step(changes)[1].copy() for _ in range(40)])
     beside, box, plant = default_filter(BENCH), Box(BENCH), AnalyticPlant(SLOW_CELL)

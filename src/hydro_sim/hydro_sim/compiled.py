@@ -24,7 +24,7 @@ import fcntl
 import json
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 from time import monotonic
@@ -36,6 +36,13 @@ Stats = dict[str, list[int]]
 """By source file: time of its last change [ns] and size [bytes]."""
 
 
+def _sources(package: Path) -> Iterator[Path]:
+    """Sources of a package; others may make and remove folders in its caches meanwhile."""
+    for folder, folders, files in os.walk(package):
+        folders[:] = [name for name in folders if name != "__pycache__"]
+        yield from (Path(folder, name) for name in files if name.endswith(".py"))
+
+
 def remove_stale_caches(*packages: Path) -> None:
     """Delete numba's caches of the first package where a source that they depend on has changed.
 
@@ -45,7 +52,7 @@ def remove_stale_caches(*packages: Path) -> None:
     """
     packages = tuple(package.resolve() for package in packages)  # a built package is a link to its sources
     stamp = packages[0] / "__pycache__" / STAMP
-    present = file_stats(path for package in packages for path in package.rglob("*.py"))
+    present = file_stats(path for package in packages for path in _sources(package))
     with contextlib.suppress(OSError):
         stamp.parent.mkdir(exist_ok=True)
         with stamp.open("a+") as file:
@@ -59,7 +66,7 @@ def remove_stale_caches(*packages: Path) -> None:
                 return
             for kept in (_imports, _source):  # from before the change
                 kept.cache_clear()
-            compiled = [path for path in sorted(packages[0].rglob("*.py")) if b"njit" in path.read_bytes()]
+            compiled = [path for path in sorted(_sources(packages[0])) if b"njit" in path.read_bytes()]
             modules = {str(module): file_stats(imported_sources([module], packages)) for module in compiled}
             file.truncate(0)  # first: cut short anywhere after this, everything counts as stale
             for module in compiled:

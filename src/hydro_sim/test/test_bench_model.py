@@ -259,7 +259,7 @@ def test_sensitivities_are_those_of_differences(name: str) -> None:
     model.rollout(k, start, wave(137))
     current = wave(207)[137:].copy()
     sizes = np.maximum(np.abs(model.values), [1e-3 * one.scale for one in model.parameters])
-    scales = np.array([state.scale for state in model.states])[: exact.held]
+    scales = np.array([state.scale for state in model.states])[: exact.estimated]
     z, dz, end = exact.window(k, start, current, np.diag(scales), dk * sizes)
     last = start.copy()
     np.testing.assert_allclose(z, model.rollout(k, last, current), rtol=1e-9)
@@ -269,10 +269,10 @@ def test_sensitivities_are_those_of_differences(name: str) -> None:
         ends = []
         for side in (step, -step):
             theta, y = model.values.copy(), start.copy()
-            if j < exact.held:
+            if j < exact.estimated:
                 y[j] += side * scales[j]
             else:
-                theta[j - exact.held] += side * sizes[j - exact.held]
+                theta[j - exact.estimated] += side * sizes[j - exact.estimated]
             ends.append(model.rollout(model.begin(theta)[0], y, current) / NOISE)
         difference = (ends[0] - ends[1]) / (2.0 * step)
         allowed = 1e-3 * np.max(np.abs(difference)) + 2e-3

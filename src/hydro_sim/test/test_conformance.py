@@ -76,7 +76,7 @@ def judged(line: InStep, *names: str, moving: bool = True, bench: Bench = NOMINA
     """Outcome and finding of the cases whose names begin so, of all if there are none."""
     cases = select_cases(shipped_cases(), list(names))
     results = run_cases(cases, lambda: Host(line, line.clock), bench.to_mapping(), moving=moving)
-    return {result.case.id: (result.outcome, result.found) for result in results}
+    return {result.case.id: (result.outcome, result.reason) for result in results}
 
 
 def scaled(times: float) -> Bench:
@@ -284,3 +284,12 @@ def test_a_bench_that_drifts_to_its_stop_passes_no_case_that_it_did_not_play() -
     machine.current = 2e-3
     for outcome, found in judged(InStep(machine), "law.sign", "reference.sine").values():
         assert outcome == FAIL and "it tripped at" in found and "limit of 700 N" in found
+
+
+@pytest.mark.parametrize(("emulated", "outcome"), [(True, PASS), (False, FAIL)])
+def test_a_slow_clock_is_a_fault_but_of_an_emulator_that_says_so(emulated: bool, outcome: str) -> None:
+    """On a busy machine an emulator is as slow as the machine."""
+    line = InStep(machine_of())
+    cases = select_cases(shipped_cases(), ["clock.pace"])
+    slow = Host(line, lambda: 1.06 * line.clock(), emulated=emulated)
+    assert [one.outcome for one in run_cases(cases, lambda: slow, NOMINAL.to_mapping(), moving=False)] == [outcome]

@@ -40,7 +40,7 @@ class Host:
 
     def greet(self, *, follows: bool = True) -> list[Frame]:
         """What comes back."""
-        self.port.write(encode_hello(0, 0, follows=follows))
+        self.port.write(encode_hello(0, 0, lock_step=follows))
         return self.read()
 
     def read(self) -> list[Frame]:

@@ -17,7 +17,16 @@ from hydro_bridge.conformance.reference import evaluate_signal
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.settings import SettingsError
-from hydro_core.signals import NEUTRAL, STATE_FIELDS, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform
+from hydro_core.signals import (
+    NEUTRAL_COEFFICIENTS,
+    STATE_FIELDS,
+    Command,
+    Flag,
+    FloatArray,
+    Law,
+    ReferenceSignal,
+    Waveform,
+)
 from hydro_sim.box import firmware
 from hydro_sim.box.box import NAME, Box, BoxConfig, box_info, law_state
 from hydro_sim.box.firmware import STRUCTURES, Precision, reference_force
@@ -48,7 +57,7 @@ def drawn_command(random: Random) -> Command:
         law=random.choice((Law.PAPER, Law.COMPENSATED, Law.COMPENSATED)),
         coefficients=tuple(drawn_number(random, scale) for scale in (1.0, 0.05, 2e-3, 30.0)),  # type: ignore[arg-type]
         velocity_compensation=drawn_number(random, 0.4), valve_gain_scale=drawn_number(random, 2.0),
-        corrects=random.getrandbits(32), filter_fresh=random.random() < 0.5,
+        corrected_sequence=random.getrandbits(32), filter_fresh=random.random() < 0.5,
     )  # fmt: skip
 
 
@@ -184,7 +193,7 @@ def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(
         assert line.frames()[-len(state) :] == state, k
         seen.add(flags)
         if flags & Flag.ARMED and acting.law is Law.COMPENSATED:
-            moved += acting.coefficients != NEUTRAL
+            moved += acting.coefficients != NEUTRAL_COEFFICIENTS
             cut += abs(acting.compensated_reference) == config.compensated.reference_max
     assert line.refused == past.refused and line.refused[1] > 20
     assert {int(Flag.ARMED), int(Flag.ARMED | Flag.SATURATED)} & seen and len(seen) > 12

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from hydro_bridge.plant_clock import COMMANDER_WINDOW, FILTER_WINDOW, Pace, PaceSettings
+from hydro_bridge.plant_clock import COMMANDER_WINDOW, FILTER_WINDOW, LockStep, LockStepSettings
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import Box
@@ -30,17 +30,18 @@ class Graph:
     """A running simulation, and whoever else: `answer` is called in a thread of its own with each sample's number."""
 
     def __init__(self, answer: Callable[[Graph, int], None], peers: str = "", **settings: Any) -> None:
-        bench, self.guard, self.pace = Bench.nominal(), CommandGuard(), Pace(PaceSettings(peers=peers), print)
+        bench, self.guard = Bench.nominal(), CommandGuard()
+        self.lock_step = LockStep(LockStepSettings(peers=peers), print)
         self.samples: list[tuple[Any, ...]] = []
         self.stamps: list[int] = []
         self._inbox: queue.SimpleQueue[int | None] = queue.SimpleQueue()
         self._answer = answer
         self.guard.set_reference(SINE)
         self.simulation = Simulation(
-            Box(bench), AnalyticPlant(bench), self.guard, SimSettings(**settings), self._on_state, print, self.pace
+            Box(bench), AnalyticPlant(bench), self.guard, SimSettings(**settings), self._on_state, print, self.lock_step
         )
         for name in peers.split():
-            self.pace.on_answer(name, None, {"filter": FILTER_WINDOW, "trainer": COMMANDER_WINDOW}[name])
+            self.lock_step.on_answer(name, None, {"filter": FILTER_WINDOW, "trainer": COMMANDER_WINDOW}[name])
         self._threads = [threading.Thread(target=each, daemon=True) for each in (self._peer, self.simulation.run)]
 
     def _on_state(self, stamp: int, fields: tuple[Any, ...]) -> None:
@@ -82,8 +83,8 @@ def test_under_its_own_clock_each_sample_carries_the_correction_of_the_one_befor
                 graph.guard.set_gains(float(sequence // 10 % 70), 0.0, now)
             graph.guard.set_correction(dither(sequence), CorrectionStatus.PASS, sequence, now)
         if sequence % 10 == 0:
-            graph.pace.on_answer("trainer", sequence, COMMANDER_WINDOW)
-        graph.pace.on_correction(sequence)
+            graph.lock_step.on_answer("trainer", sequence, COMMANDER_WINDOW)
+        graph.lock_step.on_correction(sequence)
 
     with Graph(answer, peers="filter trainer") as graph:
         graph.wait_for(30)

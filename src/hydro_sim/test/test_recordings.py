@@ -19,7 +19,7 @@ from hydro_sim.emulator.truth.config import profile, truth_from_mapping
 from hydro_sim.excitation import draw_schedule
 from hydro_sim.files import recordings, weights
 from hydro_sim.files.learned_bench import load_model
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, header_of, mismatch, read_provenance, with_provenance
+from hydro_sim.files.pairing import BoxIdentity, Provenance, header_of, mismatch, read_provenance, with_provenance
 from hydro_sim.files.recordings import DataError, Run
 from hydro_sim.identification import bench_learning, learn, validate
 from hydro_sim.identification.bench_states import estimate_noise
@@ -85,7 +85,7 @@ def test_the_filter_refuses_a_file_by_its_worst_reading(tmp_path: Path) -> None:
 def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text("# another comment\n" + yaml.safe_dump(bench.to_mapping(), sort_keys=True).replace("80.0", "80"))
-    assert Bench.load(path).digest == bench.digest == bench_digest.digest(bench_digest.read_numbers(path))
+    assert Bench.load(path).digest == bench.digest == bench_digest.digest(bench_digest.read_parameters(path))
     assert replace(bench, spring_stiffness=20000).digest == bench.digest
     assert replace(bench, spring_stiffness=20000.1).digest != bench.digest
     assert replace(bench, load_cell_bandwidth=None).digest != bench.digest
@@ -93,16 +93,17 @@ def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tm
 
 def test_what_was_made_for_another_integral_does_not_fit_and_what_is_not_known_does() -> None:
     box = BoxIdentity(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
-    made = MadeFor(box="a", model="m", base_kp=15.0, base_ki=5.0, integral="bumpless")
+    made = Provenance(box="a", model="m", base_kp=15.0, base_ki=5.0, integral="bumpless")
     unknown, other = replace(made, base_kp=None, base_ki=None, integral=""), replace(made, integral="paper")
     fitting, unsaid, foreign = (mismatch("it", one, box, "remedy", model="m") for one in (made, unknown, other))
     assert fitting == unsaid == "" and "made for the paper integral" in foreign
 
 
 def test_a_stamp_changes_no_tensor(tmp_path: Path) -> None:
-    path, made = tmp_path / "metric.safetensors", MadeFor(box="b", model="m", base_kp=1.0, base_ki=2.0, any_bench=True)
+    path = tmp_path / "metric.safetensors"
+    made = Provenance(box="b", model="m", base_kp=1.0, base_ki=2.0, any_bench=True)
     tensors = {"center": np.arange(3.0), "table": np.eye(2)}
-    weights.save(path, tensors, {"structure": "metric"}, MadeFor(box="a"))
+    weights.save(path, tensors, {"structure": "metric"}, Provenance(box="a"))
     path.write_bytes(with_provenance(path.read_bytes(), made))
     assert read_provenance(path) == made
     after = weights.load(path)[0]
@@ -177,7 +178,7 @@ def test_the_usual_effects_are_learnt_where_a_file_names_none() -> None:
     assert found["leakage_internal.coefficient"] == pytest.approx(1e-13, rel=0.01, abs=0.0)
     assert found["valve_lag.bandwidth"] == pytest.approx(110.0, rel=0.03)
     assert found["sensor_lag sensor=load_force.bandwidth"] == pytest.approx(25.0, rel=0.02)
-    assert result.quality.over_noise < 1.1 and result.quality.unfit == ""
+    assert result.quality.over_noise < 1.1 and result.quality.rejection_reason == ""
 
 
 def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordings.Data) -> None:
@@ -191,7 +192,7 @@ def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordin
     noise = estimate_noise([run])
     rates = 0.4 * np.sqrt(2.0) * noise[:2] / 1e-3  # the differentiator takes two fifths of each difference
     left = np.sqrt(np.mean(error**2, axis=(0, 1)))
-    assert (left[[0, 2, 4, 5]] < 1.3 * noise[:4]).all() and left[6] < 3e-6 and predictor.quality.unfit == ""
+    assert (left[[0, 2, 4, 5]] < 1.3 * noise[:4]).all() and left[6] < 3e-6 and predictor.quality.rejection_reason == ""
     assert (left[[1, 3]] < 2.0 * rates).all()
 
 

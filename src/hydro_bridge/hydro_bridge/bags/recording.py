@@ -114,15 +114,15 @@ class _Column:
 
 
 def read_bag(
-    path: Path | str, topics: Collection[str] | None = None, rows: int | None = None, *, salvages: bool = False
+    path: Path | str, topics: Collection[str] | None = None, rows: int | None = None, *, skip_damaged: bool = False
 ) -> Recording:
     """Read a recording into arrays.
 
     `path`: a rosbag2 folder or an .mcap file. `topics`: topics to read; all by default. `rows`: longer tables are
-    decimated to fewer than twice as many rows. `salvages`: damaged blocks are skipped, with a note. Raises
+    decimated to fewer than twice as many rows. `skip_damaged`: damaged blocks are skipped, with a note. Raises
     RecordingError: nothing there, damaged, or a topic in `topics` has no messages.
     """
-    source = BagSource(Path(path), salvages)
+    source = BagSource(Path(path), skip_damaged)
     types: dict[str, str] = {}
     qos: dict[str, TopicQos] = {}
     columns: dict[str, _Column] = {}
@@ -155,13 +155,13 @@ def read_bag(
 
 
 def stream_bag(
-    path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | None = None, *, salvages: bool = False
+    path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | None = None, *, skip_damaged: bool = False
 ) -> Iterator[Table]:
     """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`.
 
     `notes`: receives the tolerated irregularities (`Recording.notes`) once all is read.
     """
-    source = BagSource(Path(path), salvages)
+    source = BagSource(Path(path), skip_damaged)
     for scan, channel, block, span in source.spans(topic):
         layout = source.layout(scan, channel)
         if layout is None:
@@ -191,9 +191,9 @@ def read_serialized(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
     yield from ordered()
 
 
-def read_messages(path: Path | str, topic: str, *, salvages: bool = False) -> Iterator[tuple[float, Any]]:
+def read_messages(path: Path | str, topic: str, *, skip_damaged: bool = False) -> Iterator[tuple[float, Any]]:
     """Yield log time [s] and message object of a topic of any type such as /diagnostics; errors as `read_bag`."""
-    source = BagSource(Path(path), salvages)
+    source = BagSource(Path(path), skip_damaged)
     for scan, channel, block, span in source.spans(topic):
         yield from source.messages(scan, channel, block, span)
 

@@ -103,7 +103,7 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
 
 def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> CopiedFile:
     """Copy one file record by record, and check that all is there; `listed`: topics and types of metadata.yaml."""
-    copy, scan = CopiedFile(target), McapScan(path, salvages=True)
+    copy, scan = CopiedFile(target), McapScan(path, skip_damaged=True)
     schemas: dict[int, int] = {}
     channels: dict[int, int] = {}
     unknown: Counter[int] = Counter()
@@ -117,7 +117,7 @@ def _copied(path: Path, target: Path, listed: list[tuple[str, str]]) -> CopiedFi
                 for start, size in zip(span.starts.tolist(), span.sizes.tolist(), strict=True)
             )
             for start, size, number in starts:
-                if number not in scan.channels and scan.ours:
+                if number not in scan.channels and scan.from_this_package:
                     scan.add_channel(number, listed)
                 if number not in scan.channels:
                     unknown[number] += 1

@@ -146,15 +146,15 @@ class McapScan:
     attachments: dict[str, bytes] = field(default_factory=dict)
     finished: bool = False
     """Whether the file is complete up to its closing magic bytes."""
-    part: tuple[float, float] | None = None
+    interval: tuple[float, float] | None = None
     """Interval [ns] of the log times to read, without metadata and attachments; None: all messages."""
-    salvages: bool = False
+    skip_damaged: bool = False
     """Whether damaged chunks are skipped instead of raising an error."""
     damaged: int = 0
     """Number of skipped chunks."""
     unread: int = 0
     """Bytes after the last readable record of an unfinished file."""
-    ours: bool = False
+    from_this_package: bool = False
     """Whether this package wrote the file: its channels are then numbered in the order of metadata.yaml."""
 
     def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
@@ -164,16 +164,16 @@ class McapScan:
         False.
         """
         with self._opened() as (stream, size):
-            if self.part is not None:
+            if self.interval is not None:
                 summary = self._index(stream)
                 self.schemas, self.channels, self.finished = dict(summary.schemas), dict(summary.channels), True
-                begin, end = self.part
+                begin, end = self.interval
                 chunks = self._indexed_chunks(stream)
                 wanted = [one for one in chunks if one.message_start_time < end and one.message_end_time >= begin]
                 for block in self._blocks_of(stream, wanted):
                     yield block, self._split(block, begin, end)
                 return
-            if self.salvages:
+            if self.skip_damaged:
                 with suppress(RecordingError):  # the chunk that declares the channels may be damaged
                     summary = self._index(stream)
                     self.schemas, self.channels = dict(summary.schemas), dict(summary.channels)
@@ -257,14 +257,14 @@ class McapScan:
             opcode, length = _RECORD.unpack(head)
             if opcode == 0 or stream.tell() + length > size:
                 self.unread = size - stream.tell() + _RECORD.size  # cut off here
-                if self.salvages:
+                if self.skip_damaged:
                     with suppress(RecordingError):  # the chunks behind it, by the index, if there is one
                         chunks = self._indexed_chunks(stream, behind=stream.tell())
                         self.unread, self.damaged = 0, self.damaged + 1
                         yield from self._blocks_of(stream, chunks)
                 break
             if opcode == Opcode.HEADER:
-                self.ours = b"hydro_bridge" in stream.read(length)
+                self.from_this_package = b"hydro_bridge" in stream.read(length)
                 continue
             if opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
                 loose += head + stream.read(length)
@@ -291,7 +291,7 @@ class McapScan:
             unpacked, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
             content = unpacked.read(size)
         except Exception as error:
-            if not self.salvages:
+            if not self.skip_damaged:
                 chunk, wrong = f"the chunk at byte {place}", isinstance(error, CRCValidationError)
                 told = f"the check sum of {chunk} does not hold" if wrong else f"{chunk} cannot be unpacked: {error}"
                 raise RecordingError(f"{self.path} is damaged: {told}") from None
@@ -348,7 +348,7 @@ class BagSource:
     """The files of one recording, read one after the other."""
 
     path: Path
-    salvages: bool = False
+    skip_damaged: bool = False
     """Whether damaged blocks are skipped, with a note, instead of raising an error."""
     scans: list[McapScan] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -358,7 +358,7 @@ class BagSource:
     def __post_init__(self) -> None:
         whole, part = split_location(self.path)
         files, self.notes = mcap_files(whole)
-        self.scans = [McapScan(path, salvages=self.salvages) for path in files]
+        self.scans = [McapScan(path, skip_damaged=self.skip_damaged) for path in files]
         with suppress(RecordingError):  # in the order of their first messages, if the index of each file has it
             first_times = {scan.path: scan.times()[0] for scan in self.scans} if len(files) > 1 else {}
             if all(first_times.values()):
@@ -366,7 +366,7 @@ class BagSource:
         if part is not None:
             first = self.scans[0].times()[0]
             for scan in self.scans:
-                scan.part = (first + 1e9 * part[0], first + 1e9 * part[1])
+                scan.interval = (first + 1e9 * part[0], first + 1e9 * part[1])
 
     def spans(self, topic: str | None = None) -> Iterator[tuple[McapScan, Channel, bytes, Span]]:
         """Yield each channel's messages in each block of each file.
@@ -412,7 +412,7 @@ class BagSource:
             there = f"{damaged} of its blocks are damaged"
         if not topics and not all(scan.finished for scan in self.scans):
             there = "it was cut off before the end of its first block: copy it again"
-        elif any(scan.part for scan in self.scans):
+        elif any(scan.interval for scan in self.scans):
             there = "the part ends before it begins, or begins after it has ended"
         return RecordingError(f"{self.path} has no messages on {topic}; {there}")
 

@@ -17,7 +17,7 @@ from hydro_bridge.conformance.host import Host
 from hydro_bridge.conformance.reference import Derivatives, expected_references, nominal_current
 from hydro_bridge.serial.protocol import BoxDetails, BoxLaw, State
 from hydro_core.files import bench_digest
-from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, Law, flag_names
 
 FLOAT32_TOLERANCE = 1e-6
 """Relative error of a float32, with room for one operation."""
@@ -42,7 +42,7 @@ def state_value(state: State, name: str) -> float:
 
 def confirmed_states(host: Host) -> Sequence[State]:
     """Return the states of this step, starting with the one that confirms its first command."""
-    sent = host.sent[host.marked_sent :]
+    sent = host.sent[host.step_first_command :]
     states = host.states[host.confirmation_index(sent[0].sequence) :] if sent else host.new_states
     if not states:
         raise ViolationError("no command was confirmed")
@@ -87,7 +87,7 @@ def check_command_accepted(host: Host) -> None:
 
 def check_unchanged(host: Host, name: str) -> None:
     """Check that a field keeps the value from before the step, in every state before the watchdog takes base gains."""
-    last = host.states[host.marked - 1]
+    last = host.states[host.step_first_state - 1]
     before = state_value(last, name)
     compared = [state for state in host.new_states if not state.flags & ~last.flags & Flag.WATCHDOG]
     if not compared:
@@ -123,7 +123,7 @@ def check_watchdog_response(host: Host) -> None:
 
 def check_refusal_counts(host: Host, values: int, references: int) -> None:
     """Check how many values and references the box refused in this step, by its own counters."""
-    before, after = host.states[host.marked - 1], host.states[-1]
+    before, after = host.states[host.step_first_state - 1], host.states[-1]
     found = after.refused - before.refused, after.refused_references - before.refused_references
     if found != (values, references):
         raise ViolationError(f"it counted {found[0]} values and {found[1]} references")
@@ -152,11 +152,17 @@ def check_stream_integrity(host: Host) -> None:
 
 
 def check_clock(host: Host, jitter: float = 200.0, share: float = 0.01) -> None:
-    """Check the box's clock: each step within `jitter` [us] of a period, and its rate within `share` of the host's."""
-    times, arrived = [state.time_us for state in host.new_states], host.arrived[host.marked :]
+    """Check the box's clock: each step within `jitter` [us] of a period, and its rate within `share` of the host's.
+
+    An emulator has no rate of its own: it is as slow as the machine on which it runs.
+    """
+    times, arrived = [state.time_us for state in host.new_states], host.arrival_times[host.step_first_state :]
     steps = [b - a for a, b in pairwise(times)]
     if max(abs(step - 1e6 * SAMPLE_PERIOD) for step in steps) > jitter:
         raise ViolationError(f"steps of {min(steps)} to {max(steps)} us")
+    if host.emulated:
+        host.notes.append("an emulator's clock is not compared with the host's")
+        return
     pace = (times[-1] - times[0]) * 1e-6 / (arrived[-1] - arrived[0])
     if not abs(pace - 1.0) <= share:
         raise ViolationError(f"{pace:.4f} s of the box are 1 s of the host")
@@ -179,7 +185,7 @@ def check_hello(host: Host) -> None:
 
 def check_hello_reply(host: Host, within: int) -> None:
     """Check that HELLO was answered within `within` samples plus the line's lag, by a sequence number of 1 or more."""
-    answers = [(n - host.greeted_at, hello) for n, hello in host.hellos if n >= host.greeted_at]
+    answers = [(n - host.hello_index, hello) for n, hello in host.hellos if n >= host.hello_index]
     if not answers or answers[0][0] > within + host.lag:
         raise ViolationError(f"no HELLO came within {within + host.lag} samples")
     if answers[0][1].sequence == 0:
@@ -226,7 +232,7 @@ def check_valve_current(host: Host) -> None:
         if state.last_command != newest:
             newest, since = state.last_command, state.time_us
         command = commands.get(state.last_command)
-        if n < host.marked or not state.flags & Flag.ARMED or command is None:
+        if n < host.step_first_state or not state.flags & Flag.ARMED or command is None:
             continue
         delta = command.delta_u if state.time_us - since <= _CORRECTION_HOLD else 0.0
         wanted = state_value(state, "nominal_valve_current") + delta
@@ -356,7 +362,7 @@ def check_law_limits(host: Host) -> None:
     assert law is not None, "its case needs a compensated law"
     if not np.isfinite(np.hstack(astuple(law))).all():
         raise ViolationError("a number of it is not finite")
-    for low, safe, high, rate in zip(*law.shaping, strict=True):
+    for low, safe, high, rate in zip(*law.shaping_limits, strict=True):
         if not (low <= safe <= high and rate > 0.0):
             limits = f"the limits are {low:g} and {high:g}, the fastest change is {rate:g} a second"
             raise ViolationError(f"{safe:g} is safe, {limits}")
@@ -364,7 +370,7 @@ def check_law_limits(host: Host) -> None:
         raise ViolationError("its limits of the gains do not hold 0")
     for state in confirmed_states(host):
         acting, force = state.law_state, state_value(state, host.feedback)
-        if acting.law is not Law.COMPENSATED or not all(map(equal_float32, acting.coefficients, NEUTRAL)):
+        if acting.law is not Law.COMPENSATED or not all(map(equal_float32, acting.coefficients, NEUTRAL_COEFFICIENTS)):
             raise ViolationError(f"law {acting.law.name} with {acting.coefficients} acts in STATE {state.sequence}")
         if acting.compensated_reference != force or acting.compensated_reference_rate != 0.0:
             raise ViolationError(f"f_c is {acting.compensated_reference:g} N while it is disarmed")
@@ -378,7 +384,7 @@ _KINK = 4e-3
 
 def _demand(law: BoxLaw, command: Command | None, *, late: bool) -> tuple[list[float], tuple[float, float]]:
     """Return shaping and gains that a box must apply for a command; non-finite numbers count as the safe ones."""
-    low, safe, high, _ = law.shaping
+    low, safe, high, _ = law.shaping_limits
     if late or command is None or command.law is not Law.COMPENSATED:
         return safe, (law.base_kp, law.base_ki)
     wanted = (command.delta_kp, command.delta_ki, *command.shaping)
@@ -400,7 +406,7 @@ def check_compensated_reference(host: Host, tolerance: float = 0.02) -> None:
     """
     law, commands = host.law, {each.sequence: each.command for each in host.sent}
     assert law is not None, "its case needs a compensated law"
-    low, safe, high, rate = law.shaping
+    low, safe, high, rate = law.shaping_limits
     room = [_CLOSE * max(abs(least), abs(most)) for least, most in zip(low, high, strict=True)]
     tolerance *= host.force_scale
 

@@ -84,7 +84,7 @@ class Result:
     case: Case
     outcome: str
     """`PASS`, `FAIL`, `LEFT_OUT` or `INCONCLUSIVE`."""
-    found: str
+    reason: str
     """Reason for an outcome other than `PASS`, or aspects that were not examined."""
 
 
@@ -116,9 +116,9 @@ def _run(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] | N
         host = make_host()
         host.bench = bench or {}
         outcome, found = _converse(case, host)
-        if outcome != FAIL or host.silence <= READ_INTERVAL_MAX:
+        if outcome != FAIL or host.longest_read_gap <= READ_INTERVAL_MAX:
             return Result(case, outcome, found)
-    return Result(case, INCONCLUSIVE, f"this host was silent for {1e3 * host.silence:.0f} ms; {found}")
+    return Result(case, INCONCLUSIVE, f"this host was silent for {1e3 * host.longest_read_gap:.0f} ms; {found}")
 
 
 def _converse(case: Case, host: Host) -> tuple[str, str]:
@@ -128,7 +128,7 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
     try:
         open_session(host)
         if host.bench:
-            host.correction = min(1.0, host.force_scale * NOMINAL_FORCE_GAIN / force_gain(host.bench))
+            host.correction_scale = min(1.0, host.force_scale * NOMINAL_FORCE_GAIN / force_gain(host.bench))
         if "compensated law" in case.needs and host.law is None:
             return LEFT_OUT, "the box runs the paper's law only"
         for step in case.steps:
@@ -215,7 +215,7 @@ def main() -> int:
         return 0
     if options.port is None:
         raise UserError("--port: which device is the box at? Only --list goes without")
-    bench = bench_digest.read_numbers(options.bench) if options.bench else None
+    bench = bench_digest.read_parameters(options.bench) if options.bench else None
     if (kind := describe_non_port(options.port)) is not None:
         raise UserError(f"{options.port} is {kind}, not a serial port")
     port = Port(PortSettings(path=options.port, baud=options.baud))
@@ -229,6 +229,6 @@ def main() -> int:
     found = [result.outcome for result in results]
     table = Table(COLUMNS, title=", ".join(f"{found.count(one)} {one}" for one in (PASS, FAIL, LEFT_OUT, INCONCLUSIVE)))
     for result in results:
-        table.add(case=result.case.id, result=result.outcome, found=result.found, says=result.case.says)
+        table.add(case=result.case.id, result=result.outcome, found=result.reason, says=result.case.says)
     table.show(options.json)
     return 1 if FAIL in found else _LATE if INCONCLUSIVE in found else 0

@@ -67,34 +67,38 @@ class Host:
     law: protocol.BoxLaw | None = None
     """The box's compensated law, if it offers one."""
     states: list[protocol.State] = field(default_factory=list)
-    arrived: list[float] = field(default_factory=list)
+    arrival_times: list[float] = field(default_factory=list)
+    emulated: bool = False
+    """Whether the box is an emulator whose time is not the host's: it sent CLOCK, over a pseudo-terminal."""
     hellos: list[tuple[int, protocol.Hello]] = field(default_factory=list)
     """HELLOs of the box, each with the number of states received before."""
     sent: list[SentCommand] = field(default_factory=list)
     command: Command = field(default_factory=Command)
     decoder: Decoder = field(default_factory=Decoder)
-    marked: int = 0
-    """Number of states received when the present step began."""
-    marked_sent: int = 0
-    greeted_at: int = 0
+    step_first_state: int = 0
+    """Index of the first state of the present step."""
+    step_first_command: int = 0
+    """Index of the first command of the present step."""
+    hello_index: int = 0
+    """Number of states received when HELLO was last sent in a case."""
     lag: int = 0
     """Delay [samples] of a command's confirmation beyond the minimum; measured when the session begins."""
-    silence: float = 0.0
+    longest_read_gap: float = 0.0
     """Longest interval [s] between two reads of the line, during which no command can have been sent."""
-    looked: float | None = None
-    correction: float = 1.0
+    last_read: float | None = None
+    correction_scale: float = 1.0
     """Factor on the cases' delta_u, so that the motion is no larger, in proportion, than the nominal bench's."""
     notes: list[str] = field(default_factory=list)
     """Aspects that a passed check could not examine."""
 
     def begin_step(self) -> None:
         """Begin a step of a case: checks examine the states received from here on."""
-        self.marked, self.marked_sent = len(self.states), len(self.sent)
+        self.step_first_state, self.step_first_command = len(self.states), len(self.sent)
 
     def snapshot(self) -> Host:
         """Return a copy of the session so far, for evaluation after the case."""
-        states, arrived, hellos, sent = list(self.states), list(self.arrived), list(self.hellos), list(self.sent)
-        return replace(self, states=states, arrived=arrived, hellos=hellos, sent=sent, notes=[])
+        states, arrived, hellos, sent = list(self.states), list(self.arrival_times), list(self.hellos), list(self.sent)
+        return replace(self, states=states, arrival_times=arrived, hellos=hellos, sent=sent, notes=[])
 
     @property
     def feedback(self) -> str:
@@ -110,7 +114,7 @@ class Host:
     @property
     def new_states(self) -> list[protocol.State]:
         """States since the step began."""
-        return self.states[self.marked :]
+        return self.states[self.step_first_state :]
 
     def confirmation_index(self, sequence: int) -> int:
         """Return the index of the first state that confirms this command or a later one; the number of states if none.
@@ -143,8 +147,9 @@ class Host:
         while len(self.states) < wanted:
             data = self.line.read(_LOOK)
             now = self.clock()
-            self.silence = max(self.silence, now - (now if self.looked is None else self.looked))
-            self.looked = now
+            gap = 0.0 if self.last_read is None else now - self.last_read
+            self.longest_read_gap = max(self.longest_read_gap, gap)
+            self.last_read = now
             for frame in self.decoder.feed(data):
                 if isinstance(frame, protocol.Hello) and frame.info is not None:
                     self.info = frame.info
@@ -153,9 +158,11 @@ class Host:
                     self.details = frame.details
                 elif isinstance(frame, protocol.LawFrame):
                     self.law = frame.record
+                elif isinstance(frame, protocol.ClockFrame):
+                    self.emulated = self.line.pseudo_terminal  # a device runs in real time
                 elif isinstance(frame, protocol.State):
                     self.states.append(frame)
-                    self.arrived.append(self.clock())
+                    self.arrival_times.append(self.clock())
                     last = self.clock()
                     if each is not None and len(self.states) <= wanted:
                         each()
@@ -213,14 +220,14 @@ def open_session(host: Host) -> None:
     host.send()
     host.lag = wait_for_confirmation(host, host.send)
     host.receive(20, host.send)
-    host.states, host.arrived = host.states[-1:], host.arrived[-1:]
-    host.hellos, host.sent, host.silence = [], [], 0.0
+    host.states, host.arrival_times = host.states[-1:], host.arrival_times[-1:]
+    host.hellos, host.sent, host.longest_read_gap = [], [], 0.0
     host.begin_step()
 
 
 def wait_for_confirmation(host: Host, each: Callable[[], None] | None = None) -> int:
     """Wait until the step's first command, or a later one, is confirmed; return the delay in samples."""
-    first = host.sent[host.marked_sent]
+    first = host.sent[host.step_first_command]
     for _ in range(REPLY_SAMPLES):  # a lagging host reads old samples first, and the line may buffer bytes
         if (at := host.confirmation_index(first.sequence)) < len(host.states):
             return at - first.after
@@ -265,12 +272,12 @@ def _once(host: Host, words: dict[str, Any]) -> None:
 def _greet(host: Host, words: dict[str, Any]) -> None:
     """Send HELLO; checks begin after the reply, if there is one."""
     host.begin_step()
-    host.details, host.law, host.greeted_at = protocol.BoxDetails(), None, len(host.states)
+    host.details, host.law, host.hello_index = protocol.BoxDetails(), None, len(host.states)
     host.send_hello()
     for _ in range(REPLY_SAMPLES):
-        if host.hellos and host.hellos[-1][0] >= host.greeted_at:
+        if host.hellos and host.hellos[-1][0] >= host.hello_index:
             host.begin_step()
-            host.marked = host.hellos[-1][0]
+            host.step_first_state = host.hellos[-1][0]
             break
         host.receive(1)
     host.receive(words.get("samples", 50))
@@ -330,7 +337,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
         elif key in _FORCES and abs(value) < _UNPLAYABLE:
             changes[key] = host.force_scale * value
         elif key == "delta_u":
-            changes[key] = host.correction * value
+            changes[key] = host.correction_scale * value
     return changes
 
 

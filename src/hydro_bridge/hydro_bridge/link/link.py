@@ -9,12 +9,11 @@ answered HELLO) the port is reopened, and the bytes received instead are reporte
 not, is younger than `SAMPLE_AGE_MAX`.
 
 An emulator that runs by its own clock announces this (CLOCK): stamps and ages are then in its time. If it waits, one
-command is sent for each sample, with the sample's time, once the graph has answered (`pace`).
+command is sent for each sample, with the sample's time, once the graph has answered (`lock_step`).
 """
 
 from __future__ import annotations
 
-import os
 import re
 import threading
 import time
@@ -25,9 +24,9 @@ from enum import Enum
 from functools import partial
 from math import inf, isclose
 
-from hydro_bridge.plant_clock import Pace
+from hydro_bridge.plant_clock import LockStep
 from hydro_bridge.safety.guard import CommandGuard, intersect_limits
-from hydro_bridge.safety.plant_side import PlantInterface
+from hydro_bridge.safety.plant_interface import PlantInterface
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, ClockFrame, Frame, State
@@ -60,7 +59,7 @@ _NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
 _SIGN_PERIOD = 1.0
-_GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no complaint; an emulator loads longer
+_GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no fault; an emulator loads longer
 
 
 class _MuteError(PortLostError):
@@ -76,7 +75,7 @@ class LinkState(Enum):
 
 
 @dataclass
-class LinkReport:
+class LinkStatistics:
     """Statistics of a link since its creation; `LinkCounts` has those of the byte stream.
 
     Two latencies are measured at every sample, in seconds of one monotonic clock.
@@ -100,7 +99,7 @@ class Link(PlantInterface):
     ----------
     port
         Opened and closed by `run`.
-    guard, log, warn, pace
+    guard, log, warn, lock_step
         See `PlantInterface`; the guard's limits are narrowed to those of the box on connecting.
     on_state
         Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE and PACED
@@ -120,16 +119,16 @@ class Link(PlantInterface):
         log: Callable[[str], None],
         warn: Callable[[str], None] | None = None,
         on_box: Callable[[BoxInfo], None] | None = None,
-        pace: Pace | None = None,
+        lock_step: LockStep | None = None,
         correct: Callable[[State, int, int], None] = lambda *sample: None,
     ) -> None:
-        super().__init__(guard, log, warn, pace)
+        super().__init__(guard, log, warn, lock_step)
         self.port = port
-        self.pace.go_on = self._send
-        self.emulated: ClockFrame | None = None
+        self.lock_step.on_release = self._send
+        self.emulator_clock: ClockFrame | None = None
         """CLOCK frame of an emulator; None: the box runs in real time."""
         self.counts = LinkCounts()
-        self.report = LinkReport()
+        self.statistics = LinkStatistics()
         self._arrived: dict[int, float] = {}  # s of the monotonic clock, by sequence of the last samples
         self._sent: deque[tuple[int, float]] = deque(maxlen=_RECENT)  # last commands that no sample confirms
         self.clock = BoxClock()
@@ -150,7 +149,7 @@ class Link(PlantInterface):
         self._sequence = 0
         self._corrected = True
         self._connected_before = False
-        self.complaint = ""
+        self.last_fault = ""
         """Last fault of a line without a box."""
         self._greeted: BoxInfo | None = None
         """HELLO of a box, until its DETAILS arrive, and its LAW if it offers one."""
@@ -165,16 +164,16 @@ class Link(PlantInterface):
     @property
     def real_time(self) -> bool:
         """Whether stamps are ROS time, and commands age by the host's clock."""
-        return self.emulated is None
+        return self.emulator_clock is None
 
     @property
     def paced(self) -> bool:
         """Whether plant and graph run in lock-step: each sample waits for the answers to the previous one."""
-        return self.emulated is not None and self.emulated.waits
+        return self.emulator_clock is not None and self.emulator_clock.waits
 
     def now(self) -> float:
         """Time [s] by which commands and leases age: the host's monotonic clock, or the emulator's own."""
-        return time.monotonic() if self.emulated is None else 1e-6 * self._box_us
+        return time.monotonic() if self.emulator_clock is None else 1e-6 * self._box_us
 
     def run(self) -> None:
         """Keep the line open until `stop`; body of the serial thread."""
@@ -190,7 +189,7 @@ class Link(PlantInterface):
                 foreign = self._decoder.foreign_version is not None and self.state is LinkState.OPEN  # told already
                 waited = time.monotonic() - begin
                 if not foreign and (self._connected_before or isinstance(error, _MuteError) or waited > grace):
-                    self._complain(str(error))
+                    self._report_fault(str(error))
                 elif not waiting and not foreign and waited > _GRACE:
                     waiting = True
                     self._log(f"waiting for {path} to appear")
@@ -209,19 +208,19 @@ class Link(PlantInterface):
         self._send()
         self._stopping.set()
 
-    def send(self, corrects: int | None = None) -> None:
-        """Send the command that the guard allows now; `corrects` is the sample whose correction has just arrived.
+    def send(self, corrected: int | None = None) -> None:
+        """Send the command that the guard allows now; `corrected` is the sample whose correction has just arrived.
 
         With a paced plant the answers determine the time: only a command without a correction goes out at once.
         """
         if not self.paced:
-            self._send(corrects)
-        elif corrects is None:
-            self.pace.release()
+            self._send(corrected)
+        elif corrected is None:
+            self.lock_step.release()
 
-    def _send(self, corrects: int | None = None) -> None:
+    def _send(self, corrected: int | None = None) -> None:
         with self.lock:
-            if corrects is not None:
+            if corrected is not None:
                 self._corrected = True
             if self.state is not LinkState.CONNECTED:
                 return
@@ -230,18 +229,18 @@ class Link(PlantInterface):
             command = self.guard.command(now)
             if command.law is not Law.PAPER and self.law is None:
                 command = Command()  # this box would add the changes to the paper's gains
-            time_us = int(1e6 * now) if self.emulated is None else self._box_us - self._offset_us
+            time_us = int(1e6 * now) if self.emulator_clock is None else self._box_us - self._offset_us
             frame = protocol.encode_command(self._sequence, time_us, command)
             try:
                 if not self.port.write(frame):
                     return
             except PortLostError:
                 return  # the reading thread detects it as well, and reopens
-            self.report.commands += 1
+            self.statistics.commands += 1
             sent = time.monotonic()
             self._sent.append((self._sequence, sent))
-            if corrects is not None and corrects in self._arrived:
-                self.report.turnaround.add(sent - self._arrived[corrects])
+            if corrected is not None and corrected in self._arrived:
+                self.statistics.turnaround.add(sent - self._arrived[corrected])
 
     def _confirms(self, arm: bool, before: int) -> bool:
         heard = self.paced or self.samples > before  # what was heard earlier is no answer
@@ -265,10 +264,10 @@ class Link(PlantInterface):
         next_hello, next_sign, frames = 0.0, 0.0, list[Frame]()
         self._framed = replace(self.counts)
         while not self._stopping.is_set():
-            data = self.port.read(min(_READ_TIMEOUT, self.pace.poll()) if self.paced else _READ_TIMEOUT)
+            data = self.port.read(min(_READ_TIMEOUT, self.lock_step.poll()) if self.paced else _READ_TIMEOUT)
             now = time.monotonic()
             if self.state is LinkState.OPEN and now >= next_hello:
-                self.port.write(protocol.encode_hello(0, int(1e6 * now), follows=True))
+                self.port.write(protocol.encode_hello(0, int(1e6 * now), lock_step=True))
                 next_hello = now + _HELLO_PERIOD
             if data:
                 before = self.samples
@@ -276,18 +275,18 @@ class Link(PlantInterface):
                     self._take(frame, now)
                 if self.samples > before or (frames and self.state is LinkState.OPEN):
                     alive, self._framed = time.monotonic(), replace(self.counts)
-            if self.state is LinkState.CONNECTED and self.paced and self.pace.pending:
+            if self.state is LinkState.CONNECTED and self.paced and self.lock_step.pending:
                 alive = now  # the emulator waits for this end
                 if now >= next_sign:
                     self._give_sign()
                     next_sign = now + _SIGN_PERIOD
             if self.state is LinkState.OPEN:
                 if self._decoder.foreign_version is not None:
-                    self._complain(protocol.version_mismatch_message(self._decoder.foreign_version))
+                    self._report_fault(protocol.version_mismatch_message(self._decoder.foreign_version))
                 elif frames and self._greeted is None and now - opened > self.port.settings.silence_max:
-                    self._complain(NO_HELLO_REPLY)
+                    self._report_fault(NO_HELLO_REPLY)
             waits = self.state is LinkState.CONNECTED and self.paced
-            if time.monotonic() - alive > (limit := (self.pace if waits else self.port).settings.silence_max):
+            if time.monotonic() - alive > (limit := (self.lock_step if waits else self.port).settings.silence_max):
                 raise _MuteError(f"{self.port.settings.path}: {no_frames_message(self.counts, self._framed, limit)}")
 
     def _give_sign(self) -> None:
@@ -300,11 +299,10 @@ class Link(PlantInterface):
             if self.state is LinkState.CONNECTED:
                 self._take_state(frame, now)
         elif isinstance(frame, ClockFrame):
-            emulated = os.path.realpath(self.port.settings.path).startswith("/dev/pts/")
-            self._clock_told = frame if emulated else None  # a device runs in real time
+            self._clock_told = frame if self.port.pseudo_terminal else None  # a device runs in real time
         elif isinstance(frame, protocol.Hello) and frame.info is not None:
             if not frame.version_min <= protocol.VERSION <= frame.version_max:
-                self._complain(protocol.version_mismatch_message(frame.version_max))
+                self._report_fault(protocol.version_mismatch_message(frame.version_max))
                 return
             if self.state is LinkState.CONNECTED:
                 if frame.sequence != 0:
@@ -312,7 +310,7 @@ class Link(PlantInterface):
                 self._restarted()
             if frame.sequence != 0:  # the HELLO of power-on answers no greeting
                 if self._greeted is not None:
-                    self._complain(incomplete_handshake(self._told))
+                    self._report_fault(incomplete_handshake(self._told))
                 self._greeted, self._told = frame.info, None
         elif isinstance(frame, protocol.Details):
             if self.state is LinkState.CONNECTED:
@@ -334,7 +332,7 @@ class Link(PlantInterface):
             self._restarted()
             return
         if self.paced and not self._met:
-            self.pace.wait_for_peers(self._give_sign)
+            self.lock_step.wait_for_peers(self._give_sign)
             self._met = True
         self._sampled, self.samples = now, self.samples + 1
         missed, self._corrected = not self._corrected, False
@@ -346,24 +344,24 @@ class Link(PlantInterface):
             while self._sent and (frame.last_command - self._sent[0][0]) & _WRAP < _RECENT:
                 confirmed, sent = self._sent.popleft()
                 if confirmed == frame.last_command:
-                    self.report.round_trip.add(now - sent)
-            self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
+                    self.statistics.round_trip.add(now - sent)
+            self.guard.add_sample(frame.sequence, frame.values[_NOMINAL])
         before, self.refused = self.refused[1], (frame.refused, frame.refused_references)
         if before == 0 and frame.refused_references > 0:  # once per connection; the counts are on /diagnostics
             self._warn("the box refused a reference and keeps the one before")
         stale = 0 if self.guard.correction_fresh(self.now()) else Flag.FILTER_STALE
-        self._show(frame.flags | stale | (0 if self.real_time else Flag.PACED))
+        self._update_flags(frame.flags | stale | (0 if self.real_time else Flag.PACED))
         stamp = 1000 * self._box_us  # of an emulator, whose time is its own
-        if self.emulated is None:
+        if self.emulator_clock is None:
             stamp = self._ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
         sample = frame, stamp, int(self.flags)
         self._correct(*sample)
         publish = partial(self._on_state, *sample)
         if self.paced:
-            self.pace.begin_sample(frame.sequence, publish)
+            self.lock_step.begin_sample(frame.sequence, publish)
         publish()
         if not self.paced and missed and not self._corrected:  # nor for the previous sample: send a command
-            self.report.heartbeats += 1
+            self.statistics.heartbeats += 1
             self._send()
 
     def _connect(self, info: BoxInfo, details: BoxDetails, law: BoxLaw | None = None) -> None:
@@ -373,14 +371,14 @@ class Link(PlantInterface):
             self.box, self.details, self.law = info, details, law
             self.state = LinkState.CONNECTED
             # By the clock of the box that has greeted: the host's, or an emulator's own, which never goes back.
-            before, self.emulated, self._clock_told = self.emulated, self._clock_told, None
-            if self.emulated is not None and before is None:
-                waits = ", and waits for answers" if self.emulated.waits else ""
+            before, self.emulator_clock, self._clock_told = self.emulator_clock, self._clock_told, None
+            if self.emulator_clock is not None and before is None:
+                waits = ", and waits for answers" if self.emulator_clock.waits else ""
                 self._log(f"it is emulated: time is its own{waits}")
             self.guard.settings, self.guard.valve_current_max = limits, info.valve_current_max
             self.guard.set_arm(False)
-        self.report.reconnects += self._connected_before
-        self._connected_before, self._corrected, self.complaint = True, False, ""
+        self.statistics.reconnects += self._connected_before
+        self._connected_before, self._corrected, self.last_fault = True, False, ""
         self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}; disarmed")
         if law is None:
             self._log(NO_COMPENSATED_LAW)
@@ -409,16 +407,16 @@ class Link(PlantInterface):
             self.state, self._greeted, self._told, self._clock_told = state, None, None, None
             if state is LinkState.CLOSED:
                 self.port.close()
-            self.guard.note_sample(None)
+            self.guard.add_sample(None)
             self._arrived.clear()  # sequence numbers restart
             self._sent.clear()
             self.flags, self.refused = 0, (None, None)
         self._tracker, self.clock = SequenceTracker(self.counts), BoxClock()
-        with self._news:
-            self._news.notify_all()
+        with self._flags_condition:
+            self._flags_condition.notify_all()
 
-    def _complain(self, sentence: str) -> None:
+    def _report_fault(self, sentence: str) -> None:
         """Report a fault once, not at every attempt: sentences that differ only in numbers report the same fault."""
-        told, self.complaint = self.complaint, sentence
+        told, self.last_fault = self.last_fault, sentence
         if re.sub(r"[0-9.]+", "", sentence) != re.sub(r"[0-9.]+", "", told):
             self._warn(sentence)

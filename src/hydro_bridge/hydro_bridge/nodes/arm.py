@@ -32,6 +32,6 @@ def main() -> None:
         "arm", ros, CLAIM_SERVICE, Claim, Claim.Request(act=act, name="a person, by `arm`", whom=asked.whom),
         absent="no plant runs here: start a bridge or a simulation first",
         unanswered=f"the plant did not answer within {asked.timeout:g} s: it may have acted or not; check its flags",
-        refused="the plant refuses: ", found_within=asked.timeout, within=asked.timeout,
+        refused="the plant refuses: ", discovery_timeout=asked.timeout, timeout=asked.timeout,
     )  # fmt: skip
     print(answer)

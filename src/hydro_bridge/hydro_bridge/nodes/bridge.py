@@ -15,52 +15,54 @@ from pathlib import Path
 from typing import Any
 
 from hydro_bridge.link.link import Link, LinkState
-from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
-from hydro_bridge.plant_clock import Pace, PaceSettings
+from hydro_bridge.nodes.plant_node import Corrector, PlantNode, arming_state
+from hydro_bridge.plant_clock import LockStep, LockStepSettings
 from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import bench_mismatches, describe_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, describe_non_port
 from hydro_bridge.serial.protocol import BoxInfo, State
+from hydro_core.bench_scales import BenchScales
 from hydro_core.cli.console import UserError, command
 from hydro_core.files import bench_digest, site
 from hydro_core.settings import describe
-from hydro_core.size import Size
 
 
 class SerialPlant(Link):
     """Link to a box, with a status for /diagnostics."""
 
-    foreign = ""
+    bench_mismatches = ""
     """Differences between the box and its bench file, if any."""
 
     def status(self) -> Status:
         """Return the status for /diagnostics: port, box, counts and latencies."""
-        report = self.report
+        statistics = self.statistics
         values = {
             "port": self.port.settings.path,
             "box": self.box.name if self.box else "",
-            "box differs": self.foreign or "no",
+            "box differs": self.bench_mismatches or "no",
             "refused by the box": self.refused[0],
             "references refused by the box": self.refused[1],
             **asdict(self.counts),
-            "reconnects": report.reconnects,
+            "reconnects": statistics.reconnects,
             "dropped writes": self.port.dropped_writes,
-            "commands sent": report.commands,
-            "heartbeats": report.heartbeats,
-            "state in to correction out": report.turnaround.sentence(),
-            "command out to confirmation in": report.round_trip.sentence(),
+            "commands sent": statistics.commands,
+            "heartbeats": statistics.heartbeats,
+            "state in to correction out": statistics.turnaround.summary(),
+            "command out to confirmation in": statistics.round_trip.summary(),
             "low latency mode": self.port.low_latency,
-            "each sample waits for": self.pace.peers if self.paced else "nobody: real time",
+            "each sample waits for": self.lock_step.peer_names if self.paced else "nobody: real time",
         }
         if self.state is not LinkState.CONNECTED:
-            why = f": {self.complaint}" if self.complaint else ""
+            why = f": {self.last_fault}" if self.last_fault else ""
             return Status(level=Level.ERROR, message=f"no box: the port is {self.state.value}{why}", values=values)
         if mute := self.no_sample_message:
             return Status(level=Level.ERROR, message=f"no samples: {mute}", values=values)
-        differs = f", the box differs: {self.foreign}" if self.foreign else ""
-        return Status(level=Level.WARN if differs else Level.OK, message=mode(self.flags) + differs, values=values)
+        differs = f", the box differs: {self.bench_mismatches}" if self.bench_mismatches else ""
+        return Status(
+            level=Level.WARN if differs else Level.OK, message=arming_state(self.flags) + differs, values=values
+        )
 
 
 class BridgeNode(PlantNode):
@@ -70,15 +72,15 @@ class BridgeNode(PlantNode):
         self, settings: PortSettings, bench: Mapping[str, Any] | None, corrector: Corrector | None, *, realtime: bool
     ) -> None:
         super().__init__("bridge", corrector)
-        size = Size.of_known_bench(bench)
+        size = BenchScales.of_known_bench(bench)
         usual = GuardSettings() if size is None else GuardSettings.of_size(size)
         guard = CommandGuard(settings=declare_parameters(self, usual, "guard."))
         port = Port(declare_parameters(self, settings))
         logger, self._bench = self.get_logger(), bench
-        pace = Pace(declare_parameters(self, PaceSettings(), "pace."), logger.info)
+        lock_step = LockStep(declare_parameters(self, LockStepSettings(), "pace."), logger.info)
         self.link = SerialPlant(
-            port, guard, partial(self._on_sample, self.publish_sample), logger.info, logger.warning, self._on_box, pace,
-            partial(self._on_sample, self.correct),
+            port, guard, partial(self._on_sample, self.publish_sample), logger.info, logger.warning, self._on_box,
+            lock_step, partial(self._on_sample, self.correct),
         )  # fmt: skip
         self.connect(self.link)
         self.get_logger().info(f"this node runs under {request_realtime(realtime=realtime)}")
@@ -87,10 +89,11 @@ class BridgeNode(PlantNode):
         do(stamp_ns, sample.sequence, sample.values, flags, sample.law_state)
 
     def _on_box(self, info: BoxInfo) -> None:
-        self.link.foreign = bench_mismatches(info, self._bench, self.link.details)
-        if self.link.foreign:
+        mismatches = bench_mismatches(info, self._bench, self.link.details)
+        self.link.bench_mismatches = mismatches
+        if mismatches:
             self.get_logger().warning(
-                f"this box is not what was expected: {self.link.foreign}: give the bridge its own bench.yaml by --bench"
+                f"this box is not what was expected: {mismatches}: give the bridge its own bench.yaml by --bench"
             )
         self.publish_box(describe_box(info, self._bench, "bridge", self.link.details), self.link.law)
 

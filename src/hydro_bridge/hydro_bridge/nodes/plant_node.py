@@ -5,7 +5,7 @@
 
     /hydro/gains, /hydro/law, /hydro/correction, /hydro/reference ──> guard ─┐
     /hydro/claim, /hydro/arm ─────────────────────────────────────> lease    ├─ PlantInterface (line, simulation)
-    /hydro/answered ──────────────────────────────────────────────> pace ────┤
+    /hydro/answered ─────────────────────────────────────────> lock_step ────┤
     /hydro/state, /hydro/law_state, /hydro/box, /hydro/box_law, /clock <─ publish_… ──┘
 
 The guard receives only commands of the lease's holder (`hydro_bridge.safety.lease`), with its session's epoch, from a
@@ -65,13 +65,13 @@ from hydro_bridge.ros.messages import (
 )
 from hydro_bridge.ros.topics import create_publisher, create_subscription
 from hydro_bridge.safety.box_info import BoxDescription
-from hydro_bridge.safety.plant_side import PlantInterface
+from hydro_bridge.safety.plant_interface import PlantInterface
 from hydro_bridge.serial.protocol import BoxLaw, LawState
 from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
-BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
+ARM_SERVICE_REFUSAL = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
 _LOOK = 0.1  # s between two checks of the publishers
 
 
@@ -91,7 +91,7 @@ class Corrector(Protocol):
 _TROUBLED = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
 
 
-def mode(flags: int) -> str:
+def arming_state(flags: int) -> str:
     """Return the arming state of a box: tripped, armed or disarmed."""
     return "tripped" if flags & Flag.TRIPPED else "armed" if flags & Flag.ARMED else "disarmed"
 
@@ -108,7 +108,7 @@ class LeaseServer:
         self.lease = plant.guard.lease
         self._following = threading.Lock()
         self._armed, self._conflict = False, ""
-        self.heard: dict[str, Subscription] = {}
+        self.subscriptions: dict[str, Subscription] = {}
         """Subscription to the commands of each topic; commands of other topics come from this process."""
         self._publisher = create_publisher(node, topics.AUTHORITY)
         self._told: Counter[str] = Counter()
@@ -122,14 +122,14 @@ class LeaseServer:
         node.create_timer(_LOOK, self._look, clock=steady)
         node.create_timer(1.0, self._tell_refused, clock=steady)
 
-    def admits(self, topic: str, epoch: int) -> bool:
+    def accepts(self, topic: str, epoch: int) -> bool:
         """Return whether a received command is the holder's; a second publisher of its topic disarms the plant."""
-        if topic in self.heard and self.heard[topic].get_publisher_count() > 1:
+        if topic in self.subscriptions and self.subscriptions[topic].get_publisher_count() > 1:
             self.lease.refused[topic] += 1
-            self._give_up(topic)
+            self._abort(topic)
             return False
         self.track_arming()
-        return self.lease.admits(topic, epoch, self._plant.now(), renews=topic != topics.CORRECTION)
+        return self.lease.accepts(topic, epoch, self._plant.now(), renews=topic != topics.CORRECTION)
 
     def conflicts(self) -> str:
         """Return a sentence about the topics with more than one publisher; empty if there is none."""
@@ -147,13 +147,13 @@ class LeaseServer:
         self.track_arming()
         lease, held = self.lease, self.lease.claim
         if request.act == Claim.Request.TAKE:
-            trouble, done = lease.take(request.name, request.claim, self._plant.now()), "taken"
+            trouble, done = lease.grant(request.name, request.claim, self._plant.now()), "taken"
         elif request.act == Claim.Request.ARM:
             trouble = lease.arm_refusal(request.claim, request.epoch, request.whom) or self.conflicts()
             if not trouble:
                 trouble = self._plant.arm(True)
                 if not trouble:
-                    lease.note_armed()
+                    lease.on_armed()
                 self.track_arming()
             done = f"armed for {lease.holder or 'nobody: base gains'}"
         elif request.act == Claim.Request.DISARM:
@@ -167,7 +167,7 @@ class LeaseServer:
         else:
             trouble, done = f"act {request.act} is not known", ""
         if lease.claim != held:
-            self._plant.pace.reset_commands()
+            self._plant.lock_step.reset_commands()
             self._begin_anew(succeeds=bool(held))
             self._node.get_logger().info(f"{lease.holder or 'nobody'} commands this plant")
             self._tell()
@@ -179,13 +179,13 @@ class LeaseServer:
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = BY_NAME if request.data else self._disarm(0)
+        trouble = ARM_SERVICE_REFUSAL if request.data else self._disarm(0)
         response.success, response.message = not trouble, trouble or "disarmed"
         self._called("somebody, by /hydro/arm", response.message)
         return response
 
     def _disarm(self, claim: int) -> str:
-        self.lease.note_disarmed(claim)
+        self.lease.on_disarmed(claim)
         trouble = self._plant.arm(False)
         self.track_arming()
         return trouble
@@ -206,18 +206,18 @@ class LeaseServer:
             self._tell()  # corrects any false message about the lease
         if self._armed:
             if self._conflict:
-                self._give_up(topics.STATE)
+                self._abort(topics.STATE)
         elif self.lease.expire(self._plant.now()):
             self._begin_anew(succeeds=False)
             self._node.get_logger().info("nobody commands this plant: its commander has stopped sending")
             self._tell()
 
-    def _give_up(self, topic: str) -> None:
+    def _abort(self, topic: str) -> None:
         if not self._plant.guard.armed:
             return
         why = self.conflicts() or f"two nodes published {topic}"
         with self._plant.lock:
-            self._plant.guard.give_up(why)
+            self._plant.guard.abort(why)
         self._plant.send()
         self.track_arming()
 
@@ -260,7 +260,7 @@ class LeaseServer:
 class PlantNode(Node):
     """Publishes state and box, and its force law; receives gains, law, corrections, reference and arming.
 
-    Call `connect` once the plant's side exists; nothing is subscribed before.
+    Call `connect` once the plant exists; nothing is subscribed before.
 
     `name`: name of the node. `corrector`: filter in this process; None: corrections come from /hydro/correction.
     """
@@ -282,10 +282,10 @@ class PlantNode(Node):
         self._flags, self._tripped = 0, False
         self._beside_another = False
 
-    def connect(self, side: PlantInterface) -> None:
-        """Accept commands for `side`, and report its status."""
-        self.side = side
-        limits = side.guard.settings
+    def connect(self, plant: PlantInterface) -> None:
+        """Accept commands for `plant`, and report its status."""
+        self.plant = plant
+        limits = plant.guard.settings
         only = "" if limits.relies_on == "nothing" else f"; the bench bears them behind this filter: {limits.relies_on}"
         self.get_logger().info(
             f"the guard passes delta_kp from {limits.delta_kp_min:g} to {limits.delta_kp_max:g} 1/s and delta_ki from "
@@ -297,12 +297,12 @@ class PlantNode(Node):
                 "leave it out unless you want that"
             )
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
-        self.leases = LeaseServer(self, side, lambda: bool(self._flags & Flag.TRIPPED))
-        heard = self.leases.heard  # no callback runs before the node is spun
+        self.lease_server = LeaseServer(self, plant, lambda: bool(self._flags & Flag.TRIPPED))
+        subscriptions = self.lease_server.subscriptions  # no callback runs before the node is spun
         if self._corrector is None:
-            heard[topics.CORRECTION] = subscribe(self, topics.CORRECTION, CORRECTIONS, self._on_correction)
+            subscriptions[topics.CORRECTION] = subscribe(self, topics.CORRECTION, CORRECTIONS, self._on_correction)
         for topic in (topics.GAINS, topics.REFERENCE, topics.LAW):
-            heard[topic] = create_subscription(self, topic, partial(self._on_command, topic))
+            subscriptions[topic] = create_subscription(self, topic, partial(self._on_command, topic))
         self._answers = create_subscription(self, topics.ANSWERED, self._on_answered)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.create_timer(1.0, self._look_for_peers, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -315,14 +315,14 @@ class PlantNode(Node):
     def _run(self) -> None:
         """Run the plant; an error ends the node, which disarms on its way."""
         try:
-            self.side.run()
+            self.plant.run()
         except Exception as error:
             self.done.set_exception(error)
 
     def close(self) -> None:
         """Disarm, and end the plant's thread."""
-        self.side.stop()  # first: `pace` may release one more sample, depending on the timing of threads
-        self.side.pace.close()
+        self.plant.stop()  # first: `lock_step` may release one more sample, depending on the timing of threads
+        self.plant.lock_step.close()
         if self._thread.is_alive():
             self._thread.join(2.0)
 
@@ -334,7 +334,7 @@ class PlantNode(Node):
         if law is not None and law.law is not Law.PAPER:
             acting = LAW_STATES.unpack(pack_law_state(stamp_ns, sequence, law))
         try:
-            correction = self._corrector.correct(state, acting, self.leases.lease.epoch)
+            correction = self._corrector.correct(state, acting, self.lease_server.lease.epoch)
         except Exception as error:
             self._corrector = None
             self._defect = f"the filter failed, start this plant anew: {type(error).__name__}: {error}"
@@ -351,9 +351,9 @@ class PlantNode(Node):
         Call from the plant's thread only. `values`: in STATE_FIELDS order.
         """
         changed, self._flags = flags ^ self._flags, flags
-        if not self.side.real_time:
+        if not self.plant.real_time:
             if changed & (Flag.ARMED | Flag.TRIPPED):
-                self.leases.track_arming()
+                self.lease_server.track_arming()
             if sequence % SAMPLES_PER_STEP == 0:
                 self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
                 self._clock_publisher.publish(self._clock_message)
@@ -368,60 +368,60 @@ class PlantNode(Node):
 
         Call at the start, and whenever another box may be connected.
         """
-        with self.side.lock:
-            self.side.guard.set_box_law(law)
+        with self.plant.lock:
+            self.plant.guard.set_box_law(law)
         now = self.get_clock().now().to_msg()
         self._box_law_publisher.publish(law_to_message(law, now))
         self._box_publisher.publish(box_to_message(box, now))
 
     def _on_command(self, topic: str, message: Any) -> None:
         """Set gains, law or reference in the guard, from a message with the epoch of the session."""
-        if self.leases.admits(topic, message.epoch):
+        if self.lease_server.accepts(topic, message.epoch):
             law = law_command_from_message(message) if topic == topics.LAW else None
             signal = reference_from_message(message) if topic == topics.REFERENCE else None
-            with self.side.lock:
+            with self.plant.lock:
                 if topic == topics.GAINS:
-                    self.side.guard.set_gains(message.delta_kp, message.delta_ki, self.side.now())
+                    self.plant.guard.set_gains(message.delta_kp, message.delta_ki, self.plant.now())
                 elif law is not None:
-                    self.side.guard.set_law(law, self.side.now())
+                    self.plant.guard.set_law(law, self.plant.now())
                 elif signal is not None:
-                    self.side.guard.set_reference(signal)
+                    self.plant.guard.set_reference(signal)
             if topic == topics.LAW and law is None:
                 self.get_logger().warning(f"unknown force law {message.law}: refused", throttle_duration_sec=5.0)
             if topic == topics.REFERENCE and signal is None:
                 waveform = f"unknown waveform {message.waveform}"
                 self.get_logger().warning(f"reference refused, the last one is kept: {waveform}")
-        self.side.pace.on_command()
+        self.plant.lock_step.on_command()
 
     def _on_correction(self, message: Any) -> None:
-        if self.leases.admits(topics.CORRECTION, message.epoch):
-            with self.side.lock:
+        if self.lease_server.accepts(topics.CORRECTION, message.epoch):
+            with self.plant.lock:
                 status = message.status & STATUS_MASK
-                self.side.guard.set_correction(message.delta_u, status, message.sequence, self.side.now())
-            self.side.send(message.sequence)
-        if not self.side.real_time:
-            self.side.pace.on_correction(message.sequence)
+                self.plant.guard.set_correction(message.delta_u, status, message.sequence, self.plant.now())
+            self.plant.send(message.sequence)
+        if not self.plant.real_time:
+            self.plant.lock_step.on_correction(message.sequence)
 
     def _on_answered(self, message: msg.Answered) -> None:
         sequence = message.sequence if message.answers else None
-        self.side.pace.on_answer(message.node, sequence, message.window, message.commands)
+        self.plant.lock_step.on_answer(message.node, sequence, message.window, message.commands)
 
     def _look_for_peers(self) -> None:
         """Remove peers missing from the graph in two successive polls: a new one may not have its name there yet."""
         before, now = self._peers, self.get_publishers_info_by_topic(topics.ANSWERED)
         self._peers = {info.node_name for info in now}
-        self.side.pace.retain_peers(before | self._peers)
+        self.plant.lock_step.retain_peers(before | self._peers)
 
     def _status(self) -> Status:
-        side, status = self.side, self.side.status()
-        with side.lock:
-            guard, given_up = asdict(side.guard.counts), side.guard.given_up
-        required = side.guard.settings.require_filter
-        message = status.message + ("" if required else ", FILTER NOT REQUIRED") + (f": {given_up}" if given_up else "")
-        least = Level.WARN if given_up or not required or side.flags & _TROUBLED else Level.OK
-        values = {"flags": flag_names(side.flags), "require filter": required, **status.values}
+        plant, status = self.plant, self.plant.status()
+        with plant.lock:
+            guard, aborted = asdict(plant.guard.counts), plant.guard.abort_reason
+        required = plant.guard.settings.require_filter
+        message = status.message + ("" if required else ", FILTER NOT REQUIRED") + (f": {aborted}" if aborted else "")
+        least = Level.WARN if aborted or not required or plant.flags & _TROUBLED else Level.OK
+        values = {"flags": flag_names(plant.flags), "require filter": required, **status.values}
         values |= {f"guard {name}": count for name, count in guard.items()}
-        lease = self.leases.lease
+        lease = self.lease_server.lease
         values |= {"authority": lease.holder or "nobody"}
         values |= {f"refused {topic}": lease.refused[topic] for topic in topics.COMMANDS}
         if self._defect:
@@ -430,11 +430,11 @@ class PlantNode(Node):
         before, self._beside_another = self._beside_another, self.count_publishers(topics.STATE) > 1
         if self._beside_another and not before:
             self.get_logger().error("two plants publish /hydro/state, so nothing can be armed: stop one of them")
-        return with_publisher_conflicts(status, self.leases.conflicts())
+        return with_publisher_conflicts(status, self.lease_server.conflicts())
 
     def _tell_events(self) -> None:
-        with self.side.lock:
-            events = self.side.guard.take_events()
+        with self.plant.lock:
+            events = self.plant.guard.take_events()
         for event, trouble in events.items():
             if trouble:
                 self.get_logger().warning(event)

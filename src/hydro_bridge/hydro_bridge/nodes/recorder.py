@@ -23,7 +23,7 @@ from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter, code_version
 from hydro_bridge.plant_clock import RECORDER_WINDOW
-from hydro_bridge.ros.answers import SampleAcknowledger
+from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATES
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node

@@ -20,8 +20,8 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
+from hydro_bridge.bags.monotonic_times import MonotonicTimes
 from hydro_bridge.bags.recording import read_bag, read_serialized
-from hydro_bridge.bags.steady import MonotonicTimes
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATES
@@ -50,16 +50,16 @@ def replay(
     Returns at the end of the recording, or once `stopping` is set. `speed`: recorded seconds per second, above 0.
     `note`: called with a sentence on each gap that is skipped. Raises RecordingError.
     """
-    steady, first, told = MonotonicTimes(GAP_MAX), None, 0
+    clock, first, told = MonotonicTimes(GAP_MAX), None, 0
     began, began_ns = time.monotonic(), time.time_ns()
     for topic, _, log_time, data in read_serialized(path):
         if topic not in TOPICS:
             continue
-        now = float(steady.convert(np.array([1e-9 * log_time]))[0])
+        now = float(clock.convert(np.array([1e-9 * log_time]))[0])
         first = now if first is None else first
-        for when, step in steady.jumps[told:]:
+        for when, step in clock.jumps[told:]:
             note(f"the recording's clock goes {step:+.10g} s after {when - first:.1f} s: that is left out")
-        told = len(steady.jumps)
+        told = len(clock.jumps)
         ahead = (now - first) / speed
         if stopping.wait(max(0.0, began + ahead - time.monotonic())):
             return

@@ -11,7 +11,7 @@ from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from hydro_core.cli.console import shown
+from hydro_core.cli.console import format_cell
 
 
 def environment(package: str, folder: str = "templates") -> Environment:
@@ -49,7 +49,7 @@ def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Sectio
     `sections`: sections in order. Raises OSError: a picture cannot be read.
     """
     made = environment("hydro_bridge", "pages/templates")
-    made.filters["shown"] = shown
+    made.filters["format_cell"] = format_cell
     pictures = {
         section.heading: f"data:image/png;base64,{base64.b64encode(section.picture.read_bytes()).decode()}"
         for section in sections

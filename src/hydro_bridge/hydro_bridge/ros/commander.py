@@ -46,33 +46,33 @@ UNCONFIRMED = (
 class Commander:
     """A node's lease on the running plant. Use it only in the thread that spins the node.
 
-    Under the plant's clock (`collects`) commands are published by `flush`, at the end of the node's answer to a sample:
+    Under the plant's clock (`deferred`) commands are published by `flush`, at the end of the node's answer to a sample:
     the last gains, law and reference go out together, and the number of commands is part of the answer.
 
     Parameters
     ----------
     node
         The commanding node, whose name is the holder's.
-    changed
+    on_lease_change
         Called when the lease has been granted (with an empty sentence) or lost (with the reason).
     end
         Ends the run, as Ctrl-C does; open to all callers of /hydro/end while this node commands. None: no such service.
     warn
         Logs the reason why the node waits for the lease.
-    within
+    lease_wait_max
         Longest wait [s] while another node holds the lease.
     """
 
     def __init__(
         self,
         node: Node,
-        changed: Callable[[str], None] = lambda why: None,
+        on_lease_change: Callable[[str], None] = lambda why: None,
         end: Callable[[], None] | None = None,
         warn: Callable[[str], None] = lambda sentence: None,
-        within: float = LEASE_WAIT_MAX,
+        lease_wait_max: float = LEASE_WAIT_MAX,
     ) -> None:
-        self._node, self._changed, self._end, self._warn = node, changed, end, warn
-        self._within = within
+        self._node, self._on_lease_change, self._end, self._warn = node, on_lease_change, end, warn
+        self._lease_wait_max = lease_wait_max
         self._end_service: Service | None = None
         self._claims = node.create_client(Claim, topics.CLAIM_SERVICE)
         self._said = msg.Authority()  # the plant's last message about the lease
@@ -83,11 +83,11 @@ class Commander:
         self._waits_since = inf
         self._answer: Future | None = None
         self._asked = -inf
-        self.collects = False
+        self.deferred = False
         """Whether commands wait for `flush`."""
-        self.requests = 0
+        self.pending_requests = 0
         """Number of requests that the plant has not answered yet."""
-        self.settled: Callable[[], None] = lambda: None
+        self.on_answer: Callable[[], None] = lambda: None
         """Called once an answer of the plant has been processed."""
         self.stamp: Callable[[], Time] = lambda: node.get_clock().now().to_msg()
         """Returns the stamp of the next message."""
@@ -101,7 +101,7 @@ class Commander:
         self._words = create_subscription(node, topics.AUTHORITY, self._on_authority)
 
     @property
-    def held(self) -> bool:
+    def holds_lease(self) -> bool:
         """Whether this node commands the plant."""
         return bool(self._claim)
 
@@ -111,33 +111,33 @@ class Commander:
         if waiting or now < self._asked + _RENEWAL_PERIOD or not self._claims.service_is_ready():
             return
         self._asked, self._known = now, self.epoch
-        self._answer = self._ask(Claim.Request.TAKE, then=self._on_taken)
+        self._answer = self._ask(Claim.Request.TAKE, callback=self._on_taken)
 
-    def check_wait(self, now: float) -> None:
+    def check_timeout(self, now: float) -> None:
         """Warn once of each reason why this node lacks the lease on a present plant; call as often as `renew_lease`.
 
-        Raises NotReadyError: the plant is silent for `LEASE_ANSWER_MAX`, or another node holds it for `within`.
+        Raises NotReadyError: the plant is silent for `LEASE_ANSWER_MAX`, or another node holds it for `lease_wait_max`.
         """
-        if self.held:
+        if self.holds_lease:
             self._waits_since, self._told = inf, ""
             return
         self._waits_since = min(self._waits_since, now)
-        within = self._within if self._refusal else LEASE_ANSWER_MAX
+        within = self._lease_wait_max if self._refusal else LEASE_ANSWER_MAX
         if self._refusal and self._refusal != self._told:
             self._warn(f"{self._refusal}; {self._node.get_name()} waits, {within:g} s at most")
         self._told = self._refusal
         if now - self._waits_since > within:
             raise NotReadyError(f"{self._refusal or NO_LEASE_ANSWER}, still after {within:g} s")
 
-    def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> None:
+    def publish_gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> None:
         """Publish gain changes [1/s], [1/s^2] if this node holds the lease."""
         message = self.last_gains
         message.delta_kp, message.delta_ki = delta_kp, delta_ki
         self._send(topics.GAINS, message, step)
 
-    def law(self, command: LawCommand, step: int = 0) -> None:
+    def publish_law(self, command: LawCommand, step: int = 0) -> None:
         """Publish the command of a force law if this node holds the lease; without one, the paper's law runs."""
-        if self.held and topics.LAW not in self._publishers:
+        if self.holds_lease and topics.LAW not in self._publishers:
             self._publishers[topics.LAW] = create_publisher(self._node, topics.LAW)
         message = self._law
         message.law = int(command.law)
@@ -146,7 +146,7 @@ class Commander:
         message.valve_gain_scale = command.valve_gain_scale
         self._send(topics.LAW, message, step)
 
-    def reference(self, signal: ReferenceSignal) -> None:
+    def publish_reference(self, signal: ReferenceSignal) -> None:
         """Publish the reference; without the lease, as soon as it is granted."""
         self._reference = signal
         self._send(topics.REFERENCE, reference_to_message(signal, self.epoch))
@@ -156,7 +156,7 @@ class Commander:
             message.header.stamp, message.step, message.epoch = self.stamp(), step, self.epoch
         if topic not in self._publishers:
             return
-        if self.collects:
+        if self.deferred:
             self._collected[topic] = message
         else:
             self._publishers[topic].publish(message)
@@ -171,21 +171,21 @@ class Commander:
                 self._sent += 1
         return self._sent
 
-    def arm(self, arm: bool, then: Callable[[Future], None] = lambda answer: None) -> Future | None:
+    def arm(self, arm: bool, callback: Callable[[Future], None] = lambda answer: None) -> Future | None:
         """Request arming or disarming if this node holds the lease and the plant is present; return the plant's answer.
 
-        `then`: called with the answer on its arrival.
+        `callback`: called with the answer on its arrival.
         """
-        if not (self.held and self._claims.service_is_ready()):
+        if not (self.holds_lease and self._claims.service_is_ready()):
             return None
-        return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM, then=then)
+        return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM, callback=callback)
 
     def release(self, heir: str = "") -> Future | None:
         """Release the lease, which disarms; return the plant's answer, or None without the lease.
 
         `heir`: name of the only node that may take it next, for 10 s; empty: any node.
         """
-        if not (self.held and self._claims.service_is_ready()):
+        if not (self.holds_lease and self._claims.service_is_ready()):
             return None
         self._collected = {}  # of a session that has ended
         answer = self._ask(Claim.Request.GIVE, whom=heir)
@@ -194,24 +194,24 @@ class Commander:
 
     def release_and_wait(self, heir: str = "") -> str:
         """Release the lease, and spin the node until the answer; return a warning unless disarming is confirmed."""
-        if not self.held:
+        if not self.holds_lease:
             return ""
         answer = self.release(heir)
         if answer is not None:
             node_executor(self._node).spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
         return "" if answer is not None and answer.done() and answer.result().success else UNCONFIRMED
 
-    def _ask(self, act: int, *, whom: str = "", then: Callable[[Future], None] = lambda answer: None) -> Future:
+    def _ask(self, act: int, *, whom: str = "", callback: Callable[[Future], None] = lambda answer: None) -> Future:
         self.flush()  # commands decided earlier go out first
 
         def answered(answer: Future) -> None:
-            self.requests -= 1
-            then(answer)
-            self.settled()
+            self.pending_requests -= 1
+            callback(answer)
+            self.on_answer()
 
         request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim, whom=whom)
         answer = self._claims.call_async(request)
-        self.requests += 1
+        self.pending_requests += 1
         answer.add_done_callback(answered)
         return answer
 
@@ -221,7 +221,7 @@ class Commander:
             return
         self._refusal = "" if response.success else response.message
         if not response.success:
-            if self.held:
+            if self.holds_lease:
                 self._lose(response.message)
         elif response.claim != self._claim:
             self._claim, self.epoch, self._sent = response.claim, response.epoch, 0
@@ -231,11 +231,11 @@ class Commander:
                 for topic in (topics.GAINS, topics.REFERENCE):
                     self._publishers[topic] = create_publisher(self._node, topic)
             if self._reference is not None:
-                self.reference(self._reference)
+                self.publish_reference(self._reference)
             if first and self._end is not None:
                 self._end_service = self._node.create_service(Trigger, topics.END_SERVICE, self._on_end)
             if first:
-                self._changed("")
+                self._on_lease_change("")
         elif self.epoch == self._known:  # no other holder was announced meanwhile; a message may have been lost
             self.epoch = response.epoch
 
@@ -253,7 +253,7 @@ class Commander:
             self._node.destroy_service(self._end_service)
         self._end_service = None
         if why:
-            self._changed(why)
+            self._on_lease_change(why)
 
     def _on_end(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         assert self._end is not None

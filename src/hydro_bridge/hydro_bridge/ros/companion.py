@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from hydro_bridge.ros.topics import DIAGNOSTICS, STATE, create_subscription
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_core.process.endings import SIGNALS
+from hydro_core.process.termination import SIGNALS
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
@@ -138,7 +138,7 @@ class Companion(AbstractContextManager["Companion"]):
 def _die_with(parent: int) -> None:
     """Make the child, before exec, die with its parent, even if that has just died."""
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the parent's handler would only record it, and vanish at exec
-    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it answers them (hydro_core.process.start)
+    signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)  # until it answers them (hydro_core.process.startup)
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
@@ -148,7 +148,7 @@ RECORDER_TIMEOUT = 60.0
 """Time limit [s] for a recorder to have samples once they arrive: on a busy machine discovery takes some time."""
 
 
-class RecorderWatch:
+class RecorderMonitor:
     """Monitor of one recorder by its diagnostics: whether it has received samples.
 
     `node`: node that subscribes to /diagnostics. `folder`: folder of the recording, as passed to the recorder.
@@ -168,8 +168,8 @@ class RecorderWatch:
             name="the recorder",
             ready=self._ready,
             hint="it says once a second how many samples it has",
-            within=RECORDER_TIMEOUT,
-            missing=f"the recorder had no sample after {RECORDER_TIMEOUT:g} s: nothing is armed unrecorded",
+            timeout=RECORDER_TIMEOUT,
+            timeout_message=f"the recorder had no sample after {RECORDER_TIMEOUT:g} s: nothing is armed unrecorded",
             by_wall_clock=True,
         )
 
@@ -207,13 +207,13 @@ def add_dashboard_option(parser: argparse._ActionsContainer) -> None:
 
 
 def start_dashboard(
-    stack: ExitStack, node: Node, *, wanted: bool, keep: Callable[[str], object] = lambda line: None
+    stack: ExitStack, node: Node, *, wanted: bool, log: Callable[[str], object] = lambda line: None
 ) -> None:
     """Start a dashboard process, unless the graph already has one; `stack` ends it. Call before arming.
 
     A failure of the dashboard does not affect the run.
 
-    `node`: node of the caller. `wanted`: False: no page. `keep`: receives each line of its output except its address,
+    `node`: node of the caller. `wanted`: False: no page. `log`: receives each line of its output except its address,
     which contains the token and goes to the terminal only.
     """
     if not wanted or DASHBOARD_NODE in node.get_node_names():
@@ -221,7 +221,7 @@ def start_dashboard(
 
     def take(line: str) -> None:
         if _ADDRESS not in line:
-            keep(line)
+            log(line)
             return
         with suppress(OSError, ValueError):  # the terminal has gone
             tqdm.write(line.partition("] ")[2].rstrip("\n"), file=sys.stderr)

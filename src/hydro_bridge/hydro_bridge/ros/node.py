@@ -39,7 +39,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from hydro_bridge.ros.keys import KEYSTORE, enclave_name, security_enabled
 from hydro_bridge.ros.topics import ACCESS_RIGHTS, hidden_node
 from hydro_core.errors import UserError
-from hydro_core.process import endings, start
+from hydro_core.process import startup, termination
 from hydro_core.process.realtime import limit_run_time
 from hydro_core.settings import SettingsError, check, convert, describe
 
@@ -60,7 +60,7 @@ def restrict_to_localhost() -> None:
 
     Raises UserError: the middleware that the user selected is not installed.
     """
-    if trouble := start.missing_middleware():
+    if trouble := startup.missing_middleware():
         raise UserError(trouble)
     here = os.environ.setdefault(DISCOVERY_RANGE, LOCALHOST) == LOCALHOST
     profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))
@@ -200,7 +200,7 @@ def ros_arguments() -> tuple[list[str], list[str]]:
 
 @contextmanager
 def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
-    """Context in which ROS runs, without its own signal handlers: those of `endings` leave time to disarm.
+    """Context in which ROS runs, without its own signal handlers: those of `termination` leave time to disarm.
 
     See `restrict_to_localhost` for the discovery range. Unless the user gives another, the enclave is this executable's
     (`keys`), with and without keys, so that both use the same start-up path.
@@ -269,10 +269,10 @@ def spin(node: Node, until: Future | None = None) -> bool:
     ended: list[int] = []
 
     def hear(number: int, _: FrameType | None) -> None:
-        endings.detach_closed_terminal()
+        termination.detach_closed_terminal()
         ended.append(number)
 
-    before = endings.install_handlers(hear)
+    before = termination.install_handlers(hear)
     done: Future = Future() if until is None else until
     try:
         with suppress(ExternalShutdownException):
@@ -281,27 +281,27 @@ def spin(node: Node, until: Future | None = None) -> bool:
                 # and gives Python no chance to take a signal.
                 executor.spin_until_future_complete(done, timeout_sec=_SLICE)
     finally:
-        endings.restore_handlers(before)
+        termination.restore_handlers(before)
     return bool(ended)
 
 
 def call_service(
     name: str, ros: Sequence[str], service: str, kind: type[Any], request: Any, *,
-    absent: str, unanswered: str, refused: str = "", found_within: float, within: float,
+    absent: str, unanswered: str, refused: str = "", discovery_timeout: float, timeout: float,
 ) -> str:  # fmt: skip
     """Call a service once as the node `name`; return the message of its answer. `ros`: arguments from `--ros-args` on.
 
-    Raises UserError: with `absent` if the service does not appear within `found_within` [s], with `unanswered` if no
-    answer comes `within` [s], with `refused` and the service's message if it refuses.
+    Raises UserError: with `absent` if the service does not appear within `discovery_timeout` [s], with `unanswered` if
+    no answer comes within `timeout` [s], with `refused` and the service's message if it refuses.
     """
     with running_ros(ros):
         node = Node(name)
         try:
             client = node.create_client(kind, service)
-            if not client.wait_for_service(timeout_sec=found_within):
+            if not client.wait_for_service(timeout_sec=discovery_timeout):
                 raise UserError(absent)
             answer = client.call_async(request)
-            rclpy.spin_until_future_complete(node, answer, timeout_sec=within)
+            rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout)
             if not answer.done():
                 raise UserError(unanswered)
             message = str(answer.result().message)
@@ -337,7 +337,7 @@ def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
             return node
         finally:
             if node is not None:
-                with endings.signals_ignored():
+                with termination.signals_ignored():
                     getattr(node, "close", lambda: None)()
                     for component in components:
                         node_executor(node).remove_node(component)

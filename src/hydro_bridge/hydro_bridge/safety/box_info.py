@@ -45,7 +45,7 @@ class BoxDescription:
 def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement for arming that the plant's node has published the box's description."""
     hint = "its node publishes it on /hydro/box"
-    return Requirement(name="the box's description", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
+    return Requirement(name="the box's description", ready=ready, hint=hint, timeout=5.0, timeout_message=NO_BOX)
 
 
 def describe_box(

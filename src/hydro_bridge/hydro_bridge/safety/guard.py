@@ -31,13 +31,13 @@ DECISION_STATUSES = frozenset(
 """Statuses with a decision of the filter. NAN and STALE: it could not decide; BYPASSED: it is switched off or not made
 for the running law; MISMATCH: its model or metric is not this bench's."""
 
-_KEPT = 256
+_SAMPLES_KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
 
 _SHAPING = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
 
 NOT_OFFERED = "the compensated law is refused: this box does not offer it (protocol.md)"
-KEPT_WHILE_ARMED = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
+LAW_CHANGE_REFUSED = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
 UNFILTERED_LAW = (
     "compensated law: its gains pass within the law's own limits, whether or not the filter decides "
     "(guard.require_filter is about the paper's law)"
@@ -82,7 +82,7 @@ class GuardCounts:
     stale_law: int = 0
     """Commands for which gains, coefficients and scales of the compensated law were stale."""
     given_up: int = 0
-    """Disarmings by the guard, see `CommandGuard.give_up`."""
+    """Disarmings by the guard, see `CommandGuard.abort`."""
 
 
 @dataclass(kw_only=True)
@@ -98,26 +98,26 @@ class CommandGuard:
     """Valve current limit of the box [A]: no correction takes the nominal current beyond it, as certificates assume."""
     lease: Lease = field(default_factory=Lease)
     """Lease on the plant, whose node passes on the commands of the holder only."""
-    offered: BoxLaw | None = None
+    box_law: BoxLaw | None = None
     """Compensated law of the box; None: it offers the paper's law only."""
     armed: bool = field(default=False, init=False)
     """Whether the last `set_arm` requested arming."""
-    given_up: str = field(default="", init=False)
+    abort_reason: str = field(default="", init=False)
     """Reason why the guard last disarmed the plant; empty once it is armed again."""
     _law: LawCommand = field(default_factory=LawCommand)
     _law_at: float = -inf
     _gains: tuple[float, float] = (0.0, 0.0)
     _gains_at: float = -inf
     _delta_u: float = 0.0
-    _corrects: int = 0
+    _corrected_sequence: int = 0
     _correction_at: float = -inf
     _mismatched: bool = False
     """Whether the filter's last status was MISMATCH; only a decision clears it."""
     _newest: int | None = None
     _answered_last: int | None = None
-    """Sample that was corrected last, if samples are announced (`note_sample`)."""
+    """Sample that was corrected last, if samples are announced (`add_sample`)."""
     _nominal: dict[int, tuple[int, float]] = field(default_factory=dict)
-    """The last samples and their nominal currents [A], by sequence modulo `_KEPT`."""
+    """The last samples and their nominal currents [A], by sequence modulo `_SAMPLES_KEPT`."""
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _gained: bool = False
     """Whether gains arrived since the arming: from then on they are expected to continue."""
@@ -127,15 +127,15 @@ class CommandGuard:
     def set_arm(self, arm: bool) -> None:
         """Request arming or disarming; a lost connection calls this with False."""
         if arm and not self.armed:
-            self._gained, self.given_up = False, ""
+            self._gained, self.abort_reason = False, ""
         self.armed = bool(arm)
 
-    def give_up(self, reason: str) -> None:
+    def abort(self, reason: str) -> None:
         """Disarm, with base gains and a reference of 0 N, until the next arming; `reason` is reported."""
         self.armed, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
-        self.given_up = f"{reason}; reference 0 N, disarmed until it is armed again"
+        self.abort_reason = f"{reason}; reference 0 N, disarmed until it is armed again"
         self.counts.given_up += 1
-        self._events[self.given_up] = True
+        self._events[self.abort_reason] = True
 
     def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
         """Set gain changes [1/s], [1/s^2], clamped; non-finite ones are dropped, and the last ones keep ageing."""
@@ -144,7 +144,7 @@ class CommandGuard:
         if not good:
             self.counts.not_finite += 1
             return
-        limits = self.offered if self.compensated and self.offered else self.settings
+        limits = self.box_law if self.compensated and self.box_law else self.settings
         self._gains = (
             self._clamp("delta_kp", delta_kp, limits.delta_kp_min, limits.delta_kp_max),
             self._clamp("delta_ki", delta_ki, limits.delta_ki_min, limits.delta_ki_max),
@@ -162,9 +162,9 @@ class CommandGuard:
         A law that the box does not offer is refused, and another law than the present one while the plant is armed.
         """
         changes = wanted.law is not self._law.law
-        missing = wanted.law is Law.COMPENSATED and self.offered is None
+        missing = wanted.law is Law.COMPENSATED and self.box_law is None
         self._tell("law offered", missing, NOT_OFFERED, "the force law is one that the box offers again")
-        self._tell("law armed", changes and self.armed, KEPT_WHILE_ARMED, "the present force law is commanded again")
+        self._tell("law armed", changes and self.armed, LAW_CHANGE_REFUSED, "the present force law is commanded again")
         if missing or (changes and self.armed):
             self.counts.laws_refused += 1
             return
@@ -176,10 +176,10 @@ class CommandGuard:
         if changes:
             self._gains, self._gains_at = (0.0, 0.0), -inf  # they were added to another law's base gains
             self._events[UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again"] = False
-        if self.offered is None or wanted.law is Law.PAPER:
+        if self.box_law is None or wanted.law is Law.PAPER:
             self._law = LawCommand()
         else:
-            low, _, high, _ = self.offered.shaping
+            low, _, high, _ = self.box_law.shaping_limits
             a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, _SHAPING, wanted.shaping, low, high)
             self._law = LawCommand(
                 law=wanted.law, coefficients=(a_0, a_1, a_2, a_3), velocity_compensation=c_1, valve_gain_scale=c_2
@@ -193,12 +193,12 @@ class CommandGuard:
         """
         sound = True
         if law is not None:
-            low, safe, high, _ = law.shaping
+            low, safe, high, _ = law.shaping_limits
             ordered = all(least <= number <= most for least, number, most in zip(low, safe, high, strict=True))
             gains = law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
             sound = bool(np.isfinite(np.hstack(astuple(law))).all()) and ordered and gains
         self._tell("law record", not sound, UNSOUND_LAW, "the box's record of its compensated law is sound")
-        self.offered = law if sound else None
+        self.box_law = law if sound else None
         self.release_law()
 
     def release_law(self) -> None:
@@ -211,7 +211,7 @@ class CommandGuard:
             self.counts.mismatched += 1
             self._mismatched, self._delta_u = True, 0.0
             if self._fits(sequence):
-                self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
+                self._corrected_sequence, self._correction_at = sequence & 0xFFFFFFFF, now
         elif not isfinite(delta_u):
             self.counts.not_finite += 1
         elif status not in DECISION_STATUSES:
@@ -219,11 +219,11 @@ class CommandGuard:
         elif self._fits(sequence):
             high = self.settings.delta_u_max
             low, valve = -high, self.valve_current_max
-            known, nominal = self._nominal.get(sequence % _KEPT, (None, 0.0))
+            known, nominal = self._nominal.get(sequence % _SAMPLES_KEPT, (None, 0.0))
             if known in (None, sequence) and abs(nominal) <= valve:  # if saturated, part only returns to the limit
                 low, high = max(low, -valve - nominal), min(high, valve - nominal)
             self._delta_u = self._clamp("delta_u", delta_u, low, high)
-            self._corrects = sequence & 0xFFFFFFFF
+            self._corrected_sequence = sequence & 0xFFFFFFFF
             self._correction_at, self._mismatched = now, False
 
     def _fits(self, sequence: int) -> bool:
@@ -239,8 +239,8 @@ class CommandGuard:
         self._answered_last = sequence & 0xFFFFFFFF
         return True
 
-    def note_sample(self, sequence: int | None, nominal: float = 0.0) -> None:
-        """Note the newest sample and its nominal current [A]; None: the box was restarted or the line was lost.
+    def add_sample(self, sequence: int | None, nominal: float = 0.0) -> None:
+        """Add the newest sample and its nominal current [A]; None: the box was restarted or the line was lost.
 
         Without these calls corrections age by their arrival time only.
         """
@@ -249,7 +249,7 @@ class CommandGuard:
             self._answered_last, self._correction_at = None, -inf
             self._nominal.clear()
         else:
-            self._nominal[sequence % _KEPT] = (sequence, nominal)
+            self._nominal[sequence % _SAMPLES_KEPT] = (sequence, nominal)
 
     def set_reference(self, signal: ReferenceSignal) -> bool:
         """Set a new reference; one out of range or not finite is refused: returns False, and the last one stays."""
@@ -279,11 +279,11 @@ class CommandGuard:
     def command(self, now: float) -> Command:
         """Return the command that may be sent at time `now`."""
         if self.armed and self._gained and now - self._gains_at > self.settings.gains_timeout:
-            self.give_up(f"no gains for {self.settings.gains_timeout:g} s, whoever chose them is gone")
+            self.abort(f"no gains for {self.settings.gains_timeout:g} s, whoever chose them is gone")
         gained = now - self._gains_at <= self.settings.gains_age_max
         # A correction is decided for one sample; held for longer, it would act as an impulse.
         held = min(self.settings.correction_hold, self.settings.correction_age_max)
-        behind = 0 if self._newest is None else (self._newest - self._corrects) & 0xFFFFFFFF
+        behind = 0 if self._newest is None else (self._newest - self._corrected_sequence) & 0xFFFFFFFF
         acts = now - self._correction_at <= held and behind < round(held / SAMPLE_PERIOD)
         self.counts.commands += 1
         self.counts.stale_gains += not gained
@@ -296,7 +296,7 @@ class CommandGuard:
             delta_ki=delta_ki,
             delta_u=self._delta_u if acts else 0.0,
             reference=self._reference,
-            corrects=self._corrects,
+            corrected_sequence=self._corrected_sequence,
             filter_fresh=self.correction_fresh(now),
             **vars(law),
         )
@@ -335,7 +335,7 @@ class CommandGuard:
         self._tell("mismatch", self._mismatched, MISMATCHED_LAW, "the filter's model fits again")
         gains = (0.0, 0.0) if self._mismatched else self._gains
         self.counts.narrowed += gains != self._gains
-        return (self._law, gains) if fresh else (safe_command(self.offered or BoxLaw()), (0.0, 0.0))
+        return (self._law, gains) if fresh else (safe_command(self.box_law or BoxLaw()), (0.0, 0.0))
 
     def take_events(self) -> dict[str, bool]:
         """Return and clear the pending log messages, in order; True: a warning, False: its end, or a notice."""

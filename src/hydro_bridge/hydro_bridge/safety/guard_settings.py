@@ -9,9 +9,9 @@ from math import isfinite
 from typing import Annotated
 
 from hydro_bridge.serial.protocol import BoxInfo
+from hydro_core.bench_scales import BenchScales
 from hydro_core.settings import quantity
 from hydro_core.signals import ReferenceSignal, Waveform
-from hydro_core.size import Size
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class GuardSettings:
     """Without a fresh correction: base gains; false lets gains pass unfiltered: logged, flagged and on /diagnostics."""
 
     @classmethod
-    def of_size(cls, size: Size) -> GuardSettings:
+    def of_size(cls, size: BenchScales) -> GuardSettings:
         """Return the usual limits for a bench of this size; the defaults are those of the nominal bench."""
         return cls(delta_u_max=size.current / 2.5, reference_force_max=size.force * 10.0 / 3.0)
 

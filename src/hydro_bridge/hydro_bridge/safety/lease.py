@@ -3,8 +3,8 @@
 
 ::
 
-    take     a node is granted the lease, and renews it by further requests or by its commands: after `SILENCE` without
-             either it has lapsed, and the next node to request it gets it, with a disarmed plant
+    take     a node is granted the lease, and renews it by further requests or by its commands: after `LEASE_TIMEOUT`
+             without either it has lapsed, and the next node to request it gets it, with a disarmed plant
     epoch    drawn anew at each disarming, trip and change of holder: a command that carries another one is refused
     disarm   open to anybody. After a person's disarming the holder may not arm until a person has armed the plant
     give     the holder releases the lease; if an heir is named, only the heir may take it for `HANDOVER_TIME`
@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Callable
 from math import inf
 
-SILENCE = 3.0
+LEASE_TIMEOUT = 3.0
 """Silence of the holder [s] after which its lease has lapsed."""
 
 HANDOVER_TIME = 10.0
@@ -57,11 +57,11 @@ class Lease:
         """Return whether `claim` is that of the present holder."""
         return bool(claim) and claim == self.claim
 
-    def take(self, name: str, claim: int, now: float) -> str:
+    def grant(self, name: str, claim: int, now: float) -> str:
         """Grant the lease to `name`, or renew that of `claim`; return the reason of a refusal, else empty."""
         self._follow(now)
         kept = self.held_by(claim)
-        if self.holder and not kept and now - self._renewed <= SILENCE:
+        if self.holder and not kept and now - self._renewed <= LEASE_TIMEOUT:
             return f"{self.holder} commands this plant: end it, or wait until it gives the lease back"
         if not self.holder and self._heir not in ("", name) and now < self._kept_until:
             return f"this plant is handed over to {self._heir}, which may take it within {HANDOVER_TIME:g} s"
@@ -82,9 +82,9 @@ class Lease:
         return True
 
     def expire(self, now: float) -> bool:
-        """Release the lease of a holder silent for `SILENCE`; return whether there was one. Not while armed."""
+        """Release the lease of a holder silent for `LEASE_TIMEOUT`; return whether there was one. Not while armed."""
         self._follow(now)
-        return now - self._renewed > SILENCE and self.release(self.claim, now)
+        return now - self._renewed > LEASE_TIMEOUT and self.release(self.claim, now)
 
     def _follow(self, now: float) -> None:
         """Follow a clock that went back: before its box is connected a plant counts by the host's, then by the box's.
@@ -99,7 +99,7 @@ class Lease:
         self._before, self._ended = self.epoch, now
         self.epoch = self._draw()
 
-    def admits(self, topic: str, epoch: int, now: float, *, renews: bool = True) -> bool:
+    def accepts(self, topic: str, epoch: int, now: float, *, renews: bool = True) -> bool:
         """Return whether a command carries the session's epoch; refused ones are counted, unless they are late.
 
         `renews`: whether the command renews the holder's lease; a filter's correction does not.
@@ -127,11 +127,11 @@ class Lease:
             return "the plant was disarmed, tripped or changed hands since: look, and ask again"
         return DISARMED_BY_PERSON if claim and claim == self._barred else ""
 
-    def note_armed(self) -> None:
+    def on_armed(self) -> None:
         """Note an arming, which lifts the bar of a person's disarming."""
         self._barred = 0
 
-    def note_disarmed(self, claim: int) -> None:
+    def on_disarmed(self, claim: int) -> None:
         """Note a disarming by `claim`; by a person (0) it bars the holder from arming until a person has armed.
 
         An expired claim, often the holder's own from before its silence, is a node's, and bars nobody.

@@ -3,10 +3,10 @@
 
 ::
 
-    requirements   the plant, the filter, the recorder, the learner ...   in order of their dependence
-    check          some twenty times a second: what is missing, and for how long
-    after 8 s      reports what is awaited, why it may take long, and the time allowed
-    after `within` the wait ends: in `NotReadyError`, or with a report that the run continues without it
+    requirements    the plant, the filter, the recorder, the learner ...   in order of their dependence
+    check           some twenty times a second: what is missing, and for how long
+    after 8 s       reports what is awaited, why it may take long, and the time allowed
+    after `timeout` the wait ends: in `NotReadyError`, or with a report that the run continues without it
 
 A requirement's time runs while no earlier one is missing: a recorder without a plant has nothing to record. The
 requirements themselves: `hydro_policy.supervision.plant_supervisor` (plant, filter, learner), `box_info` (box),
@@ -36,12 +36,12 @@ class Requirement:
     """Returns whether the requirement is met; raises `NotReadyError` if it never will be."""
     hint: str
     """Reason for a long wait, or its remedy."""
-    within: float
+    timeout: float
     """Time limit [s]."""
-    missing: str
+    timeout_message: str
     """Message if the requirement is not met within the time limit."""
     essential: bool = True
-    """Whether the run cannot continue without it; otherwise it continues as `missing` describes."""
+    """Whether the run cannot continue without it; otherwise it continues as `timeout_message` describes."""
     by_wall_clock: bool = False
     """Whether it is met in wall-clock time, so that a plant that runs by its own clock waits for it."""
 
@@ -86,11 +86,11 @@ class Readiness:
             return
         first = self._missing[0]
         waited = now - self._since.setdefault(first.name, now)
-        if waited > first.within and first.essential:
-            raise NotReadyError(first.missing)
-        if waited > first.within:
+        if waited > first.timeout and first.essential:
+            raise NotReadyError(first.timeout_message)
+        if waited > first.timeout:
             self._forgone.add(first.name)
-            self._report(first.missing)
+            self._report(first.timeout_message)
         elif waited > HINT_DELAY and first.name not in self._told:
             self._told.add(first.name)
-            self._report(f"waiting for {self.missing_names}, {first.within:g} s at most: {first.hint}")
+            self._report(f"waiting for {self.missing_names}, {first.timeout:g} s at most: {first.hint}")

@@ -58,6 +58,11 @@ class Port:
         self._serial: serial.Serial | None = None
         self._unwritten = b""
 
+    @property
+    def pseudo_terminal(self) -> bool:
+        """Whether the path is a pseudo-terminal: only there may a box be an emulator whose time is its own."""
+        return os.path.realpath(self.settings.path).startswith("/dev/pts/")
+
     def open(self) -> None:
         """Open the port; raises PortLostError with the reason, PortTakenError if another program has it."""
         self.close()

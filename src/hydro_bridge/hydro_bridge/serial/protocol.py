@@ -20,7 +20,7 @@ from zlib import crc32
 
 from cobs import cobs
 
-from hydro_core.signals import NEUTRAL, STATE_FIELDS, Coefficients, Command, Law, ReferenceSignal, Waveform
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, STATE_FIELDS, Coefficients, Command, Law, ReferenceSignal, Waveform
 
 VERSION = 3
 """Protocol version of all frames but HELLO; frames of other versions are rejected."""
@@ -132,7 +132,8 @@ class BoxDetails:
 class BoxLaw:
     """Parameters of a box's compensated law: base gains, limits, rate limits and safe state.
 
-    The safe state, in force without commands, is base gains, C_1 and C_2 as given here, and `NEUTRAL` coefficients.
+    The safe state, in force without commands, is base gains, C_1 and C_2 as given here, and
+    `NEUTRAL_COEFFICIENTS`.
     """
 
     base_kp: float = 400.0
@@ -182,10 +183,10 @@ class BoxLaw:
         return cls(**numbers)
 
     @property
-    def shaping(self) -> tuple[list[float], list[float], list[float], list[float]]:
+    def shaping_limits(self) -> tuple[list[float], list[float], list[float], list[float]]:
         """Minimum, safe value, maximum and rate limit of a_0 to a_3, C_1 and C_2."""
         low = [*self.coefficient_min, self.velocity_compensation_min, self.valve_gain_scale_min]
-        safe = [*NEUTRAL, self.velocity_compensation, self.valve_gain_scale]
+        safe = [*NEUTRAL_COEFFICIENTS, self.velocity_compensation, self.valve_gain_scale]
         high = [*self.coefficient_max, self.velocity_compensation_max, self.valve_gain_scale_max]
         return low, safe, high, [*self.coefficient_rate, self.scale_rate, self.scale_rate]
 
@@ -207,7 +208,8 @@ GAIN_FIELDS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_m
 
 PAPER_LAW = BoxLaw(
     velocity_compensation=1.0, velocity_compensation_min=1.0, velocity_compensation_max=1.0, valve_gain_scale_min=1.0,
-    valve_gain_scale_max=1.0, reference_max=1e30, coefficient_min=NEUTRAL, coefficient_max=NEUTRAL,
+    valve_gain_scale_max=1.0, reference_max=1e30, coefficient_min=NEUTRAL_COEFFICIENTS,
+    coefficient_max=NEUTRAL_COEFFICIENTS,
 )  # fmt: skip
 """Record of the paper's law, which has no shaping. The paper's gains are those of `BoxInfo`."""
 
@@ -220,7 +222,7 @@ class LawState(NamedTuple):
     """f_c [N]."""
     compensated_reference_rate: float = 0.0
     """f_c' [N/s]."""
-    coefficients: Coefficients = NEUTRAL
+    coefficients: Coefficients = NEUTRAL_COEFFICIENTS
     velocity_compensation: float = 1.0
     """C_1 [-]."""
     valve_gain_scale: float = 1.0
@@ -337,17 +339,17 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     signal = (reference.waveform, reference.amplitude, reference.offset, reference.frequency, reference.phase)
-    values = (bits, command.corrects, *numbers, *signal, command.law, *command.shaping, _FEED_FORWARD)
+    values = (bits, command.corrected_sequence, *numbers, *signal, command.law, *command.shaping, _FEED_FORWARD)
     return _encode(FrameType.COMMAND, sequence, time_us, *values)
 
 
-def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, follows: bool = False) -> bytes:
+def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, lock_step: bool = False) -> bytes:
     """Encode HELLO, which opens a connection; `info`: the box's, None from the host.
 
-    `follows`: whether the host answers each STATE of an emulator that waits for answers; ignored by a box.
+    `lock_step`: whether the host answers each STATE of an emulator that waits for answers; ignored by a box.
     """
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
-    who = (VERSION, VERSION, info is not None, INTEGRAL_FORMS.index(integral) if info else follows)
+    who = (VERSION, VERSION, info is not None, INTEGRAL_FORMS.index(integral) if info else lock_step)
     return _encode(FrameType.HELLO, sequence, time_us, *who, name.encode()[:32], *numbers)
 
 
@@ -474,7 +476,7 @@ def _read_command(sequence: int, time_us: int, *rest: Any) -> CommandFrame:
         reference=ReferenceSignal(
             waveform=Waveform(waveform), amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
         ),
-        corrects=corrects,
+        corrected_sequence=corrects,
         filter_fresh=bool(bits & _FILTER_FRESH),
         law=_known_law(law),
         coefficients=(a_0, a_1, a_2, a_3),

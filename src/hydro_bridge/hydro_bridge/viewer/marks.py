@@ -10,7 +10,7 @@ watchdog     flag WATCHDOG: no commands for 50 ms
 authority    /hydro/authority: change of holder
 episode      /hydro/training: start of the next episode, and result of the last one
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
-weights      /hydro/policy: change of the acting weights (`Marks.steps`)
+weights      /hydro/policy: change of the acting weights (`MarkCollector.add_steps`)
 rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by a person, to within 0.5 s
 call         /rosout, names that end in `calls`: requests to arm, disarm or override, and the answers
@@ -81,7 +81,7 @@ class MarkCollector:
         shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
         return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
 
-    def states(self, states: StateArray) -> None:
+    def add_states(self, states: StateArray) -> None:
         """Add the marks of `STATE_DTYPE` records, from their flags."""
         if not len(states):
             return
@@ -103,13 +103,13 @@ class MarkCollector:
             self.add(float(states["time"][0]), "armed", "armed already when the recording begins")
         self._flags = int(flags[-1])
 
-    def authority(self, time: float, holder: str) -> None:
+    def add_authority(self, time: float, holder: str) -> None:
         """Add the holder of the lease from `time` on; empty: none."""
         if holder != self._holder:
             self.add(time, "authority", f"commanded by {holder}" if holder else "no node commands the plant")
         self._holder = holder
 
-    def training(self, message: Mapping[str, Any]) -> None:
+    def add_training(self, message: Mapping[str, Any]) -> None:
         """Add the fields of a TrainingStatus, with `time` [s]."""
         time, phase, episode = float(message["time"]), int(message["phase"]), int(message["episode"])
         if phase != self._phase and self._phase >= 0:
@@ -126,7 +126,7 @@ class MarkCollector:
             self.add(time, "learner", "the learner runs again" if message["learner_alive"] else "the learner is down")
         self._phase, self._episode, self._learner = phase, episode, bool(message["learner_alive"])
 
-    def steps(self, steps: npt.NDArray[np.void]) -> None:
+    def add_steps(self, steps: npt.NDArray[np.void]) -> None:
         """Add the changes of weights in PolicyStep records, with `time` [s], named as in the trainer's diagnostics."""
         if not len(steps):
             return
@@ -144,7 +144,7 @@ class MarkCollector:
             self._weights_changed = time
         self._weights = int(weights[-1])
 
-    def diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
+    def add_diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
         """Add the marks of a diagnostics status of the node `name`."""
         if name not in _TRAINERS:
             return
@@ -156,7 +156,7 @@ class MarkCollector:
             if before is not None and now != before:
                 self.add(time, kind, sentence(now))
 
-    def log(self, time: float, level: int, name: str, sentence: str) -> None:
+    def add_log(self, time: float, level: int, name: str, sentence: str) -> None:
         """Add the mark of a message of /rosout by its level, as numbered in rcl_interfaces/Log."""
         node, _, last = name.rpartition(".")
         if last == CALL_LOGGER:

@@ -23,8 +23,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.bags.monotonic_times import MonotonicTimes
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
-from hydro_bridge.bags.steady import MonotonicTimes
 from hydro_bridge.bags.storage import BagSource, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, status
@@ -130,7 +130,7 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     windows = [] if report is None else read_windows(report)
     source = BagSource(Path(path))
     marks, curve, clock = MarkCollector(), status.LearningCurve(), SampleClock()
-    steady = {topic: MonotonicTimes(GAP_MAX) for topic in _SERIES}
+    clocks = {topic: MonotonicTimes(GAP_MAX) for topic in _SERIES}
     thinners: tuple[series.GrowingDownsampler, ...] = ()  # none before the first sample
     first = 0.0  # s, of the first sample
     messages: Counter[str] = Counter()
@@ -147,12 +147,12 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
                     time = float(clock.sample_times(stamp.sec + 1e-9 * stamp.nanosec, logged))
                     if topic == LOG_TOPIC:
-                        marks.log(time, int(message.level), message.name, message.msg)
+                        marks.add_log(time, int(message.level), message.name, message.msg)
                     elif topic == AUTHORITY_TOPIC:
-                        marks.authority(time, message.holder)
+                        marks.add_authority(time, message.holder)
                     else:
                         for node in message.status:
-                            marks.diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
+                            marks.add_diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
             except AttributeError:  # another type, or fields of another version
                 foreign.add(topic)
         if topic not in _NEEDED:
@@ -162,8 +162,8 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
             foreign.add(topic)
             continue
         table = decode_span(scan.path, topic, layout, block, part)
-        if topic in steady:
-            table["time"] = steady[topic].convert(table["time"])
+        if topic in clocks:
+            table["time"] = clocks[topic].convert(table["time"])
         else:  # the trainer stamps by the wall clock
             table["time"] = clock.sample_times(table["time"], 1e-9 * part.log_times)
         if topic == STATE_TOPIC:
@@ -180,12 +180,12 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
             number = _SERIES.index(topic)
             thinners[number].add(table["time"], series.column_values(number, table))
         if topic == STATE_TOPIC:
-            marks.states(table)
+            marks.add_states(table)
         elif topic == POLICY_TOPIC:
-            marks.steps(table)
+            marks.add_steps(table)
         elif topic == TRAINING_TOPIC:
             for row in table:
-                marks.training({name: row[name] for name in row.dtype.names})
+                marks.add_training({name: row[name] for name in row.dtype.names})
                 results = [float(row[name]) for name in ("force_rmse", "episode_return", "critic_loss", "actor_loss")]
                 curve.add(int(row["phase"]), int(row["episode"]), *results)
 
@@ -202,7 +202,7 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
               if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
     notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(foreign)]
     notes += [f"the clock was set by {step:+.10g} s after {time - first:.1f} s: time goes on behind it"
-              for time, step in steady[STATE_TOPIC].jumps]  # fmt: skip
+              for time, step in clocks[STATE_TOPIC].jumps]  # fmt: skip
     if marks.dropped:
         notes.append(f"{marks.dropped} more marks are not shown: give a part of it by --from and --to")
     return RecordingPage(

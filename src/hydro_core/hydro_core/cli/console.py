@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from hydro_core.errors import UserError, is_file_error, user_message, writable_file, writable_folder
 from hydro_core.files.atomic import encode_json, write_atomic
-from hydro_core.process import endings
+from hydro_core.process import termination
 
 __all__ = [
     "Table", "UserError", "add_json_argument", "command", "make_parser", "bounded_number", "progress", "writable_file",
@@ -53,7 +53,7 @@ def bounded_number(low: N, high: float = inf) -> Callable[[str], N]:
 def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
     """Decorate a `main`: known errors are printed as one sentence, its return value becomes the exit status.
 
-    Ctrl-C, SIGTERM and SIGHUP raise `endings.Terminated` in it: the status is 128 + the signal's number, 130 for
+    Ctrl-C, SIGTERM and SIGHUP raise `termination.Terminated` in it: the status is 128 + the signal's number, 130 for
     Ctrl-C.
 
     `errors`: known errors in addition to `UserError` and to files that cannot be read or written; all others keep their
@@ -68,7 +68,7 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
                 if isinstance(stream, TextIOWrapper):
                     stream.reconfigure(errors="replace")  # for a terminal that lacks some characters
             try:
-                with endings.signals_as_exceptions():
+                with termination.signals_as_exceptions():
                     status = main() or 0
             except BrokenPipeError:  # `| head` has closed the pipe: discard the buffered output
                 with suppress(OSError):
@@ -76,13 +76,13 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
                 sys.stderr.close()
                 status = 0
             except KeyboardInterrupt as interruption:
-                if isinstance(interruption, endings.Terminated) and interruption.sentence:
-                    endings.print_error(interruption.sentence)
-                status = endings.exit_status(interruption)
+                if isinstance(interruption, termination.Terminated) and interruption.reason:
+                    termination.print_error(interruption.reason)
+                status = termination.exit_status(interruption)
             except Exception as error:
                 if not (isinstance(error, known) or is_file_error(error)):
                     raise
-                endings.print_error(user_message(error))
+                termination.print_error(user_message(error))
                 status = 2
             sys.exit(status)
 
@@ -166,7 +166,7 @@ class Table:
 
     def text(self) -> str:
         """Return aligned columns below their keys, numbers right-aligned; the keys' meanings follow underneath."""
-        cells = [[shown(row[key]) for key in self.columns] for row in self.rows]
+        cells = [[format_cell(row[key]) for key in self.columns] for row in self.rows]
         widths = [max(len(key), *(len(row[n]) for row in cells), 0) for n, key in enumerate(self.columns)]
         right = [bool(self.rows) and not isinstance(self.rows[0][key], str) for key in self.columns]
         table = [list(self.columns), ["-" * width for width in widths], *cells]
@@ -216,7 +216,7 @@ def add_json_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def shown(value: Any) -> str:
+def format_cell(value: Any) -> str:
     """Return the text of a table cell: a float with four significant digits, None as an empty string."""
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 

@@ -61,22 +61,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def job_options(asked: argparse.Namespace) -> dict[str, Any]:
     """Return the options as keyword arguments of `run` and `run_all`."""
-    return {"at_once": asked.jobs, "scheduler": asked.scheduler}
+    return {"processes": asked.jobs, "scheduler": asked.scheduler}
 
 
 def run(
-    function: Callable[..., Any], arguments: Arguments, *, at_once: int = 0, scheduler: str | None = None,
-    kept: Path | None = None, label: str = "jobs", unit: str = "job",
+    function: Callable[..., Any], arguments: Arguments, *, processes: int = 0, scheduler: str | None = None,
+    results_file: Path | None = None, label: str = "jobs", unit: str = "job",
 ) -> Iterator[tuple[str, Any]]:  # fmt: skip
     """Yield name and result, `function(*arguments[name])`, of each job as it ends.
 
     Parameters
     ----------
-    at_once
+    processes
         Number of processes on this machine; 0: one a core.
     scheduler
         Address of a Dask scheduler whose workers run the jobs instead.
-    kept
+    results_file
         File of results, a line of JSON for each job: jobs in it are not run again, new results are appended.
 
     Raises
@@ -85,17 +85,17 @@ def run(
         At the end, if jobs failed. Each is reported on standard error when it fails.
     """
     found: dict[str, Any] = {}
-    if kept is not None and kept.exists():
-        content = kept.read_bytes()
+    if results_file is not None and results_file.exists():
+        content = results_file.read_bytes()
         whole = content[: content.rfind(b"\n") + 1]
         if whole != content:  # a last line that was cut off, by a full disk or a kill
-            os.truncate(kept, len(whole))
+            os.truncate(results_file, len(whole))
         found = {entry["key"]: entry["value"] for entry in map(json.loads, whole.splitlines())}
     missing = {name: values for name, values in arguments.items() if name not in found}
     yield from ((name, found[name]) for name in arguments if name in found)
-    at_once = min(at_once or len(os.sched_getaffinity(0)), len(missing))
-    alone = not missing or (at_once == 1 and scheduler is None)
-    results = _here(function, missing) if alone else _side_by_side(function, missing, at_once, scheduler)
+    processes = min(processes or len(os.sched_getaffinity(0)), len(missing))
+    alone = not missing or (processes == 1 and scheduler is None)
+    results = _here(function, missing) if alone else _side_by_side(function, missing, processes, scheduler)
     errors: dict[str, Exception] = {}
     bar: tqdm[Any] = progress(total=len(missing), label=label, unit=unit, every=60.0, delay=60.0)
     with closing(results), bar:
@@ -107,8 +107,8 @@ def run(
                 told = user_message(error) if correctable else "".join(format_exception(error)).rstrip()
                 bar.write(f"{name}: {told}", file=sys.stderr)
                 continue
-            if kept is not None:
-                with kept.open("a", encoding="utf-8") as file:
+            if results_file is not None:
+                with results_file.open("a", encoding="utf-8") as file:
                     file.write(json.dumps({"key": name, "value": value}) + "\n")
             yield name, value
     if errors:
@@ -131,12 +131,12 @@ def _here(function: Callable[..., Any], missing: Arguments) -> Results:
             yield name, value, None
 
 
-def _side_by_side(function: Callable[..., Any], missing: Arguments, at_once: int, scheduler: str | None) -> Results:
+def _side_by_side(function: Callable[..., Any], missing: Arguments, processes: int, scheduler: str | None) -> Results:
     """A worker has one job at a time: if it is killed, it was by that one."""
     import dask
     from distributed import CancelledError, Client, KilledWorker, LocalCluster, as_completed
 
-    local = {"n_workers": at_once, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0",
+    local = {"n_workers": processes, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0",
              "silence_logs": CRITICAL}  # fmt: skip
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(DASK_SETTINGS))

@@ -34,7 +34,7 @@ def digest(bench: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGEST_LENGTH]
 
 
-def read_numbers(path: str | Path) -> dict[str, Any]:
+def read_parameters(path: str | Path) -> dict[str, Any]:
     """Return the parameters of a bench.yaml by key, with its lists `effects` and `closures` unchanged.
 
     Raises UserError: the file cannot be read, or is not a mapping of keys to numbers.
@@ -57,9 +57,9 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
 def read_box_bench(path: str | Path) -> dict[str, Any]:
     """Return the parameters of the bench.yaml that a box is configured with.
 
-    Raises UserError: as `read_numbers`, or the file has effects or closures.
+    Raises UserError: as `read_parameters`, or the file has effects or closures.
     """
-    numbers = read_numbers(path)
+    numbers = read_parameters(path)
     if found := [key for key in _LISTS if numbers.get(key)]:
         told = f"{path} has {' and '.join(found)}, which no force law believes"
         raise UserError(

@@ -22,7 +22,7 @@ from types import FrameType
 
 import numpy as np
 
-from hydro_core.process.endings import Terminated
+from hydro_core.process.termination import Terminated
 
 _BINS = 20_000
 
@@ -50,7 +50,7 @@ class Latency:
         place = int(np.searchsorted(below, percent / 100 * self.count))
         return self.longest if place >= _BINS - 1 else (place + 1) * 1e-6
 
-    def sentence(self) -> str:
+    def summary(self) -> str:
         """Return the 50th, 99th and 99.9th percentiles and the maximum [ms] as text; `none` without data."""
         if not self.count:
             return "none"
@@ -98,15 +98,15 @@ def _end(number: int, _: FrameType | None) -> None:
     )
 
 
-class Pacer:
-    """Periodic deadlines at start + n `period`: delays up to `give_up` are caught up, longer ones are skipped.
+class PeriodicTimer:
+    """Periodic deadlines at start + n `period`: delays up to `catch_up_max` are caught up, longer ones are skipped.
 
-    `period`: s between deadlines. `give_up`: delay [s], as after a suspend of the machine, beyond which the lost time
-    is skipped.
+    `period`: s between deadlines. `catch_up_max`: delay [s], as after a suspend of the machine, beyond which the lost
+    time is skipped.
     """
 
-    def __init__(self, period: float, *, give_up: float = 0.1) -> None:
-        self.period_ns, self._give_up_ns = round(1e9 * period), round(1e9 * give_up)
+    def __init__(self, period: float, *, catch_up_max: float = 0.1) -> None:
+        self.period_ns, self._catch_up_max_ns = round(1e9 * period), round(1e9 * catch_up_max)
         self.lateness = Latency()
         self.late = 0
         """Number of periods that began more than one period late."""
@@ -128,6 +128,6 @@ class Pacer:
             left = self.deadline_ns - time.monotonic_ns()
         self.lateness.add(max(0.0, -1e-9 * left))
         self.late += -left > self.period_ns
-        if -left > self._give_up_ns:
+        if -left > self._catch_up_max_ns:
             self.skipped -= 1e-9 * left
             self.deadline_ns -= left

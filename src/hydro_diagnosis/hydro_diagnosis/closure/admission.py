@@ -13,7 +13,7 @@ from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.significance import PRACTICAL_SHARE
-from hydro_diagnosis.validation import Known, holdout_errors
+from hydro_diagnosis.validation import SimulationCache, holdout_errors
 from hydro_sim.model.laws import Law
 
 if TYPE_CHECKING:
@@ -38,16 +38,16 @@ def admit(
     holdout: Problem,
     candidates: Iterable[ClosureFit],
     named: Mapping[str, Any],
-    known: Known | None = None,
+    cache: SimulationCache | None = None,
 ) -> AdmittedClosure | None:
     """Return the first candidate that increases no held-out error, and closes over `PRACTICAL_SHARE`; else None.
 
-    `holdout`: held-out recordings; `named`: `fit` of report.json with the named causes alone; `known`: simulations so
+    `holdout`: held-out recordings; `named`: `fit` of report.json with the named causes alone; `cache`: simulations so
     far.
     """
     errors: dict[str, float | None] = {}
     for closed in candidates:
-        held = holdout_errors(problem, holdout, closed.fit.claims, known)
+        held = holdout_errors(problem, holdout, closed.fit.claims, cache)
         share = share_closed(named, held) if increases_no_error(named, held) else None
         errors[closed.form] = share
         if share is not None and share > PRACTICAL_SHARE:
@@ -88,7 +88,7 @@ def closure_reports(found: AdmittedClosure, bounds: Sequence[Interval]) -> list[
             continue
         law, values = effect.law, claim.values
         if isinstance(law, Law):
-            over = "".join(f", {one.name} = {values[one.name]:.4g} {one.unit}" for one in law.numbers)
+            over = "".join(f", {one.name} = {values[one.name]:.4g} {one.unit}" for one in law.shape_parameters)
             expression = f"{values['coefficient']:.4g} {law.unit} * {law.text}{over}"
         else:
             factor = f"{law.factor.text} " if law.factor else ""

@@ -12,15 +12,15 @@ from itertools import product
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import FORM_ERROR, Fit, fit, held_out_deviance, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
-from hydro_diagnosis.significance import DECISIVE, QUANTILE, TIE_RATIO, UNIDENTIFIED_HALF_WIDTH
+from hydro_diagnosis.significance import QUANTILE, TIE_RATIO, UNIDENTIFIED_HALF_WIDTH, VERY_STRONG_EVIDENCE
 
 
-def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
+def has_identified_shapes(problem: Problem, found: Fit, claim: EffectHypothesis) -> bool:
     """Return whether each shape parameter of a law is identified, and off its bounds.
 
     Where one is not, the law degenerates to another: friction that warms up over an endless path is dry friction.
@@ -35,7 +35,9 @@ def has_identified_shapes(problem: Problem, found: Fit, claim: Claim) -> bool:
         size = abs(value) if one.low > 0.0 else width
         edge = 1e-3 * min(size, width)
         inside = one.low + edge < value < one.high - edge
-        if one.smallest == 0.0 and not (inside and QUANTILE * deviation * one.span < UNIDENTIFIED_HALF_WIDTH * size):
+        if one.smallest_reported == 0.0 and not (
+            inside and QUANTILE * deviation * one.span < UNIDENTIFIED_HALF_WIDTH * size
+        ):
             return False
     return True
 
@@ -57,7 +59,7 @@ def excluded_blocks(problem: Problem, found: Fit) -> frozenset[str]:
     return frozenset(blocks)
 
 
-def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
+def equals_ruled_out(problem: Problem, found: Fit, claim: EffectHypothesis) -> bool:
     """Return whether the signature of a ruled-out cause (`Problem.ruled_out`) explains `TIE_RATIO` of this claim's."""
     if not problem.ruled_out:
         return False
@@ -74,28 +76,30 @@ def equals_ruled_out(problem: Problem, found: Fit, claim: Claim) -> bool:
     return size > 0.0 and any(float(left @ left) < (1.0 - TIE_RATIO) * size for left in lefts)
 
 
-def _columns(problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect) -> Iterator[FloatArray]:
+def _columns(
+    problem: Problem, others: Sequence[EffectHypothesis], before: FloatArray, effect: Effect
+) -> Iterator[FloatArray]:
     """Yield the signatures of a cause's amplitudes, for each choice of its shape parameters."""
     if not effect.blocks & set(problem.blocks):
         return
-    for chosen in product(*(one.probes for one in effect.shapes)):
+    for chosen in product(*(one.start_values for one in effect.shapes)):
         values = {one.name: one.neutral for one in effect.parameters}
         values |= dict(zip((one.name for one in effect.shapes), chosen, strict=True))
-        moved = [{**values, one.name: one.probes[0]} for one in effect.amplitudes] or [values]
-        yield np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
+        moved = [{**values, one.name: one.start_values[0]} for one in effect.amplitudes] or [values]
+        yield np.column_stack([problem.residual((*others, EffectHypothesis(effect, one))) - before for one in moved])
 
 
-THRESHOLD = 3.0 * DECISIVE
+THRESHOLD = 3.0 * VERY_STRONG_EVIDENCE
 """Least gain of a term in held-out deviance, and of any claim in BIC."""
 
 
-def prune_terms(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
+def prune_terms(problem: Problem, found: Fit, keep_named: bool = False) -> Fit:
     """Return the fit without insignificant claims, the least significant dropped first.
 
-    `names_stay`: names are not dropped.
+    `keep_named`: names are not dropped.
     """
     while True:
-        open_ = [one for one in found.removable if not (names_stay and one.effect.named)]
+        open_ = [one for one in found.removable if not (keep_named and one.effect.named)]
         fewer = [(claim, fit(problem, found.claims_without(claim))) for claim in open_]
         idle = [one for claim, one in fewer if not _pays(problem, one, found, claim)]
         if not idle:
@@ -103,7 +107,7 @@ def prune_terms(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
         found = min(idle, key=lambda one: one.score)
 
 
-def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
+def _pays(problem: Problem, without: Fit, found: Fit, claim: EffectHypothesis) -> bool:
     if without.score - found.score < THRESHOLD or within_form_error(problem, without, found):
         return False
     if not is_closure(claim.effect):
@@ -123,7 +127,7 @@ def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
 
     False where something remains before and nothing after: a wrong form leaves a remainder under any name.
     """
-    if problem.noticeable(before.residual) and not problem.noticeable(after.residual):
+    if problem.has_excess(before.residual) and not problem.has_excess(after.residual):
         return False
     named = tuple(claim for claim in before.claims if not is_closure(claim.effect))
     if len(named) == len(before.claims):

@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.curves import splines
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.curves import spline_basis
+from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
-from hydro_diagnosis.estimation.fit import SHORTEST, Fit, cross_validated_deviance
+from hydro_diagnosis.estimation.fit import MIN_COLUMN_LENGTH, Fit, cross_validated_deviance
 from hydro_diagnosis.estimation.problem import CHANNELS, COST, Problem
 from hydro_diagnosis.model.responses import Responses
 from hydro_diagnosis.significance import FOLDS
@@ -30,12 +30,12 @@ from hydro_sim.model.tables import Table
 
 
 @dataclass(frozen=True)
-class Prospect:
+class CandidateLaw:
     """Candidate law to be added to a fit, with its gain and start values."""
 
     gain: float
     """Reduction of the held-out deviance, to first order."""
-    starts: tuple[Claim, ...]
+    starts: tuple[EffectHypothesis, ...]
     """The law at start values of its parameters, the best first."""
 
     @property
@@ -48,9 +48,9 @@ class Prospect:
 class _Term:
     """Columns of the residuals' responses to one term, and the laws that are sums of these columns."""
 
-    columns: list[Claim]
+    columns: list[EffectHypothesis]
     """Splines of a smooth function, or a law at its starts; each at its noticeable size."""
-    starts: list[Claim]
+    starts: list[EffectHypothesis]
     """Laws at their start values."""
     sums: FloatArray
     """Weights of the columns in the sum that is each law at its start values, shape (columns, starts)."""
@@ -79,7 +79,7 @@ class Screen:
         self._terms = [one for one in self._looked_for() if not one.columns[0].effect.blocks & set(closed)]
         for term in self._terms:
             many = len(term.columns)
-            shown = problem.join_responses([way.of(term.columns) for way in ways], many)
+            shown = problem.join_responses([way.to_terms(term.columns) for way in ways], many)
             problem.budget.spent += COST["column"] * problem.samples * many
             term.square = np.zeros((FOLDS, len(CHANNELS), many, many))
             for channel, responses in shown.items():
@@ -101,22 +101,22 @@ class Screen:
             if high > low:
                 smooth = closure(table, problem.bench, (low, high))
                 nothing = smooth.start_values()[0]
-                columns = [Claim(smooth, {**nothing, name: table.typical}) for name in nothing]
+                columns = [EffectHypothesis(smooth, {**nothing, name: table.typical}) for name in nothing]
                 shapes = [(law, start) for law in curve.laws if not law.is_step for start in self._starts(law)]
                 sums = [_as_splines(table, (low, high), law, start, problem.bench) for law, start in shapes]
                 found.append(_Term(columns, [start for _, start in shapes], np.stack(sums, axis=1)))
         for law in alone:
             if starts := self._starts(law):
-                columns = [Claim(one.effect, {**one.values, "coefficient": law.typical}) for one in starts]
+                columns = [EffectHypothesis(one.effect, {**one.values, "coefficient": law.typical}) for one in starts]
                 found.append(_Term(columns, starts, np.eye(len(starts))))
         return found
 
-    def _starts(self, law: Law) -> list[Claim]:
+    def _starts(self, law: Law) -> list[EffectHypothesis]:
         """A law at each combination of start values of its shape parameters; thresholds within the recorded range."""
         problem, effect = self.problem, closure(law, self.problem.bench)
         if not _visible(effect, problem):
             return []
-        if over := next((number.over for number in law.numbers if number.over), ""):
+        if over := next((one.threshold_signal for one in law.shape_parameters if one.threshold_signal), ""):
             # quantiles at which thresholds are tried, between those that limit them
             shares = (0.02, 0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95, 0.98)
             low, *probes, high = np.quantile(_recorded(problem, over), shares).tolist()
@@ -126,7 +126,7 @@ class Screen:
             if not (high > low and probes):
                 return []
             effect = closure(law, problem.bench, (low, high), tuple(probes))
-        return [Claim(effect, values) for values in effect.start_values()]
+        return [EffectHypothesis(effect, values) for values in effect.start_values()]
 
     def __len__(self) -> int:
         return sum(len(one.starts) for one in self._terms)
@@ -134,7 +134,7 @@ class Screen:
     def _products(self, found: Fit) -> tuple[FloatArray, float, FloatArray, list[FloatArray]]:
         """Products of a fit's residual and columns by fold and channel, with each other and with those of each term."""
         base = np.column_stack([found.residual, found.jacobian])
-        lengths = np.maximum(np.linalg.norm(base, axis=0), SHORTEST)
+        lengths = np.maximum(np.linalg.norm(base, axis=0), MIN_COLUMN_LENGTH)
         base = base / lengths
         own = np.zeros((FOLDS, len(CHANNELS), base.shape[1], base.shape[1]))
         cross = [np.zeros((FOLDS, len(CHANNELS), base.shape[1], len(one.columns))) for one in self._terms]
@@ -149,11 +149,11 @@ class Screen:
                         product[k, channel] = single @ term.responses[channel][:, at].T
         return own, float(lengths[0]) ** 2, 1.0 / self.problem.variances(found.residual), cross
 
-    def prospects(self, found: Fit, count: int, without: Collection[str] = ()) -> tuple[list[Prospect], float]:
+    def best_laws(self, found: Fit, count: int, without: Collection[str] = ()) -> tuple[list[CandidateLaw], float]:
         """Return the `count` laws of largest gain, after ln(n) per shape parameter, and the largest possible gain."""
         own, size, weight, cross = self._products(found)
         before = cross_validated_deviance(own[..., None], weight, self._count, size)[0]
-        price, by_law = float(np.log(len(found.residual))), list[tuple[float, float, list[Claim]]]()
+        price, by_law = float(np.log(len(found.residual))), list[tuple[float, float, list[EffectHypothesis]]]()
         width = own.shape[-1]
         for term, across in zip(self._terms, cross, strict=True):
             summed = np.einsum("im,fcij,jm->fcm", term.sums, term.square, term.sums, optimize=True)
@@ -170,10 +170,12 @@ class Screen:
                 if label not in without:
                     by_law.append((float(paid), float(gains[best[0]]) * self._every, [term.starts[k] for k in best]))
         by_law.sort(key=lambda one: -one[0])
-        there_is = (before - float(self._count.sum())) * self._every
-        return [Prospect(gain, _distinct_starts(starts)) for _, gain, starts in by_law[:count]], there_is
+        possible_gain = (before - float(self._count.sum())) * self._every
+        return [CandidateLaw(gain, _distinct_starts(starts)) for _, gain, starts in by_law[:count]], possible_gain
 
-    def smooth(self, found: Fit, without: Collection[str] = ()) -> tuple[Claim | None, float, float]:
+    def best_smooth_function(
+        self, found: Fit, without: Collection[str] = ()
+    ) -> tuple[EffectHypothesis | None, float, float]:
         """Return the smooth function of largest gain if added to a fit, its gain, and the largest possible gain."""
         own, size, weight, cross = self._products(found)
         before = cross_validated_deviance(own[..., None], weight, self._count, size)[0]
@@ -184,28 +186,30 @@ class Screen:
                 whole = np.block([[own, across], [across.swapaxes(-1, -2), term.square]])
                 gained = before - cross_validated_deviance(whole[..., None], weight, self._count, size)[0]
                 if gained > gain:
-                    best, gain = Claim(effect, effect.start_values()[0]), gained
+                    best, gain = EffectHypothesis(effect, effect.start_values()[0]), gained
         return best, gain * self._every, (before - float(self._count.sum())) * self._every
 
 
-def _as_splines(table: Table, limits: tuple[float, float], law: Law, start: Claim, bench: Bench) -> FloatArray:
+def _as_splines(
+    table: Table, limits: tuple[float, float], law: Law, start: EffectHypothesis, bench: Bench
+) -> FloatArray:
     """Weights of a smooth function's columns in the sum that is a law at its start values, shape (columns,)."""
     share = np.asarray(np.linspace(0.0, 1.0, 100), dtype=np.float64)  # several between any two knots
     grid = limits[0] + (limits[1] - limits[0]) * share
     ones = {"velocity": 1.0, "pressure_b" if table.factor and table.factor.text == "p_b" else "pressure_a": 1.0}
     argument = {"speed": "velocity", "pressure_difference": "pressure_a"}.get(table.variable, table.variable)
     at = Signals(**{**ones, argument: np.maximum(grid, 1e-6) if table.variable == "speed" else grid})
-    values = law.value(at, bench, [law.typical, *(start.values[one.name] for one in law.numbers)])
+    values = law.value(at, bench, [law.typical, *(start.values[one.name] for one in law.shape_parameters)])
     values = np.asarray(np.broadcast_to(values / (table.factor.shape(at) if table.factor else 1.0), grid.shape))
-    return np.asarray(np.linalg.lstsq(splines(share), values, rcond=None)[0] / table.typical)
+    return np.asarray(np.linalg.lstsq(spline_basis(share), values, rcond=None)[0] / table.typical)
 
 
-def _distinct_starts(starts: Sequence[Claim]) -> tuple[Claim, ...]:
+def _distinct_starts(starts: Sequence[EffectHypothesis]) -> tuple[EffectHypothesis, ...]:
     """The best start; of a law with several shape parameters, the best at each of up to three values of the first."""
     names = [one.name for one in starts[0].effect.shapes]
     if len(names) < 2:
         return tuple(starts[:1])
-    found: dict[float, Claim] = {}
+    found: dict[float, EffectHypothesis] = {}
     for one in starts:
         found.setdefault(one.values[names[0]], one)
     return tuple(found.values())[:3]

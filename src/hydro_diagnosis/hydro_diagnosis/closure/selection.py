@@ -24,10 +24,9 @@ from hydro_diagnosis.closure.evidence import (
     within_form_error,
 )
 from hydro_diagnosis.closure.screen import Screen
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.base import Effect, EffectHypothesis
 from hydro_diagnosis.effects.closure import closure, is_closure
-from hydro_diagnosis.estimation.fit import Fit, fit
-from hydro_diagnosis.estimation.fit import screen as screen_names
+from hydro_diagnosis.estimation.fit import Fit, fit, rank_candidates
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE, TIE_RATIO
 from hydro_sim.model.effects.catalogue import CLOSURES_MAX
@@ -64,13 +63,13 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
     more = {one.effect.label for one in by_law.fit.cause_claims if one.effect.named} - {
         one.effect.label for one in base.claims
     }
-    if more and by_law.problem.noticeable(by_law.fit.residual) and not problem.budget.exhausted:
+    if more and by_law.problem.has_excess(by_law.fit.residual) and not problem.budget.exhausted:
         by_law = _by_law(problem, base, screen, ())  # where something remains, no further named cause is certain
-    if by_law.gain > 0.0 and (problem.budget.exhausted or not by_law.problem.noticeable(by_law.fit.residual)):
+    if by_law.gain > 0.0 and (problem.budget.exhausted or not by_law.problem.has_excess(by_law.fit.residual)):
         yield by_law
     if problem.budget.exhausted:
         return
-    left = by_law.problem.noticeable(by_law.fit.residual)
+    left = by_law.problem.has_excess(by_law.fit.residual)
     smooth = _by_curve(by_law if left else ClosureFit(base, "smooth", 0.0, problem, screen))
     both = (by_law, smooth) if by_law.gain >= (1.0 - PRACTICAL_SHARE) * smooth.gain else (smooth, by_law)
     yield from (one for one in (both if left else (smooth,)) if one.gain > 0.0)
@@ -85,7 +84,7 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
     weighed, current, tried = problem, base, set[str]()
     room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(base))
     for _ in range(room + (MAX_TERMS if names else 0)):
-        if not weighed.noticeable(current.residual) or problem.budget.exhausted:
+        if not weighed.has_excess(current.residual) or problem.budget.exhausted:
             break
         fits = _with_law(weighed, current, screen, tried) if _terms(current) - _terms(base) < room else []
         if _terms(current) > _terms(base):
@@ -106,18 +105,18 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
 
 def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
     """Fits with one more law that gains enough, of the best that are not `tried`; extends `tried`."""
-    prospects, there_is = screen.prospects(current, 5, tried)
+    candidates, possible_gain = screen.best_laws(current, 5, tried)
     toll = CLAIM_THRESHOLD + 2.0 * float(
         np.log(max(len(screen), 1))
     )  # the most that chance gains grows with the number of columns
     fits: list[Fit] = []
     disguised, clean = 0.0, False
-    for one in prospects:
-        enough = TIE_RATIO * prospects[0].gain if clean else 0.0 if fits else (1.0 - PRACTICAL_SHARE) * disguised
-        if one.gain < max(toll, MIN_GAIN_SHARE * there_is, enough) or problem.budget.exhausted:
+    for one in candidates:
+        enough = TIE_RATIO * candidates[0].gain if clean else 0.0 if fits else (1.0 - PRACTICAL_SHARE) * disguised
+        if one.gain < max(toll, MIN_GAIN_SHARE * possible_gain, enough) or problem.budget.exhausted:
             break
         better = _from_starts(problem, current, one.starts)
-        if problem.noticeable(better.residual):
+        if problem.has_excess(better.residual):
             better = _with_reversal_velocity(problem, better)
         tried.add(one.effect.label)
         if current.score - better.score < toll or within_form_error(problem, current, better):
@@ -128,11 +127,11 @@ def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -
             continue
         elif held_out_gain(problem, current, better) >= toll:
             fits.append(better)
-            clean = clean or not problem.noticeable(better.residual)
+            clean = clean or not problem.has_excess(better.residual)
     return fits
 
 
-def _from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
+def _from_starts(problem: Problem, current: Fit, starts: Sequence[EffectHypothesis]) -> Fit:
     """The fit from the first start from which the law's shape parameters are identified, else from the best."""
     fits = []
     for start in starts:
@@ -148,11 +147,11 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
     effect = claim.effect
     if not (is_closure(effect) and isinstance(effect.law, Law) and effect.law.depends_on_direction):
         return found
-    if REVERSAL_VELOCITY in effect.law.numbers:
+    if REVERSAL_VELOCITY in effect.law.shape_parameters:
         return found
     wider = closure(with_reversal_velocity(effect.law), problem.bench, effect.limits, effect.probes)
     claims = list(found.claims)
-    claims[place] = Claim(wider, {**claim.values, REVERSAL_VELOCITY.name: 2.0 * SIGN_VELOCITY})
+    claims[place] = EffectHypothesis(wider, {**claim.values, REVERSAL_VELOCITY.name: 2.0 * SIGN_VELOCITY})
     better = fit(problem, claims, iterations=3 * ITERATIONS)
     pays = found.score - better.score >= CLAIM_THRESHOLD
     return better if pays and has_identified_shapes(problem, better, better.claims[place]) else found
@@ -160,12 +159,12 @@ def _with_reversal_velocity(problem: Problem, found: Fit, place: int = -1) -> Fi
 
 def _with_name(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
     """Fits with one more named cause that gains enough."""
-    fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:MAX_TERMS]]
+    fits = [fit(problem, (*current.claims, one.claim)) for one in rank_candidates(problem, current, names)[:MAX_TERMS]]
     enough = current.score - CLAIM_THRESHOLD
     return [one for one in fits if one.score < enough and not within_form_error(problem, current, one)]
 
 
-def _simplest(fits: Sequence[Fit], last: Claim | None = None) -> Fit:
+def _simplest(fits: Sequence[Fit], last: EffectHypothesis | None = None) -> Fit:
     """Of the fits with nearly the best evidence, that with a named cause, else with the simplest law.
 
     The claim in question is the newest, of the first fit `last`, if that is given.
@@ -198,7 +197,8 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
             fits = [found, *_with_name(problem, others, names)]
             best = min(one.score for one in fits)
             found = min(
-                (one for one in fits if one.score <= best + CLAIM_THRESHOLD), key=lambda one: (one.free, one.score)
+                (one for one in fits if one.score <= best + CLAIM_THRESHOLD),
+                key=lambda one: (one.parameter_count, one.score),
             )
     for place in range(len(found.claims)):  # also if nothing remains: it moves a simulated piston at each reversal
         found = _with_reversal_velocity(problem, found, place)
@@ -207,14 +207,14 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
 
 def _merged(problem: Problem, found: Fit, screen: Screen) -> Fit:
     """The fit with a law and another claim replaced by one law of no worse evidence, if nothing remains."""
-    for first, second in combinations(found.cause_claims if not problem.noticeable(found.residual) else (), 2):
+    for first, second in combinations(found.cause_claims if not problem.has_excess(found.residual) else (), 2):
         if (first.effect.named and second.effect.named) or problem.budget.exhausted:
             continue
         rest = fit(problem, tuple(one for one in found.claims if one is not first and one is not second))
-        for one in screen.prospects(rest, 2)[0]:
+        for one in screen.best_laws(rest, 2)[0]:
             better = _with_reversal_velocity(problem, _from_starts(problem, rest, one.starts))
             definite = has_identified_shapes(problem, better, better.claims[-1])
-            if definite and better.score <= found.score and not problem.noticeable(better.residual):
+            if definite and better.score <= found.score and not problem.has_excess(better.residual):
                 return _merged(problem, better, screen)
     return found
 
@@ -227,16 +227,16 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
     problem, current, screen, tried = below.problem, below.fit, below.screen, set[str]()
     assert screen is not None
     room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(current))
-    while room and problem.noticeable(current.residual) and not problem.budget.exhausted:
-        start, gain, there_is = screen.smooth(current, tried)
-        if start is None or gain < max(THRESHOLD, MIN_GAIN_SHARE * there_is):
+    while room and problem.has_excess(current.residual) and not problem.budget.exhausted:
+        start, gain, possible_gain = screen.best_smooth_function(current, tried)
+        if start is None or gain < max(THRESHOLD, MIN_GAIN_SHARE * possible_gain):
             break
         tried.add(start.effect.label)
         better = fit(problem, (*current.claims, start))
         pays = current.score - better.score >= THRESHOLD and not within_form_error(problem, current, better)
         if pays and not equals_ruled_out(problem, better, better.claims[-1]):
             current, room = better, room - 1
-    current = prune_terms(problem, current, names_stay=True)
+    current = prune_terms(problem, current, keep_named=True)
     if {one.effect.label for one in current.claims} <= {one.effect.label for one in below.fit.claims}:
         return ClosureFit(below.fit, "smooth", 0.0, problem, screen)  # none that gains enough
     gain = below.gain + held_out_gain(problem, below.fit, current)

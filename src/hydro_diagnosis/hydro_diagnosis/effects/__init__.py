@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter
+from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FitParameter
 from hydro_diagnosis.effects.closure import grown_cause
 from hydro_diagnosis.effects.dynamics import CLASSES, Stribeck, StribeckExponential
 from hydro_sim.model.bench import Bench
@@ -17,7 +17,7 @@ from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.base import fit, parameter
 from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
 from hydro_sim.model.effects.friction import FrictionStribeck
-from hydro_sim.model.effects.numbers import Correction
+from hydro_sim.model.effects.parameter_corrections import Correction
 
 NOMINAL = Bench.nominal()
 
@@ -40,10 +40,10 @@ class _WideningHoses(Correction):
     """
 
     id = "hoses_that_widen"
-    says = "It looks like hoses that widen, by {compliance:.3g} m3/Pa in each chamber."
+    sentence_template = "It looks like hoses that widen, by {compliance:.3g} m3/Pa in each chamber."
     equations = ("pressure_a", "pressure_b")
     family = "oil"
-    compliance = parameter("m3/Pa", 0.0, 1e-12, scale=1e-14, fit=fit(1e-14, smallest=6e-16))
+    compliance = parameter("m3/Pa", 0.0, 1e-12, scale=1e-14, fit=fit(1e-14, smallest_reported=6e-16))
 
     def correct(self, n: Any) -> None:
         more = self.compliance * (n.bulk_modulus + 5e6)  # Pa, a typical pressure
@@ -60,4 +60,4 @@ CANDIDATES = (*LIBRARY, Unnamed(Kind(_WideningHoses, ())).adapted(NOMINAL))
 """Candidate effects of a search. One without a name that explains the recordings best is reported as a resemblance of
 an unknown cause, not as a claim."""
 
-__all__ = ["CANDIDATES", "LIBRARY", "Claim", "Effect", "FitParameter"]
+__all__ = ["CANDIDATES", "LIBRARY", "EffectHypothesis", "Effect", "FitParameter"]

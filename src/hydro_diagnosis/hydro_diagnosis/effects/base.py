@@ -108,8 +108,7 @@ class Effect:
     parameters: tuple[FitParameter, ...] = ()
     """Fitted parameters, relative to the bench to which the effect is adapted."""
     estimated: bool = False
-    """Whether it represents a bench parameter to be estimated (`estimation.unknown_numbers`): in every fit, no cause.
-    """
+    """Whether it represents an estimated bench parameter (`estimation.unknown_parameters`): in every fit, no cause."""
 
     named: ClassVar[bool] = True
     """Whether the effect is in the table of causes; others are candidates that are never claimed."""
@@ -117,9 +116,9 @@ class Effect:
     """Order in the command path: 0 before the spool, 1 spool dynamics, 2 functions of its position (overlap)."""
     other_forms: ClassVar[tuple[Effect, ...]] = ()
     """Other forms of the same cause and parameters, never claimed; intervals also span those that fit as well."""
-    bristles: ClassVar[bool] = False
+    models_presliding: ClassVar[bool] = False
     """Whether it models dry friction elastically (presliding): the model then adds no dry friction and no stiction."""
-    memoryless: ClassVar[bool] = False
+    has_no_time_filter: ClassVar[bool] = False
     """Whether its reading depends only on the present signal, a path-driven memory or slow states, not on a filter."""
     depends_on_acceleration: ClassVar[bool] = False
     """Whether its term depends on the piston's acceleration."""
@@ -177,12 +176,12 @@ class Effect:
     @property
     def amplitudes(self) -> tuple[FitParameter, ...]:
         """Amplitude parameters: those with a smallest size worth claiming; the others are `shapes`."""
-        return tuple(one for one in self.parameters if one.smallest > 0.0)
+        return tuple(one for one in self.parameters if one.smallest_reported > 0.0)
 
     @property
     def shapes(self) -> tuple[FitParameter, ...]:
         """Shape parameters, such as velocities, time constants and thresholds."""
-        return tuple(one for one in self.parameters if one.smallest == 0.0)
+        return tuple(one for one in self.parameters if one.smallest_reported == 0.0)
 
     def sentence(self, values: Values) -> str:
         """Return a description of the effect at parameter values, for a person at the bench."""
@@ -200,7 +199,7 @@ class Effect:
 
     def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
         """The effect of the model at these values; `context`: fields of `EffectContext` that its terms read."""
-        return self.kind.bound(values, **context)
+        return self.kind.bind(values, **context)
 
     # -- hooks, in the order in which the model calls them ------------------------------------------------------------
 
@@ -212,7 +211,7 @@ class Effect:
 
     def write_into_bench(self, bench: Bench, values: Values) -> Bench:
         """Return the bench with the effect merged into its parameters; exact if no earlier effect has its hooks."""
-        if number := self.physics.scales:
+        if number := self.physics.equivalent_parameter:
             return with_values(bench, **{number: getattr(bench, number) * values["ratio"]})
         return self.correct(bench, values)
 
@@ -238,7 +237,7 @@ class Effect:
     def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: Values) -> Pair:
         """Flows [m3/s] into chambers A and B, less the effect's leakage."""
         bound = self._bound(
-            values, memory, numbers=bench, position=oil.position, velocity=oil.velocity, pressures=oil.pressures,
+            values, memory, bench=bench, position=oil.position, velocity=oil.velocity, pressures=oil.pressures,
             spool=substep_mean(oil.spool),
         )  # fmt: skip
         from_a, from_b = bound.leaks(*oil.pressures)
@@ -261,7 +260,7 @@ class Effect:
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         """Force [N] of the load on the piston."""
         return np.asarray(
-            self._bound(values, memory, numbers=bench, velocity=motion.velocity).load(force, motion.position)
+            self._bound(values, memory, bench=bench, velocity=motion.velocity).load(force, motion.position)
         )
 
     def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
@@ -293,7 +292,7 @@ def _acts_in(kind: Any, effect: Any, hook: str) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Machine:
+class MachineScales:
     """Scales of the recorded force and motion, from which bounds of the causes' parameters follow."""
 
     force: float
@@ -304,7 +303,7 @@ class Machine:
     """Range [m] of the piston's position."""
 
 
-def scale_bounds(effect: Effect, machine: Machine) -> Effect:
+def scale_bounds(effect: Effect, machine: MachineScales) -> Effect:
     """Return the effect with its parameters' bounds widened to the machine's scales, never narrowed."""
     slow = 0.02 * machine.speed
     fading = 3.0**-0.5 * machine.speed  # of a rise towards standstill exp(-3), 5 %, are left at the top speed
@@ -315,7 +314,7 @@ def scale_bounds(effect: Effect, machine: Machine) -> Effect:
     parameters = []
     for one in effect.parameters:
         reach, low = largest.get(one.unit, 0.0), one.low  # 0 where there is no scale
-        if one.unit in ("m/s", "N/m") and one.smallest == 0.0:
+        if one.unit in ("m/s", "N/m") and one.smallest_reported == 0.0:
             low = min(low, 1e-3 * reach)
         elif low < 0.0 and one.neutral == 0.0 and low == -one.high:
             low = min(low, -reach)
@@ -324,8 +323,8 @@ def scale_bounds(effect: Effect, machine: Machine) -> Effect:
 
 
 @dataclass(frozen=True)
-class Claim:
-    """An effect with values of its parameters: one part of a hypothesis."""
+class EffectHypothesis:
+    """An effect with values of its parameters, claimed to act: one part of a hypothesis."""
 
     effect: Effect
     values: Values
@@ -342,28 +341,28 @@ class Claim:
 
 
 class BoundedCache:
-    """Least-recently-used cache of at most `room` results, each of a quantity under some claims."""
+    """Least-recently-used cache of at most `capacity` results, each of a quantity under some claims."""
 
-    def __init__(self, room: int) -> None:
-        self._room, self._found = room, dict[tuple[object, ...], Any]()
+    def __init__(self, capacity: int) -> None:
+        self._capacity, self._found = capacity, dict[tuple[object, ...], Any]()
 
     def get_or_compute(
-        self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Result]
+        self, what: str, claims: Sequence[EffectHypothesis], compute: Callable[[Sequence[EffectHypothesis]], Result]
     ) -> Result:
         """Return the cached result of quantity `what` under these claims and values, or compute it."""
         key = (what, *claims_key(claims))
         found: Result = self._found.pop(key) if key in self._found else compute(claims)
         self._found[key] = found
-        if len(self._found) > self._room:
+        if len(self._found) > self._capacity:
             self._found.pop(next(iter(self._found)))
         return found
 
 
-def claims_key(claims: Sequence[Claim]) -> tuple[tuple[Any, ...], ...]:
+def claims_key(claims: Sequence[EffectHypothesis]) -> tuple[tuple[Any, ...], ...]:
     """Return a cache key of claims: labels and parameter values."""
     return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
-def acting(claims: Iterable[Claim], *hooks: str) -> list[Claim]:
+def acting(claims: Iterable[EffectHypothesis], *hooks: str) -> list[EffectHypothesis]:
     """Return the claims whose effects act in any of these hooks of `Effect`, in the given order."""
     return [claim for claim in claims if claim.effect.acts_in(*hooks)]

@@ -86,7 +86,7 @@ class Closure(Effect):
     """Limits of a table's variable or of a law's threshold, SI unit."""
     probes: tuple[float, ...] = ()
     """Start values of a threshold, within the limits."""
-    numbers: Bench | None = None
+    bench: Bench | None = None
     """Bench to which the term is adapted."""
     name: NamedLaw | None = None
     """Named law of a grown effect; None for an unnamed term."""
@@ -115,7 +115,7 @@ class Closure(Effect):
         return "closure of flows" if flows else "closure of forces"
 
     @property
-    def memoryless(self) -> bool:  # type: ignore[override]
+    def has_no_time_filter(self) -> bool:  # type: ignore[override]
         return self.memory_element is None or self.memory_element.kind in ("path", "slow")
 
     @property
@@ -137,16 +137,16 @@ class Closure(Effect):
     def adapted(self, bench: Bench) -> Closure:
         parameters = self.physics.fitted_parameters(None)
         if self.probes and isinstance(self.law, Law):  # thresholds, whose range is that of the recordings
-            over = {one.name for one in self.law.numbers if one.over}
-            about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "probes": self.probes}
+            over = {one.name for one in self.law.shape_parameters if one.threshold_signal}
+            about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "start_values": self.probes}
             about["neutral"] = self.probes[len(self.probes) // 2]
             parameters = tuple(replace(one, **about) if one.name in over else one for one in parameters)
-        return replace(self, numbers=bench, parameters=parameters)
+        return replace(self, bench=bench, parameters=parameters)
 
     def start_values(self) -> list[dict[str, float]]:
         """Return values with zero amplitude: one set for each combination of start values of the shape parameters."""
         still = {one.name: 0.0 for one in self.parameters}
-        choices = product(*(one.probes for one in self.shapes))
+        choices = product(*(one.start_values for one in self.shapes))
         return [{**still, **dict(zip((one.name for one in self.shapes), chosen, strict=True))} for chosen in choices]
 
     def to_closure(self, values: Values) -> dict[str, Any]:
@@ -172,14 +172,14 @@ class Closure(Effect):
     def term_value(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
         """Value of the term, in the unit of its equation."""
         if isinstance(self.law, Law):
-            return np.asarray(self.law.value(at, bench or self.numbers, [*values.values()]))
+            return np.asarray(self.law.value(at, bench or self.bench, [*values.values()]))
         given = evaluate_spline(np.asarray(self.law.variable_value(at)), *self.limits, np.array([*values.values()]))
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
     def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
         """The model's term, with value and memory evaluated over a record or over windows."""
         bound = super()._bound(values, memory, **context)
-        bench = context.get("numbers")
+        bench = context.get("bench")
 
         def value(at: Signals) -> FloatArray:
             return self.term_value(self._remembering(at, memory, values) if memory else at, values, bench)

@@ -92,18 +92,18 @@ class SoftOverlap(Overlap):
     """Overlap with edges that open gradually."""
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
-        return opened(spool, values["half_width"], values["softness"])
+        return overlap_output(spool, values["half_width"], values["softness"])
 
 
-def opened(current: FloatArray, width: float, soft: float) -> FloatArray:
+def overlap_output(current: FloatArray, width: float, soft: float) -> FloatArray:
     """Effective current [A], of the same shape, behind an overlap of half-width `width` that opens over `soft` [A]."""
     found = np.empty(current.shape)
-    _opened(found.reshape(-1), np.ascontiguousarray(current).reshape(-1), width / soft, soft)
+    _overlap_output(found.reshape(-1), np.ascontiguousarray(current).reshape(-1), width / soft, soft)
     return found
 
 
 @njit
-def _opened(found, current, edge, soft):
+def _overlap_output(found, current, edge, soft):
     for k in range(len(found)):
         if k > 0 and current[k] == current[k - 1]:  # held over a sample's substeps
             found[k] = found[k - 1]
@@ -137,17 +137,17 @@ class StribeckExponential(Stribeck):
         return level + values["breakaway_force"] * np.exp(-np.abs(motion.velocity) / values["velocity"])
 
 
-class Bristles(Effect):
+class FrictionPreslidingCause(Effect):
     """Presliding friction: a bristle that deflects elastically before it slides (Dahl 1968)."""
 
-    bristles = True
+    models_presliding = True
 
     def opposing_force(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                        values: Values) -> FloatArray:  # fmt: skip
         return force + memory.bristle("presliding", motion.position, values["stiffness"], level)
 
 
-class Play(Effect):
+class BacklashCause(Effect):
     """Backlash (play operator) between the piston and the load's spring."""
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
@@ -155,7 +155,7 @@ class Play(Effect):
         return force - bench.spring_stiffness * (motion.position - dragged)
 
 
-class Calibration(Effect):
+class CalibrationErrorCause(Effect):
     """Gain or bias error of a sensor, inverted exactly."""
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -190,11 +190,11 @@ CLASSES: dict[type[physics.Effect], type[Effect]] = {
     valve.ValveDeadbandSoft: SoftOverlap,
     oil.SupplyDroop: SupplyDroopCause,
     friction.FrictionStribeck: Stribeck,
-    friction.FrictionPresliding: Bristles,
-    motion.BacklashPlay: Play,
-    sensing.LoadCellGain: Calibration,
-    sensing.LoadCellBias: Calibration,
-    sensing.PressureSensorBias: Calibration,
+    friction.FrictionPresliding: FrictionPreslidingCause,
+    motion.BacklashPlay: BacklashCause,
+    sensing.LoadCellGain: CalibrationErrorCause,
+    sensing.LoadCellBias: CalibrationErrorCause,
+    sensing.PressureSensorBias: CalibrationErrorCause,
     sensing.SensorLag: SensorLagCause,
 }
 """Subclasses of `Effect`, by the effect of the model; all other effects are plain `Effect`s."""

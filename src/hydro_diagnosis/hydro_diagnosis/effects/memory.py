@@ -64,7 +64,7 @@ class Memory:
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Second-order low-pass, `bandwidth` in Hz, of a signal that is linear between samples."""
-        numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
+        numerator, denominator = second_order_low_pass(round(bandwidth, 9), round(damping, 9), self.step)
         state = np.multiply.outer(np.cumsum((numerator - denominator)[::-1])[::-1][1:], signal[0])
         passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
         return np.asarray(passed, dtype=np.float64)
@@ -129,7 +129,7 @@ def _play(position, half):
 
 
 @lru_cache(maxsize=256)
-def amplifier(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, FloatArray]:
+def second_order_low_pass(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, FloatArray]:
     """Second-order low-pass, discretised exactly for an input that is linear between samples.
 
     Returns

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
+from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FitParameter, FloatArray
 from hydro_diagnosis.significance import FOLDS, ITERATIONS
 
 if TYPE_CHECKING:
@@ -24,14 +24,16 @@ if TYPE_CHECKING:
 Part = TypeVar("Part")
 
 
-def pack(claims: Sequence[Claim]) -> tuple[list[FitParameter], FloatArray]:
+def pack(claims: Sequence[EffectHypothesis]) -> tuple[list[FitParameter], FloatArray]:
     """Return the parameters of all claims and their values, shape (k,), claim by claim."""
     parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
     values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]
     return parameters, np.array(values, dtype=np.float64)
 
 
-def by_claim(claims: Sequence[Claim], values: Sequence[Part]) -> Iterator[tuple[Claim, Sequence[Part]]]:
+def by_claim(
+    claims: Sequence[EffectHypothesis], values: Sequence[Part]
+) -> Iterator[tuple[EffectHypothesis, Sequence[Part]]]:
     """Yield each claim with its part of `values`: one entry per parameter, in the order of `pack`."""
     at = 0
     for claim in claims:
@@ -39,17 +41,17 @@ def by_claim(claims: Sequence[Claim], values: Sequence[Part]) -> Iterator[tuple[
         at += len(claim.effect.parameters)
 
 
-def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
+def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[EffectHypothesis, ...]:
     """Return the claims of effects with parameter values in the order of `pack`, shape (k,)."""
     claims, k = [], 0
     for effect in effects:
         names = [parameter.name for parameter in effect.parameters]
-        claims.append(Claim(effect, dict(zip(names, map(float, values[k : k + len(names)]), strict=True))))
+        claims.append(EffectHypothesis(effect, dict(zip(names, map(float, values[k : k + len(names)]), strict=True))))
         k += len(names)
     return tuple(claims)
 
 
-def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, first: int = 0) -> FloatArray:
+def jacobian(problem: Problem, claims: Sequence[EffectHypothesis], residual: FloatArray, first: int = 0) -> FloatArray:
     """Jacobian of the residual by one-sided differences over 1/1000 of a span, upwards unless a bound is closer.
 
     In residuals per `FitParameter.span`, shape (n, k - first). `residual`: at these claims. `first`: index of the first
@@ -70,7 +72,7 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, fi
 
 FORM_ERROR = 0.035
 """Form error of a claim as a share of its signature: another claim of its family must explain more than that."""
-SHORTEST = 1e-100
+MIN_COLUMN_LENGTH = 1e-100
 """Lower bound of the length of a column, or of its square, in divisions: small, but its square does not underflow."""
 
 
@@ -78,7 +80,7 @@ SHORTEST = 1e-100
 class Fit:
     """Fitted claims with their residual, Jacobian and deviance."""
 
-    claims: tuple[Claim, ...]
+    claims: tuple[EffectHypothesis, ...]
     residual: FloatArray
     jacobian: FloatArray
     """Columns: derivative of the residual by each parameter, in `FitParameter.span`s; shape (n, k)."""
@@ -86,39 +88,39 @@ class Fit:
     """-2 log likelihood up to a constant."""
 
     @property
-    def cause_claims(self) -> tuple[Claim, ...]:
+    def cause_claims(self) -> tuple[EffectHypothesis, ...]:
         """Claims of causes: all but the bench parameters that every fit estimates."""
         return tuple(claim for claim in self.claims if not claim.effect.estimated)
 
     @property
-    def removable(self) -> tuple[Claim, ...]:
+    def removable(self) -> tuple[EffectHypothesis, ...]:
         """Claims of causes that may be removed: no other claim needs them."""
         needed = {name for claim in self.claims for name in claim.effect.needs}
         return tuple(claim for claim in self.cause_claims if claim.effect.id not in needed)
 
-    def claims_without(self, claim: Claim) -> tuple[Claim, ...]:
+    def claims_without(self, claim: EffectHypothesis) -> tuple[EffectHypothesis, ...]:
         """Return all claims of the fit except one."""
         return tuple(one for one in self.claims if one is not claim)
 
-    def columns(self, claim: Claim) -> slice:
+    def columns(self, claim: EffectHypothesis) -> slice:
         """Return the slice of the Jacobian's columns that belong to a claim's parameters."""
         at = sum(len(one.effect.parameters) for one in self.claims[: self.claims.index(claim)])
         return slice(at, at + len(claim.effect.parameters))
 
     @property
-    def free(self) -> int:
+    def parameter_count(self) -> int:
         """Number of fitted parameters."""
         return self.jacobian.shape[1]
 
     @property
     def score(self) -> float:
         """Bayesian information criterion: deviance plus ln(n) per parameter; lower is better."""
-        return self.deviance + self.free * float(np.log(len(self.residual)))
+        return self.deviance + self.parameter_count * float(np.log(len(self.residual)))
 
 
 def fit(
     problem: Problem,
-    claims: Sequence[Claim],
+    claims: Sequence[EffectHypothesis],
     *,
     iterations: int = ITERATIONS,
     tolerance: float = 0.1,
@@ -201,7 +203,7 @@ def cross_validated_deviance(
     size
         Squared length of the residual, if the products are those of a normalised one.
     """
-    length = np.sqrt(np.maximum(np.einsum("fciim->im", products), SHORTEST))
+    length = np.sqrt(np.maximum(np.einsum("fciim->im", products), MIN_COLUMN_LENGTH))
     length[0] = 1.0
     scaled = np.moveaxis(products / (length[:, None] * length), -1, 0)  # sets, folds, channels, columns, columns
     weighted = np.einsum("mfcij,c->mfij", scaled, weight)
@@ -233,16 +235,16 @@ def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
     return np.asarray(vector - columns @ (np.linalg.lstsq(columns / lengths, vector, rcond=1e-10)[0] / lengths))
 
 
-def add_claim(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
+def add_claim(problem: Problem, found: Fit, claim: EffectHypothesis, *, tolerance: float = 0.1) -> Fit:
     """Return the fit with a further claim, from its Jacobian columns and those of the fit `found`."""
     claims = (*found.claims, claim)
     if problem.estimated:
         return fit(problem, claims, tolerance=tolerance)  # bench parameters: no secants
-    own = jacobian(problem, claims, problem.residual(claims), found.free)
+    own = jacobian(problem, claims, problem.residual(claims), found.parameter_count)
     return fit(problem, claims, tolerance=tolerance, slopes=np.column_stack([found.jacobian, own]))
 
 
-def remove_claim(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
+def remove_claim(problem: Problem, found: Fit, claim: EffectHypothesis, *, tolerance: float = 0.1) -> Fit:
     """Return the fit without a claim, from the Jacobian of the fit `found`."""
     at = found.claims.index(claim)
     slopes = np.delete(found.jacobian, found.columns(claim), axis=1)
@@ -258,23 +260,25 @@ def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
 
 
 @dataclass(frozen=True)
-class Prospect:
+class Candidate:
     """A candidate claim at start values, with its first-order gain in deviance."""
 
-    claim: Claim
+    claim: EffectHypothesis
     gain: float
 
 
-def eligible_effects(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence[str]) -> Iterator[Effect]:
+def eligible_effects(
+    library: Sequence[Effect], claims: Sequence[EffectHypothesis], blocks: Sequence[str]
+) -> Iterator[Effect]:
     """Yield the effects that may be added to claims: of another cause, their needs claimed, acting in these blocks."""
-    taken = {cause(claim.effect) for claim in claims}
+    taken = {cause_key(claim.effect) for claim in claims}
     ids = {claim.effect.id for claim in claims}
     for effect in library:
-        if cause(effect) not in taken and set(effect.needs) <= ids and effect.blocks & set(blocks):
+        if cause_key(effect) not in taken and set(effect.needs) <= ids and effect.blocks & set(blocks):
             yield effect
 
 
-def cause(effect: Effect) -> tuple[str, ...]:
+def cause_key(effect: Effect) -> tuple[str, ...]:
     """Return the key of an effect's cause: id and options, without the form if the effect has a name."""
     telling = {key: value for key, value in effect.options.items() if key != "form" or not effect.named}
     return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
@@ -287,9 +291,9 @@ They depend little on the other claims, so that outdated ones suffice to rank ca
 """
 
 
-def screen(
+def rank_candidates(
     problem: Problem, found: Fit, library: Sequence[Effect], signatures: Signatures | None = None
-) -> list[Prospect]:
+) -> list[Candidate]:
     """Return the candidates that may be added to a fit, ranked by first-order gain; `signatures`: cache, extended."""
     weight = problem.weight(found.residual)
     basis = found.jacobian * weight[:, None]
@@ -298,11 +302,11 @@ def screen(
     left = found.residual * weight
     left = left - basis @ (basis.T @ left)
     known = {} if signatures is None else signatures
-    prospects = []
+    candidates = []
     for effect in eligible_effects(library, found.claims, problem.blocks):
         names, looks = [parameter.name for parameter in effect.parameters], []
-        for values in product(*(parameter.probes for parameter in effect.parameters)):
-            claim, key = Claim(effect, dict(zip(names, values, strict=True))), (effect.label, *values)
+        for values in product(*(parameter.start_values for parameter in effect.parameters)):
+            claim, key = EffectHypothesis(effect, dict(zip(names, values, strict=True))), (effect.label, *values)
             if key in known:
                 signature = known[key] / problem.deviations
             else:
@@ -310,26 +314,26 @@ def screen(
                 known[key] = (signature * problem.deviations).astype(np.float32)
             direction = signature * weight
             looks.append(_start_values(problem, claim, direction - basis @ (basis.T @ direction), weight, left))
-        prospects.append(max(looks, key=lambda prospect: prospect.gain))
-    return sorted(prospects, key=lambda prospect: -prospect.gain)
+        candidates.append(max(looks, key=lambda candidate: candidate.gain))
+    return sorted(candidates, key=lambda candidate: -candidate.gain)
 
 
 def _start_values(
-    problem: Problem, claim: Claim, direction: FloatArray, weight: FloatArray, left: FloatArray
-) -> Prospect:
+    problem: Problem, claim: EffectHypothesis, direction: FloatArray, weight: FloatArray, left: FloatArray
+) -> Candidate:
     """Start values: first-order estimates of amplitudes, 2 % of the range or more off bounds; shapes as probed."""
     effect, power = claim.effect, float(direction @ direction)
     if power <= 1e-12:
-        return Prospect(claim, 0.0)
+        return Candidate(claim, 0.0)
     amount, main = -float(direction @ left) / power, effect.parameters[0]
-    if len(main.probes) > 1:
+    if len(main.start_values) > 1:
         amount = min(amount, 3.0)
     if amount <= 0.0 and main.neutral in (main.low, main.high):
-        return Prospect(claim, 0.0)
+        return Candidate(claim, 0.0)
     moved = dict(claim.values)
     for one in effect.amplitudes:
         scaled = one.neutral + amount * (moved[one.name] - one.neutral)
         low, high = (end + 0.02 * (one.neutral - end) for end in (one.low, one.high))
         moved[one.name] = float(np.clip(scaled, low, high))
     reached = problem.deviance((left + amount * direction) / weight)
-    return Prospect(Claim(effect, moved), problem.deviance(left / weight) - reached)
+    return Candidate(EffectHypothesis(effect, moved), problem.deviance(left / weight) - reached)

@@ -19,18 +19,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
-from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects.base import EffectHypothesis, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, pack, unpack
 from hydro_diagnosis.estimation.problem import FOLD_SECONDS, Problem
 from hydro_diagnosis.report_json import ParameterEstimate
 from hydro_diagnosis.significance import (
     CONFIDENCE,
     COVERAGE_FACTOR,
-    DECISIVE,
     FOLDS,
     ITERATIONS,
     PRACTICAL_SHARE,
     QUANTILE,
+    VERY_STRONG_EVIDENCE,
 )
 
 
@@ -42,24 +42,24 @@ def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
     One array per claim, in the parameters' units.
     """
     counts = [len(claim.effect.parameters) for claim in found.claims]
-    if problem.thinner is None or not counts:
+    if problem.half_rows is None or not counts:
         return [np.zeros(count) for count in counts]
     weight = problem.weight(found.residual)
-    slopes, change = found.jacobian * weight[:, None], problem.change(found.claims) * weight
+    slopes, change = found.jacobian * weight[:, None], problem.half_rows_change(found.claims) * weight
     lengths = np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
     spans = np.array([parameter.span for parameter in pack(found.claims)[0]])
     moved = np.abs(np.linalg.lstsq(slopes / lengths, change, rcond=1e-10)[0]) / lengths * spans
     return np.split(moved, np.cumsum(counts)[:-1])
 
 
-def is_significant(claim: Claim) -> bool:
+def is_significant(claim: EffectHypothesis) -> bool:
     """Return whether any of a claim's amplitudes exceeds its smallest size, and none is at a bound but neutral.
 
     An effect without amplitudes (bristles, by their stiffness) must differ from neutral by `PRACTICAL_SHARE`.
     """
     amplitudes = claim.effect.amplitudes
     for one in amplitudes:
-        value, near = claim.values[one.name], 1e-3 * one.smallest
+        value, near = claim.values[one.name], 1e-3 * one.smallest_reported
         if any(abs(value - end) <= near < abs(end - one.neutral) for end in (one.low, one.high)):
             return False
     if not amplitudes:
@@ -67,7 +67,7 @@ def is_significant(claim: Claim) -> bool:
             abs(claim.values[one.name] - one.neutral) > PRACTICAL_SHARE * abs(one.neutral)
             for one in claim.effect.parameters
         )
-    return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+    return any(abs(claim.values[one.name] - one.neutral) >= one.smallest_reported for one in amplitudes)
 
 
 def all_significant(problem: Problem, found: Fit) -> bool:
@@ -79,14 +79,14 @@ def all_significant(problem: Problem, found: Fit) -> bool:
             return False
     for claim, shift in zip(found.claims, shifts(problem, found), strict=True):
         pairs = list(zip(claim.effect.parameters, shift, strict=True))
-        telling = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
+        telling = [(one, moved) for one, moved in pairs if one.smallest_reported > 0.0] or pairs[:1]
         beyond = any(abs(claim.values[one.name] - one.neutral) >= COVERAGE_FACTOR * moved for one, moved in telling)
         if not claim.effect.estimated and not beyond:
             return False
     return True
 
 
-FEWEST = 3.0
+MIN_DEGREES_OF_FREEDOM = 3.0
 """Smallest number of degrees of freedom."""
 
 
@@ -120,16 +120,16 @@ def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Inter
         found = fit(problem, standing)
 
 
-def all_exclude_neutral(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
+def all_exclude_neutral(claims: Sequence[EffectHypothesis], bounds: Sequence[Interval]) -> bool:
     """Return whether the intervals of every cause exclude its absence; `bounds`: in the order of `pack`."""
     return not any(_includes_neutral(claim, own) for claim, own in by_claim(claims, bounds)
                    if not claim.effect.estimated)  # fmt: skip
 
 
-def _includes_neutral(claim: Claim, bounds: Sequence[Interval]) -> bool:
+def _includes_neutral(claim: EffectHypothesis, bounds: Sequence[Interval]) -> bool:
     """Return whether the effect may be absent: so for each amplitude, or the first shape where there is none."""
     pairs = list(zip(claim.effect.parameters, bounds, strict=True))
-    telling = [(one, bound) for one, bound in pairs if one.smallest > 0.0] or pairs[:1]
+    telling = [(one, bound) for one, bound in pairs if one.smallest_reported > 0.0] or pairs[:1]
     return all(bound.low <= one.neutral <= bound.high for one, bound in telling)
 
 
@@ -142,7 +142,7 @@ def intervals(problem: Problem, found: Fit) -> list[Interval]:
         for form in claim.effect.other_forms:
             others = [replace(one, effect=form) if one is claim else one for one in found.claims]
             other = fit(problem, others)
-            if other.deviance < found.deviance + DECISIVE:
+            if other.deviance < found.deviance + VERY_STRONG_EVIDENCE:
                 for k, bound in zip(kin, _intervals(problem, other, kin), strict=True):
                     low, high = min(bounds[k].low, bound.low), max(bounds[k].high, bound.high)
                     bounds[k] = replace(bounds[k], low=low, high=high)
@@ -163,7 +163,7 @@ def _intervals(problem: Problem, found: Fit, which: Sequence[int]) -> list[Inter
         sides = [_profiled(problem, found, k, value, sign * reach, widened) for sign in (-1.0, 1.0)]
         attenuation = hypot(problem.attenuation.get(owners[k], 0.0), missing[k])
         # of an amplitude a share of the smallest size worth claiming
-        systematic = one.systematic * abs(value) if one.smallest == 0.0 else 0.03 * one.smallest
+        systematic = one.systematic * abs(value) if one.smallest_reported == 0.0 else 0.03 * one.smallest_reported
         low, high = (value + sign * hypot(side, systematic, attenuation)
                      for sign, side in zip((-1, 1), sides, strict=True))  # fmt: skip
         at_bound = min(value - one.low, one.high - value) <= 1e-3 * (one.high - one.low) * 1e-3
@@ -187,7 +187,7 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
     recurrence = _recurrence(moves, blocks)
     sandwich = np.sum(np.square(moves), axis=0) * recurrence
     plain = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    independent = np.maximum(len(blocks) / recurrence - len(plain), FEWEST)
+    independent = np.maximum(len(blocks) / recurrence - len(plain), MIN_DEGREES_OF_FREEDOM)
     inflation = np.sqrt(sandwich) / np.maximum(plain, 1e-300) * stdtrit(independent, CONFIDENCE) / QUANTILE
     return plain, np.maximum(inflation, 1.0)
 
@@ -210,7 +210,9 @@ def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
         return np.asarray(np.sum(pairs, axis=0) / max(len(pairs), 1) / power)
 
     first = correlation(1) if len(blocks) > 1 else np.zeros(moves.shape[1])
-    most = (len(blocks) - FEWEST) / (len(blocks) + FEWEST)  # leaves `FEWEST` independent blocks
+    most = (len(blocks) - MIN_DEGREES_OF_FREEDOM) / (
+        len(blocks) + MIN_DEGREES_OF_FREEDOM
+    )  # leaves `MIN_DEGREES_OF_FREEDOM` independent blocks
     first = np.clip(np.where(first > chance, first, 0.0), 0.0, max(most, 0.0))
     total, lasts = 1.0 + 2.0 * first, np.ones(moves.shape[1], bool)
     for lag in range(2, len(blocks) // 4, 2):

@@ -18,8 +18,8 @@ from scipy.ndimage import distance_transform_edt
 from scipy.signal import lfilter
 from scipy.special import ndtr
 
-from hydro_diagnosis.bench_numbers import at_the_rod
-from hydro_diagnosis.effects.base import Claim, FloatArray, Pair
+from hydro_diagnosis.bench_parameters import load_cell_at_rod
+from hydro_diagnosis.effects.base import EffectHypothesis, FloatArray, Pair
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.chambers import BLOCK, OBSERVER_MEMORY
 from hydro_diagnosis.preprocessing.smoothing import (
@@ -55,7 +55,9 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
             run = model.chamber_run(())  # without the kinks of pressures and f_h by steps of the current
             signals["pressure_a"], signals["pressure_b"] = run.innovations
             if "hydraulic_force" in signals:
-                signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
+                signals["hydraulic_force"] = (
+                    signals["hydraulic_force"] - np.cumsum(run.force_increments) + run.force_increments
+                )
         for channel, signal in signals.items():
             noise = white_noise(signal[recorded], None if measured is None else measured[recorded])
             found.setdefault(channel, []).append((len(signal), noise))
@@ -80,7 +82,7 @@ def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> d
     area = bench.piston_area
     by_pressure = hypot(area * sensors.get("pressure_a", 0.0), bench.area_ratio * area * sensors.get("pressure_b", 0.0))
     cell = sensors.get("hydraulic_force", by_pressure)
-    load = sensors.get("load_force", 0.0) if at_the_rod(sensors, bench) else 0.0
+    load = sensors.get("load_force", 0.0) if load_cell_at_rod(sensors, bench) else 0.0
     noise = {
         "motion": hypot(cell * TOTAL_NOISE_GAIN, load * TOTAL_NOISE_GAIN, inertia, damping, spring),
         "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
@@ -99,7 +101,7 @@ def mass_attenuation(models: Sequence[SegmentModel], sensors: Mapping[str, float
     """
     step = min(model.step * model.spacing for model in models)
     noise = sensors.get("piston_position", 0.0) * ACCELERATION_NOISE_GAIN / step**2
-    power = float(np.mean(np.square(np.concatenate([model.finish(model.a) for model in models]))))
+    power = float(np.mean(np.square(np.concatenate([model.smooth_kinematic(model.a) for model in models]))))
     return mass * noise**2 / max(power - noise**2, noise**2, 1e-12)
 
 
@@ -117,31 +119,31 @@ class SegmentNoise:
         self.flows = self._of_flows(sensors) if flows else None
         """Standard deviations [Pa] of the pressures by noise and timing of the flows; None without their residuals."""
 
-    def friction(self, claims: Sequence[Claim], reversals: int) -> FloatArray:
+    def friction(self, claims: Sequence[EffectHypothesis], reversals: int) -> FloatArray:
         """Standard deviation [N] of dry friction by the uncertain velocity near standstill, decimated.
 
         `reversals`: number in all recordings; the smoothing kernel's error of the velocity is the same at each, so that
         it does not average out: it counts by the root of their number.
         """
         model = self._model
-        level = model.dry_friction_level(claims)
+        level = model.dry_friction_magnitude(claims)
         doubt = self._swing(
             claims, VELOCITY_UNCERTAINTY + 0.5 * np.abs(model.a) * model.spacing * model.step, np.zeros_like(level)
         )
-        beyond = model.dry_friction_level(claims, np.full_like(model.v, 1.0))  # 1 m/s: sliding
-        if not any(claim.effect.bristles for claim in claims):  # bristles: no jump of the force
+        beyond = model.dry_friction_magnitude(claims, np.full_like(model.v, 1.0))  # 1 m/s: sliding
+        if not any(claim.effect.models_presliding for claim in claims):  # bristles: no jump of the force
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self._kink(claims), beyond))
         late = [claim for claim in claims if claim.effect.lagged_channel == "hydraulic_force"]
-        return model.kept(model.smooth(np.abs(model.reading("hydraulic_force", doubt, late))))
+        return model.at_evaluated(model.smooth(np.abs(model.reading("hydraulic_force", doubt, late))))
 
-    def _kink(self, claims: Sequence[Claim]) -> FloatArray:
+    def _kink(self, claims: Sequence[EffectHypothesis]) -> FloatArray:
         """Error [m/s] of the velocity by the first Gaussian around reversals, where the acceleration jumps.
 
         Dry friction F reverses there, so x_p'' jumps by 2 F / m. The error of a kink of slope J behind a Gaussian of
         width s is J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
         """
         model = self._model
-        at_rest = model.dry_friction_level(claims, np.zeros_like(model.v))
+        at_rest = model.dry_friction_magnitude(claims, np.zeros_like(model.v))
         width = KINEMATIC_WIDTH * model.spacing * model.step
         jump = 2.0 * at_rest / model.bench(claims).moving_mass
         u = self._since_rest / (KINEMATIC_WIDTH * model.spacing)
@@ -171,11 +173,11 @@ class SegmentNoise:
             return np.full_like(model.v, len(model.v))
         return np.asarray(distance_transform_edt(~self._resting))
 
-    def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:
+    def _swing(self, claims: Sequence[EffectHypothesis], velocity: FloatArray, but: FloatArray) -> FloatArray:
         """Half the change [N] of dry friction, less `but` [N], from -`velocity` to +`velocity` about the recorded."""
         model = self._model
         low, high = (
-            (model.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_UNCERTAINTY)
+            (model.dry_friction_magnitude(claims, one) - but) * np.tanh(one / VELOCITY_UNCERTAINTY)
             for one in (model.v - velocity, model.v + velocity)
         )
         return np.asarray(np.abs(high - low) / 2.0)
@@ -190,7 +192,7 @@ class SegmentNoise:
         uncertainty = 3e-6  # s, between the equations, integrated sample by sample, and the sensors
         timing = self._stiffest(0) * bench.piston_area * uncertainty * model.smooth(np.abs(model.v))
         a, b = (
-            model.kept(np.hypot(timing, self._flow_uncertainty(chamber, noise["pressure_" + chamber])))
+            model.at_evaluated(np.hypot(timing, self._flow_uncertainty(chamber, noise["pressure_" + chamber])))
             for chamber in "ab"
         )
         return a, b
@@ -205,7 +207,7 @@ class SegmentNoise:
         """Standard deviation [Pa] of a pressure by the noise of its own reading in the flow."""
         model = self._model
         bench, current = model.base, model.channels["valve_current"]
-        pressure = chambers.middle(model.channels["pressure_" + chamber])
+        pressure = chambers.interval_means(model.channels["pressure_" + chamber])
         fed = current > 0.0 if chamber == "a" else current < 0.0
         drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
         gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))

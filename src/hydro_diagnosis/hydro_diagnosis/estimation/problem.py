@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.bench_numbers import available_equations, require_equation
+from hydro_diagnosis.bench_parameters import available_equations, require_equation
 from hydro_diagnosis.effects.base import (
     HYDRAULIC,
     LOAD,
     MOTION,
     PRESSURE,
     BoundedCache,
-    Claim,
     Effect,
+    EffectHypothesis,
     FloatArray,
     acting,
 )
@@ -57,7 +57,7 @@ class Layout:
         for block in blocks:
             for name in BLOCKS[block]:
                 for k, model in enumerate(models):
-                    at = model.block_time() if block == HYDRAULIC else model.kept_time()
+                    at = model.block_time() if block == HYDRAULIC else model.evaluated_time()
                     channel.append(np.full(len(at), CHANNELS.index(name)))
                     segment.append(np.full(len(at), k))
                     time.append(at)
@@ -130,7 +130,7 @@ ResidualParts = dict[tuple[str, int], FloatArray]
 """Residuals by channel and segment, physical unit."""
 
 
-NOTICEABLE = 0.35
+EXCESS_THRESHOLD = 0.35
 """Excess over 1 of a channel's mean square over the noise variance that is more than noise: the latter's uncertainty.
 """
 
@@ -160,10 +160,10 @@ class Problem:
         self,
         segments: Sequence[Segment],
         bench: Bench,
-        baseline: Sequence[Claim] = (),
+        baseline: Sequence[EffectHypothesis] = (),
         noise: dict[str, float] | None = None,
         like: Problem | None = None,
-        estimated: Sequence[Claim] = (),
+        estimated: Sequence[EffectHypothesis] = (),
         ruled_out: Sequence[Effect] = (),
         budget: Budget | None = None,
     ) -> None:
@@ -194,25 +194,25 @@ class Problem:
             hidden = mass_attenuation(self.models, self.sensor_noise, bench.moving_mass)
             self.attenuation["moving_mass"] = hidden
         self._cache = BoundedCache(25)  # residuals of a block
-        thinner = [segment.thinner or segment for segment in segments]
-        lacking = like is None and any(segment.thinner for segment in segments)
-        self.thinner = (
-            Problem(thinner, bench, baseline, self.sensor_noise, self, budget=self.budget) if lacking else None
+        half_rows = [segment.half_rows or segment for segment in segments]
+        lacking = like is None and any(segment.half_rows for segment in segments)
+        self.half_rows = (
+            Problem(half_rows, bench, baseline, self.sensor_noise, self, budget=self.budget) if lacking else None
         )
         """The same problem with half of the rows, if any rows are missing; else None."""
         self._weigh(())
 
     @property
-    def unseen_ringing(self) -> float:
+    def aliased_resonance(self) -> float:
         """Hydraulic natural frequency [Hz] of the assumed bench if above the rows' Nyquist frequency, else 0.
 
         The aliased oscillation looks slow, in half of the rows as in all, and cannot be told from a law.
         """
-        return max(model.unseen_ringing for model in self.models) if PRESSURE in self.blocks else 0.0
+        return max(model.aliased_resonance for model in self.models) if PRESSURE in self.blocks else 0.0
 
     # -- deviations ----------------------------------------------------------------------------------------------------
 
-    def reweighted(self, claims: Sequence[Claim]) -> Problem:
+    def reweighted(self, claims: Sequence[EffectHypothesis]) -> Problem:
         """Return the problem with the deviations of the residuals under these claims.
 
         They are larger where the sign of dry friction is uncertain, or rows are missing. All else is shared, including
@@ -227,20 +227,20 @@ class Problem:
         return Problem(segments, self.bench, self.baseline, noise=self.sensor_noise, estimated=self.estimated,
                        budget=self.budget)  # fmt: skip
 
-    def with_estimated(self, numbers: Sequence[Claim]) -> Problem:
+    def with_estimated(self, claims: Sequence[EffectHypothesis]) -> Problem:
         """Return the problem with other start values of the bench parameters that every fit estimates."""
         other = copy(self)
-        other.estimated = tuple(numbers)
+        other.estimated = tuple(claims)
         return other
 
-    def _weigh(self, claims: Sequence[Claim]) -> None:
+    def _weigh(self, claims: Sequence[EffectHypothesis]) -> None:
         """Set the deviations under the baseline and these claims."""
         everything, doubt = (*self.baseline, *claims), list[FloatArray]()
         if MOTION in self.blocks:
             count = sum(noise.reversals for noise in self._noises)
             doubt = [noise.friction(everything, count) for noise in self._noises]
         unseen: ResidualParts = {}
-        for key, change in (self._changes(claims) if self.thinner is not None else {}).items():
+        for key, change in (self._changes(claims) if self.half_rows is not None else {}).items():
             seconds = len(self.models[key[1]].time) * self.models[key[1]].step
             count = max(round(FOLD_SECONDS * len(change) / seconds), 1)  # root mean square around each residual
             unseen[key] = np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest"))
@@ -259,19 +259,19 @@ class Problem:
                     deviation = np.maximum(deviation, unseen[CHANNELS[index], k])
                 self.deviations[(self.layout.channel == index) & (self.layout.segment == k)] = deviation
 
-    def _changes(self, claims: Sequence[Claim]) -> ResidualParts:
+    def _changes(self, claims: Sequence[EffectHypothesis]) -> ResidualParts:
         """Change of each residual if half of the rows are left out, physical unit."""
         whole = self.parts(claims)
-        fewer = self.thinner.parts(claims) if self.thinner is not None else whole
+        fewer = self.half_rows.parts(claims) if self.half_rows is not None else whole
         return {key: fewer[key] - part for key, part in whole.items()}
 
-    def change(self, claims: Sequence[Claim]) -> FloatArray:
+    def half_rows_change(self, claims: Sequence[EffectHypothesis]) -> FloatArray:
         """Return the change of each residual, over its deviation, if half of the rows are left out, shape (n,)."""
         return np.concatenate([*self._changes(claims).values()]) / self.deviations
 
     # -- residuals -----------------------------------------------------------------------------------------------------
 
-    def residual(self, claims: Sequence[Claim]) -> FloatArray:
+    def residual(self, claims: Sequence[EffectHypothesis]) -> FloatArray:
         """Return the residual vector, each entry over its deviation, in the order of `layout`, shape (n,)."""
         self.budget.evaluations += 1  # counted also where a cache spares it: a search's effort is the same
         self.budget.spent += COST["evaluation"]
@@ -291,25 +291,25 @@ class Problem:
                 found[index] = np.concatenate(own, axis=1) / self.deviations[here]
         return found
 
-    def parts(self, claims: Sequence[Claim]) -> ResidualParts:
+    def parts(self, claims: Sequence[EffectHypothesis]) -> ResidualParts:
         """Residuals of the baseline and these claims, by channel and segment in the order of `layout`."""
         everything = tuple(one for one in (*self.baseline, *claims) if one.acts)
         parts: ResidualParts = {}
-        arcs: list[FloatArray] = []
+        errors: list[FloatArray] = []
         for block in self.blocks:
             shown = self._of_block(block, everything)
             parts |= {(name, k): one[name] for name in BLOCKS[block] for k, one in enumerate(shown)}
-            arcs = arcs or [one["arc"] for one in shown if "arc" in one]
-        if arcs and MOTION in self.blocks:
+            errors = errors or [one["interpolation_error"] for one in shown if "interpolation_error" in one]
+        if errors and MOTION in self.blocks:
             rounded = any(claim.effect.lagged_channel == "hydraulic_force" for claim in everything)
-            for k, arc in enumerate(arcs if not rounded else ()):
-                parts["motion", k] = parts["motion", k] + arc
+            for k, error in enumerate(errors if not rounded else ()):
+                parts["motion", k] = parts["motion", k] + error
         return parts
 
-    def _of_block(self, block: str, claims: Sequence[Claim]) -> list[dict[str, FloatArray]]:
+    def _of_block(self, block: str, claims: Sequence[EffectHypothesis]) -> list[dict[str, FloatArray]]:
         there = tuple(claim for claim in claims if block in claim.effect.blocks)
 
-        def computed(some: Sequence[Claim]) -> list[dict[str, FloatArray]]:
+        def computed(some: Sequence[EffectHypothesis]) -> list[dict[str, FloatArray]]:
             late = block == PRESSURE and any(claim.effect.lagged_channel for claim in some)
             times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "invert_reading"))
             self.budget.spent += times * (COST[block] * self.samples + COST["segment"] * len(self.models))
@@ -347,13 +347,13 @@ class Problem:
         1 by four standard deviations, too.
         """
         counts = {name: n for name, n in zip(CHANNELS, self.layout.count, strict=True) if n}
-        return {name: 1.0 + max(NOTICEABLE, 4.0 * float(np.sqrt(2.0 / n))) for name, n in counts.items()}
+        return {name: 1.0 + max(EXCESS_THRESHOLD, 4.0 * float(np.sqrt(2.0 / n))) for name, n in counts.items()}
 
-    def remaining(self, residual: FloatArray) -> dict[str, float]:
+    def excess_channels(self, residual: FloatArray) -> dict[str, float]:
         """Return `mean_squares` of the channels whose residuals are more than noise."""
         limit = self.noise_thresholds
         return {name: square for name, square in self.mean_squares(residual).items() if square > limit[name]}
 
-    def noticeable(self, residual: FloatArray) -> bool:
+    def has_excess(self, residual: FloatArray) -> bool:
         """Return whether the residuals of any channel are more than noise."""
-        return bool(self.remaining(residual))
+        return bool(self.excess_channels(residual))

@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 
 from hydro_core.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.io.units import UNITS, known, quantity, to_si
+from hydro_diagnosis.io.columns import UNITS, known, quantity, to_si
 from hydro_diagnosis.recording import InputError
 
 _SOURCE = re.compile(

@@ -35,8 +35,19 @@ import numpy.typing as npt
 import pandas as pd
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.io.columns import Columns, counts_rows, is_time, merge_parts, set_day_units, stated_step, unique
-from hydro_diagnosis.io.units import UNITS, known, split_unit, stated
+from hydro_diagnosis.io.columns import (
+    UNITS,
+    Columns,
+    counts_rows,
+    is_time,
+    known,
+    merge_parts,
+    set_day_units,
+    split_unit,
+    stated,
+    stated_step,
+    unique,
+)
 
 NAME_KEYS = (
     "name", "names", "trace_name", "trace_names", "displayidentifier", "signal", "signals", "channel", "label", "path",

@@ -27,12 +27,12 @@ from hydro_diagnosis.io.columns import (
     Columns,
     assign_clocks_of_equal_length,
     is_time,
+    known,
     merge_parts,
     set_day_units,
     stated_step,
     unique,
 )
-from hydro_diagnosis.io.units import known
 from hydro_diagnosis.recording import InputError
 
 log_manager.set_level(logging.CRITICAL)  # npTDMS would print what is reported as a note here

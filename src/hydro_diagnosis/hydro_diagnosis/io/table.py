@@ -25,12 +25,11 @@ from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
-from hydro_diagnosis.io.columns import Columns, median_step, set_day_units
+from hydro_diagnosis.io.columns import OFFERED, Columns, known, median_step, quantity, set_day_units, split_unit, to_si
 from hydro_diagnosis.io.delimited import delimited_columns, numbers_of
 from hydro_diagnosis.io.measurement_files import hdf5_columns, matlab_columns, mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
-from hydro_diagnosis.io.units import OFFERED, known, quantity, split_unit, to_si
-from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXTS, InputError, unreadable
+from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXT_SUFFIXES, InputError, unreadable_reason
 
 
 def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str], dict[str, str]]:
@@ -40,7 +39,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
     """
     notes = [*found.notes, *(f"{name} holds no numbers and was left out" for name in found.other if name in MEASURED)]
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
-    base = base_of(sources, found)
+    base = base_clock(sources, found)
     times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
     time = times(base)
     step, inside = median_step(time), np.ones(len(time), dtype=bool)
@@ -110,7 +109,7 @@ def _names(found: Columns) -> str:
     return ", ".join(list(found.series)[:40])
 
 
-def base_of(sources: Mapping[str, Source], found: Columns) -> str:
+def base_clock(sources: Mapping[str, Source], found: Columns) -> str:
     """Time column to which all others are resampled: the mapped one, else the clock of most sensors or the longest."""
     if "time" in sources:
         return sources["time"].column
@@ -221,7 +220,7 @@ def _parquet(path: Path) -> Columns:
 
 
 _READERS: dict[str, Callable[[Path], Columns]] = {
-    **dict.fromkeys(TEXTS, delimited_columns), ".parquet": _parquet, ".pq": _parquet, ".mat": matlab_columns,
+    **dict.fromkeys(TEXT_SUFFIXES, delimited_columns), ".parquet": _parquet, ".pq": _parquet, ".mat": matlab_columns,
     ".h5": hdf5_columns, ".hdf5": hdf5_columns, ".mf4": mdf_columns, ".mdf": mdf_columns, ".tdms": tdms_columns,
 }  # fmt: skip
 
@@ -260,7 +259,7 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
         fields = {name: np.ascontiguousarray(bag.state[name]) for name in STATE_FIELDS}
         samples = np.concatenate([[0.0], np.cumsum(steps)])
         found = RawTable(path.name, bag.state["time"].copy(), samples, fields, bag.notes)
-        return found if columns is None else mapped(path, found, columns)
+        return found if columns is None else map_bag_fields(path, found, columns)
     return table_of(path, columns_of(path), columns)
 
 
@@ -283,10 +282,10 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
         return read_columns(path)
     if path.suffix.lower() in (".bag", ".db3"):
         _bag(path)  # raises with the remedy
-    raise InputError(f"{path}: {unreadable(path)}")
+    raise InputError(f"{path}: {unreadable_reason(path)}")
 
 
-def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
+def map_bag_fields(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
     """Apply a column map to the fields of a bag. Raises InputError: as `read_table`."""
     turned = table_of(path, Columns({"time": raw.time, **raw.columns}, notes=list(raw.notes)), columns)
     same = turned.time is not None and len(turned.time) == len(raw.time)
@@ -295,7 +294,7 @@ def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
 
 def _bag(path: Path, rows: int | None = None) -> Bag:
     try:
-        bag = read_bag(path, (STATE_TOPIC,), rows, salvages=True)
+        bag = read_bag(path, (STATE_TOPIC,), rows, skip_damaged=True)
         empty = not len(bag.state)
     except RecordingError as error:
         raise InputError(str(error)) from None

@@ -21,11 +21,11 @@ _UNITS = {"sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa")}
 def has_states(path: Path) -> bool:
     """Return whether a bag holds /hydro/state. Raises InputError if it cannot be read."""
     try:
-        next(stream_bag(path, salvages=True), None)
+        next(stream_bag(path, skip_damaged=True), None)
         return True
     except RecordingError as error:
         try:
-            there = read_bag(path, topics=(), salvages=True).topics
+            there = read_bag(path, topics=(), skip_damaged=True).topics
         except RecordingError:
             there = {STATE_TOPIC: ""}
         if STATE_TOPIC in there or not there:
@@ -39,7 +39,7 @@ def topic_columns(path: Path, rows: int | None = None) -> Columns:
     `rows`: as `read_bag`. Raises InputError if the bag cannot be read.
     """
     try:
-        bag = read_bag(path, rows=rows, salvages=True)
+        bag = read_bag(path, rows=rows, skip_damaged=True)
         extents = {f"{topic}.{name}": one for topic, fields in bag.extents.items() for name, one in fields.items()}
         found, unstamped = Columns(extents=extents, notes=list(bag.notes)), []
         for topic, type_name in sorted(bag.topics.items()):
@@ -73,7 +73,7 @@ def _columns_of_objects(path: Path, topic: str) -> tuple[dict[str, FloatArray], 
     times: list[float] = []
     rows: list[dict[str, float]] = []
     stamped = True
-    for received, message in read_messages(path, topic, salvages=True):
+    for received, message in read_messages(path, topic, skip_damaged=True):
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         stamped = stamped and stamp is not None
         times.append(received if stamp is None else stamp.sec + 1e-9 * stamp.nanosec)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import ChamberInputs, Claim, FloatArray, Pair, acting, substep_mean
+from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Pair, acting, substep_mean
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
@@ -84,8 +84,8 @@ BLOCK = 0.1
 
 
 @njit
-def innovations(recorded, built, gain):
-    """Innovations of an observer, shape (n,): a recorded signal less the sum of the increments `built`, high-passed.
+def innovations(recorded, increments, gain):
+    """Innovations of an observer, shape (n,): a recorded signal less the sum of `increments`, high-passed.
 
     The slow part subtracted is a first-order low-pass of `gain` per sample, from the mean of the first ten samples.
     """
@@ -93,7 +93,7 @@ def innovations(recorded, built, gain):
     total = 0.0
     for k in range(len(recorded)):
         beyond[k] = recorded[k] - total
-        total += built[k]
+        total += increments[k]
     slow = beyond[:10].mean()
     for k in range(len(recorded)):
         now = beyond[k]
@@ -147,7 +147,7 @@ SUBSTEPS = 4
 """Substeps per sample of the spool's position: the current is held for a sample, the spool is not."""
 
 
-def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[Claim], memory: Memory) -> Pair:
+def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesis], memory: Memory) -> Pair:
     """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
@@ -172,7 +172,7 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[Claim], memory:
     return flows
 
 
-def chamber_stiffnesses(bench: Bench, oil: ChamberInputs, claims: Sequence[Claim]) -> Pair:
+def chamber_stiffnesses(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesis]) -> Pair:
     """Return the stiffnesses beta/V [Pa/m3] of the oil in both chambers under claims."""
     softer = acting(claims, "modulus")
     moduli: list[Any] = [bench.bulk_modulus, bench.bulk_modulus]
@@ -190,14 +190,19 @@ class ChamberRun:
 
     innovations: Pair
     """Pa, shape (n,), not smoothed."""
-    arc: FloatArray
+    interpolation_error: FloatArray
     """Excess [N], shape (n,), of the mean of f_h around a sample over that of its linear interpolation."""
-    built_force: FloatArray
+    force_increments: FloatArray
     """Increment [N] of f_h in each sample, shape (n,)."""
 
 
-def force_arc(bench: Bench, oil: ChamberInputs, stiff: Pair, acceleration: FloatArray, step: float) -> FloatArray:
-    """`ChamberRun.arc` [N], (n,): dt times the integral of f_h'(s) (1/2 - s), s in a sample 0..1 (Euler-Maclaurin)."""
+def force_interpolation_error(
+    bench: Bench, oil: ChamberInputs, stiff: Pair, acceleration: FloatArray, step: float
+) -> FloatArray:
+    """`ChamberRun.interpolation_error` [N], (n,): dt times the integral of f_h'(s) (1/2 - s), s in a sample 0 to 1.
+
+    By the Euler-Maclaurin formula.
+    """
     moment = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
     moment = moment if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
     flows = flow_first_moments(
@@ -208,7 +213,7 @@ def force_arc(bench: Bench, oil: ChamberInputs, stiff: Pair, acceleration: Float
     return around
 
 
-def middle(signal: FloatArray) -> FloatArray:
+def interval_means(signal: FloatArray) -> FloatArray:
     """Values at the middles of the sample intervals: means of each sample and the next, the last repeated, (n,)."""
     between: FloatArray = 0.5 * (signal + np.concatenate([signal[1:], signal[-1:]]))
     return between

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import ChamberInputs, Claim, FloatArray, Pair, substep_mean
+from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Pair, substep_mean
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
@@ -23,20 +23,20 @@ from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
 
 _PRESSURES = ("pressure_a", "pressure_b")
-Shown = dict[str, FloatArray]
+ChannelResponses = dict[str, FloatArray]
 """Responses by channel of the residuals: physical unit, shape (terms, evaluated rows)."""
 
 
 class Responses:
     """Linear responses of a segment's residuals to hidden inputs, under given claims."""
 
-    def __init__(self, model: SegmentModel, blocks: Collection[str], claims: Sequence[Claim]) -> None:
+    def __init__(self, model: SegmentModel, blocks: Collection[str], claims: Sequence[EffectHypothesis]) -> None:
         self.model, self.claims = model.with_true_position(claims), claims
         self.bench = self.model.bench(claims)
         self._channels = {name for block in blocks for name in BLOCKS[block]}
         self._memory = Memory(model.step, self.model.other_signals)
         self._gain = model.step / chambers.OBSERVER_MEMORY
-        self._nothing = np.zeros_like(model.time)
+        self._zeros = np.zeros_like(model.time)
 
     @cached_property
     def _oil(self) -> ChamberInputs:
@@ -53,17 +53,17 @@ class Responses:
         drops = eq.edge_drops(self.bench.supply_pressure, self.bench.tank_pressure, *self._oil.pressures)
         return [eq.signed_root(np.where(extends, out, back)) for out, back in zip(*drops, strict=True)]
 
-    def of(self, terms: Sequence[Claim]) -> Shown:
+    def to_terms(self, terms: Sequence[EffectHypothesis]) -> ChannelResponses:
         """Return the responses to terms of one law or table, each at its values."""
-        effect, model, nothing = terms[0].effect, self.model, self._nothing
+        effect, model, zeros = terms[0].effect, self.model, self._zeros
         assert isinstance(effect, Closure)
         if effect.acts_in("opposing_force"):
             motion = model.kinematics
-            return self.to_force(np.stack([one.effect.opposing_force(nothing, nothing, motion, self._memory, one.values)
+            return self.to_force(np.stack([one.effect.opposing_force(zeros, zeros, motion, self._memory, one.values)
                                            for one in terms]))  # fmt: skip
         if effect.acts_in("load"):
             moved, recorded = (
-                np.stack([one.effect.load(nothing, motion, self.bench, self._memory, one.values) for one in terms])
+                np.stack([one.effect.load(zeros, motion, self.bench, self._memory, one.values) for one in terms])
                 for motion in (model.kinematics, model.recorded)
             )
             return self.to_load(moved, recorded)
@@ -74,7 +74,7 @@ class Responses:
             shifts = [one.effect.command(spool, substep, one.values) - spool for one in terms]
             return self.to_spool(np.stack([substep_mean(one) for one in shifts]))
         if effect.acts_in("leaks"):
-            still = nothing, nothing
+            still = zeros, zeros
             flows = [one.effect.leaks(still, self._oil, self.bench, self._memory, one.values) for one in terms]
             return self.to_flows(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
         if effect.is_position_error:
@@ -84,18 +84,20 @@ class Responses:
         return self._read(terms, effect.law.where)
 
     def smooth(self, signals: FloatArray) -> FloatArray:
-        """Return `SegmentModel.kept_smooth` of each signal, shape (terms, evaluated rows)."""
-        return np.stack([self.model.kept_smooth(one) for one in signals])
+        """Return `SegmentModel.smooth_at_evaluated` of each signal, shape (terms, evaluated rows)."""
+        return np.stack([self.model.smooth_at_evaluated(one) for one in signals])
 
-    def restrict_to_blocks(self, shown: Mapping[str, FloatArray]) -> Shown:
+    def restrict_to_blocks(self, shown: Mapping[str, FloatArray]) -> ChannelResponses:
         """Return the responses in the channels of the chosen blocks."""
         return {name: one for name, one in shown.items() if name in self._channels}
 
-    def to_force(self, force: FloatArray) -> Shown:
+    def to_force(self, force: FloatArray) -> ChannelResponses:
         """Responses to forces against the motion [N], shape (terms, n)."""
-        return self.restrict_to_blocks({"motion": -np.stack([self.model.kept_finish(one) for one in force])})
+        return self.restrict_to_blocks(
+            {"motion": -np.stack([self.model.smooth_kinematic_at_evaluated(one) for one in force])}
+        )
 
-    def to_load(self, moved: FloatArray, recorded: FloatArray) -> Shown:
+    def to_load(self, moved: FloatArray, recorded: FloatArray) -> ChannelResponses:
         """Return the residuals' responses, by channel, shape (terms, rows), to load forces [N], shape (terms, n).
 
         The forces are given at the smoothed (`moved`) and at the recorded (`recorded`) motion.
@@ -103,36 +105,36 @@ class Responses:
         shown = self.restrict_to_blocks({"load": recorded})
         return {**self.to_force(moved), **{name: -self.smooth(self._in_cell(one)) for name, one in shown.items()}}
 
-    def to_spool(self, shift: FloatArray) -> Shown:
+    def to_spool(self, shift: FloatArray) -> ChannelResponses:
         """Responses to shifts of the spool [A], shape (terms, n)."""
         flow = shift * self.bench.valve_gain
         return self.to_flows(flow * self._roots[0], -flow * self._roots[1])
 
-    def to_flows(self, into_a: FloatArray, into_b: FloatArray) -> Shown:
+    def to_flows(self, into_a: FloatArray, into_b: FloatArray) -> ChannelResponses:
         """Responses to flows into both chambers [m3/s], shape (terms, n)."""
         shown = {}
         for name, flow, stiff in zip(_PRESSURES, (into_a, into_b), self._stiff, strict=True):
             if flow.any():
-                built = flow * stiff * self.model.step
-                shown[name] = self.smooth(np.stack([self.observer_innovations(self._nothing, one) for one in built]))
+                increments = flow * stiff * self.model.step
+                shown[name] = self.smooth(np.stack([self.observer_innovations(self._zeros, one) for one in increments]))
         return self.restrict_to_blocks(shown)
 
-    def observer_innovations(self, off: FloatArray, built: FloatArray) -> FloatArray:
-        """Return innovations [Pa], shape (n,), of a reading's error `off` and of the pressure `built` per sample."""
-        return np.asarray(chambers.innovations(off, built, self._gain))
+    def observer_innovations(self, off: FloatArray, increments: FloatArray) -> FloatArray:
+        """Return innovations [Pa], shape (n,), of a reading's error `off` and of pressure `increments` per sample."""
+        return np.asarray(chambers.innovations(off, increments, self._gain))
 
-    def _read(self, terms: Sequence[Claim], channel: str) -> Shown:
+    def _read(self, terms: Sequence[EffectHypothesis], channel: str) -> ChannelResponses:
         def read(signal: FloatArray, smoothed: bool = False) -> FloatArray:
             return np.stack([self.model.reading(channel, signal, [one], smoothed) - signal for one in terms])
 
         if channel == "load_force":
-            force = self.model.spring_force(self.bench, [], self.model.recorded)
+            force = self.model.load_force(self.bench, [], self.model.recorded)
             return self.restrict_to_blocks({"load": -self.smooth(read(force))})
         means = np.stack([self.model.means(one) for one in read(self.model.channels[channel])])
-        force = self.model.finish(self.model.required_force(self.claims))
+        force = self.model.smooth_kinematic(self.model.required_force(self.claims))
         return self.restrict_to_blocks({"motion": -read(force, True)[:, self.model.rows], "hydraulic": -means})
 
-    def _displaced(self, terms: Sequence[Claim]) -> Shown:
+    def _displaced(self, terms: Sequence[EffectHypothesis]) -> ChannelResponses:
         """Return the responses to an error of the position, without those by dry friction and oil volumes."""
         model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
         errors = np.stack([one.effect.invert_reading("piston_position", recorded, self._memory, one.values) - recorded
@@ -151,7 +153,7 @@ class Responses:
         """Forces [N] behind the load cell's amplifier."""
         return np.stack([self.model.behind_cell(one, self.bench) for one in force])
 
-    def _misread(self, terms: Sequence[Claim], channel: str) -> Shown:
+    def _misread(self, terms: Sequence[EffectHypothesis], channel: str) -> ChannelResponses:
         """Responses to errors of a pressure sensor."""
         model = self.model
         shown: dict[str, list[FloatArray]] = {"pressure_a": [], "pressure_b": [], "hydraulic": []}
@@ -159,20 +161,22 @@ class Responses:
         signal = model.true_signal(channel, self.claims)
         for one in terms:
             error = model.reading(channel, signal, [one]) - signal
-            for name, built, by in zip(_PRESSURES, self._built, self._by_pressure[channel], strict=True):
-                more, off = -by * chambers.middle(error), self._nothing
+            for name, increments, by in zip(
+                _PRESSURES, self._pressure_increments, self._by_pressure[channel], strict=True
+            ):
+                more, off = -by * chambers.interval_means(error), self._zeros
                 if name == channel and one.effect.nonlinear_channel == channel:
-                    more = more + built * (model.reading_slope(channel, signal, [one]) - 1.0)
+                    more = more + increments * (model.reading_slope(channel, signal, [one]) - 1.0)
                 elif name == channel:
                     off = -error
-                shown[name].append(model.kept_smooth(self.observer_innovations(off, more)))
+                shown[name].append(model.smooth_at_evaluated(self.observer_innovations(off, more)))
             shown["hydraulic"].append(model.means(area * error))
         return self.restrict_to_blocks({name: np.stack(rows) for name, rows in shown.items()})
 
     @cached_property
-    def _built(self) -> Pair:
+    def _pressure_increments(self) -> Pair:
         """Pressure increments [Pa] per sample in both chambers."""
-        return self.model.built(self.bench, self._oil, self.claims)[1]
+        return self.model.pressure_increments(self.bench, self._oil, self.claims)[1]
 
     @cached_property
     def _by_pressure(self) -> dict[str, Pair]:
@@ -184,7 +188,7 @@ class Responses:
                 pressures = list(self._oil.pressures)
                 pressures[k] = pressures[k] + sign * SLOPE_STEP
                 shifted = replace(self._oil, pressures=(pressures[0], pressures[1]))
-                moved.append(self.model.built(self.bench, shifted, self.claims)[1])
+                moved.append(self.model.pressure_increments(self.bench, shifted, self.claims)[1])
             a, b = ((up - down) / (2.0 * SLOPE_STEP) for up, down in zip(*moved, strict=True))
             found[name] = a, b
         return found

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import ChamberInputs, Claim, FloatArray, Kinematics, acting
+from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Kinematics, acting
 from hydro_diagnosis.effects.memory import ColumnMemory, Indices, Memory, StepMemory, WindowMemory
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -56,7 +56,11 @@ def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatA
         time = np.asarray(plant.model.segment.start + (samples + k) * plant.model.step)
         spool = plant.spool[np.minimum(samples + k, len(plant.spool) - 1), 0][:, None]
         motion = Kinematics(time, states[k, 0], states[k, 1])
-        dry = 0.0 if not plant.sticks else np.sign(motion.velocity) * plant.level(motion) / plant.mass(motion)
+        dry = (
+            0.0
+            if not plant.has_stiction
+            else np.sign(motion.velocity) * plant.dry_friction_magnitude(motion) / plant.mass(motion)
+        )
         found[k] = plant.rates(states[k], time, spool, memory)[1] - dry
         memory.tick()
     return found
@@ -95,7 +99,7 @@ def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, differences
         shown = claim.effect.read_sensor(name, proxy, record, claim.values)
         if shown is proxy:
             continue
-        if claim.effect.memoryless:
+        if claim.effect.has_no_time_filter:
             both = {
                 key: plant.model.other_signals[key][at] + differences.get(key, 0.0) for key in plant.model.other_signals
             }
@@ -117,7 +121,7 @@ def _proxy(plant: Plant, name: str) -> FloatArray:
     if name == "piston_position":
         return plant.model.channels[name]
     if name == "load_force":
-        return plant.model.spring_force(plant.bench, plant.claims, plant.model.recorded)
+        return plant.model.load_force(plant.bench, plant.claims, plant.model.recorded)
     p_a, p_b = (plant.model.smooth(plant.model.true_signal("pressure_" + chamber, plant.claims)) for chamber in "ab")
     if name == "hydraulic_force":
         force: FloatArray = eq.hydraulic_force(plant.bench, p_a, p_b)
@@ -147,7 +151,7 @@ class Plant:
     """Plant under claims, to be simulated from any sample of a recording."""
 
     model: SegmentModel
-    claims: tuple[Claim, ...]
+    claims: tuple[EffectHypothesis, ...]
     bench: Bench
     spool: FloatArray
     """Spool position [A], shape (n, substeps)."""
@@ -155,14 +159,14 @@ class Plant:
     """States of the elements with memory along the recording, by key."""
     channels: Mapping[str, FloatArray]
     """Channels as recorded; the position of `model` is corrected by the claims."""
-    sticks: bool
+    has_stiction: bool
     """Whether dry friction causes stiction: not if bristles represent it."""
 
     @classmethod
-    def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:
+    def of(cls, model: SegmentModel, claims: Sequence[EffectHypothesis]) -> Plant:
         """Return the plant of a recording under claims: spool path and states of memory along it are computed."""
-        sticks = bool(acting(claims, "dry_level")) and not any(claim.effect.bristles for claim in claims)
-        substeps = chambers.SUBSTEPS * (2 if sticks else 1)
+        has_stiction = bool(acting(claims, "dry_level")) and not any(claim.effect.models_presliding for claim in claims)
+        substeps = chambers.SUBSTEPS * (2 if has_stiction else 1)
         channels, model = model.channels, model.with_true_position(claims)
         claims = [claim for claim in claims if not claim.effect.is_position_error]
         spool = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
@@ -174,8 +178,8 @@ class Plant:
         for claim in claims:
             claim.effect.trace(model.kinematics, memory, claim.values)
         if "load_force" in model.channels:
-            model.spring_force(model.bench(claims), claims, model.recorded)
-        return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces), channels, sticks)
+            model.load_force(model.bench(claims), claims, model.recorded)
+        return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces), channels, has_stiction)
 
     def rates(
         self,
@@ -193,7 +197,7 @@ class Plant:
         stiff_a, stiff_b = chambers.chamber_stiffnesses(bench, oil, self.acting["hydraulic"])
         motion = Kinematics(time, x, v, (p_a, p_b))
         against = self._dry(motion, stiction)
-        level = self.level(motion) if self.acting["opposing_force"] else against
+        level = self.dry_friction_magnitude(motion) if self.acting["opposing_force"] else against
         for claim in self.acting["opposing_force"]:
             against = claim.effect.opposing_force(against, level, motion, memory, claim.values)
         load = eq.spring_force(bench, x)
@@ -206,7 +210,7 @@ class Plant:
         return rates
 
     @cached_property
-    def acting(self) -> dict[str, tuple[Claim, ...]]:
+    def acting(self) -> dict[str, tuple[EffectHypothesis, ...]]:
         """Claims by the hook of `Effect` in which they act; `hydraulic`: those of the chamber equations."""
         found = {hook: tuple(acting(self.claims, hook)) for hook in ("dry_level", "opposing_force", "load", "inertia")}
         # the spool's path is computed beforehand
@@ -229,10 +233,12 @@ class Plant:
         if stiction is None:
             return np.zeros_like(motion.position)
         return np.where(
-            stiction.sticks, stiction.holding_force, self.level(stiction.toward(motion)) * stiction.direction
+            stiction.sticks,
+            stiction.holding_force,
+            self.dry_friction_magnitude(stiction.toward(motion)) * stiction.direction,
         )
 
-    def level(self, motion: Kinematics) -> FloatArray:
+    def dry_friction_magnitude(self, motion: Kinematics) -> FloatArray:
         """Return the largest force [N] of dry friction, shape (windows,)."""
         level = np.zeros_like(motion.position)
         for claim in self.acting["dry_level"]:
@@ -278,11 +284,11 @@ class Plant:
     ) -> FloatArray:
         first = self.rates(state, time, spool, memory)
         stiction = None
-        if self.sticks:  # dry friction brings the mass to rest within a step, as far as it reaches
+        if self.has_stiction:  # dry friction brings the mass to rest within a step, as far as it reaches
             motion = Kinematics(time, state[0], state[1])
             holding = np.asarray(self.mass(motion) * (state[1] / step + first[1]))
             stiction = StictionStep(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
-            stiction = replace(stiction, sticks=np.abs(holding) <= self.level(stiction.toward(motion)))
+            stiction = replace(stiction, sticks=np.abs(holding) <= self.dry_friction_magnitude(stiction.toward(motion)))
             first[1] -= self._dry(motion, stiction) / self.mass(motion)
         second = self.rates(state + 0.5 * step * first, time, spool, memory, stiction)
         third = self.rates(state + 0.5 * step * second, time, spool, memory, stiction)

@@ -3,7 +3,7 @@
 
 From a faster logger, one row per box sample is taken. For a slower one, or one that lost rows, missing rows are
 interpolated by splines and excluded from the residuals. The same stretch is also interpolated from half of the rows
-(`Segment.thinner`): the difference estimates the effect of missing rows on residuals and parameters.
+(`Segment.half_rows`): the difference estimates the effect of missing rows on residuals and parameters.
 """
 
 from __future__ import annotations
@@ -49,19 +49,19 @@ def resample_to_box_clock(
         return Segment(name, start, step, {key: np.asarray(one, np.float64) for key, one in columns.items()})
     length = (count - 1) * spacing + 1
     kept = np.ones(len(rows), dtype=np.bool_) if even else rows % 2 == 0
-    if even:  # `thinner` lacks as many further rows after each gap as the gap has
+    if even:  # `half_rows` lacks as many further rows after each gap as the gap has
         for k in np.flatnonzero(np.diff(rows) > 1):
             kept[k + 1 : k + int(rows[k + 1] - rows[k])] = False
         kept[-4:] = True
     fewer = {key: values[kept] for key, values in columns.items()}
     apart = spacing if even else 2 * spacing
-    thinner = _placed(name, start, step / spacing, apart, length, rows[kept] * spacing, fewer)
-    return _placed(name, start, step / spacing, spacing, length, rows * spacing, columns, thinner)
+    half_rows = _placed(name, start, step / spacing, apart, length, rows[kept] * spacing, fewer)
+    return _placed(name, start, step / spacing, spacing, length, rows * spacing, columns, half_rows)
 
 
 def _placed(
     name: str, start: float, step: float, spacing: int, count: int, at: Rows, columns: Mapping[str, FloatArray],
-    thinner: Segment | None = None,
+    half_rows: Segment | None = None,
 ) -> Segment:  # fmt: skip
     """Segment of `count` samples, interpolated from the recorded ones at indices `at`."""
     even, measured = np.arange(count), np.zeros(count, dtype=np.bool_)
@@ -76,4 +76,4 @@ def _placed(
     held = step / SAMPLE_PERIOD  # box samples, each with its own current, per sample of the segment
     if "valve_current" in columns and spacing > 1 and held > 1.5:
         channels["valve_current"] = CubicSpline(at, columns["valve_current"])(even + 0.5 * (held - 1.0) / held)
-    return Segment(name, start, step, channels, spacing, measured, thinner)
+    return Segment(name, start, step, channels, spacing, measured, half_rows)

@@ -1,34 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data sets: recordings are read, split into fitted and held-out parts, and trimmed.
+"""Data sets: recordings are read once, split into fitted and held-out parts, and trimmed.
 
-Of long recordings, the windows that together cover most of the state space are retained.
+Recordings too long for memory are read in stretches, twice. The first pass counts the states that each window of 10 s
+visits; the second reads the windows that together cover most of position and velocity, of current and pressure, and of
+the recording's length.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from itertools import combinations
+from itertools import combinations, islice
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_bridge.bags.location import exists, is_bag
-from hydro_diagnosis.bench_numbers import require_equation
+from hydro_bridge.bags.recording import RecordingError, stream_bag
+from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArray
+from hydro_diagnosis.bench_parameters import require_equation
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.io.columns import Columns, median_step
+from hydro_diagnosis.io.table import RawTable, columns_of, map_bag_fields, table_of
 from hydro_diagnosis.io.topics import has_states
-from hydro_diagnosis.preprocessing.quality import MOVING, REMEDY, SATURATED, SHORTEST
-from hydro_diagnosis.preprocessing.streaming import LONGEST, WINDOW, Visits, read_bag_within, table_within
+from hydro_diagnosis.preprocessing.quality import (
+    MIN_SEGMENT_SECONDS,
+    MIN_TRAVEL,
+    REMEDY,
+    SATURATED,
+    check_recording,
+)
+from hydro_diagnosis.preprocessing.smoothing import STRIDE, kinematics
 from hydro_diagnosis.recording import (
-    LAST_THIRD,
+    LAST_THIRD_NOTE,
     MEASURED,
     InputError,
     Recording,
     Segment,
     UnusableRecordingError,
-    named_in_full,
+    ambiguous_paths,
 )
 from hydro_diagnosis.wiring import PlausibilityCheck, check_plausibility
 from hydro_sim.model.bench import Bench
@@ -36,18 +48,20 @@ from hydro_sim.model.bench import Bench
 
 def load_dataset(
     recordings: Sequence[str | Path], holdout: Sequence[str | Path], bench: Bench, columns: ColumnMap | None = None,
-    inspection: PlausibilityCheck | None = None,
+    inspection: PlausibilityCheck | None = None, reader: RecordingReader | None = None,
 ) -> tuple[list[Segment], list[Segment], list[str]]:  # fmt: skip
     """Return the segments to fit, the held-out segments, and notes on their quality; `columns`: as of `read_table`.
 
-    `inspection` collects the doubts about the wiring of each recording, also if none can be diagnosed.
+    `inspection` collects the doubts about the wiring of each recording, also if none can be diagnosed. `reader` holds
+    what earlier calls have read; None: a new one.
 
     Raises InputError if no recording can be diagnosed, or two share data: held-out data must not be fitted.
     """
     inspection = PlausibilityCheck() if inspection is None else inspection
-    in_full = named_in_full([*recordings, *holdout])
-    to_fit, notes = _read(recordings, bench, columns, inspection, in_full)
-    to_check, more_notes = _read(holdout, bench, columns, inspection, in_full, spare=True)
+    in_full = ambiguous_paths([*recordings, *holdout])
+    reader = reader or RecordingReader()
+    to_fit, notes = _read(recordings, reader, bench, columns, inspection, in_full)
+    to_check, more_notes = _read(holdout, reader, bench, columns, inspection, in_full, spare=True)
     _refuse_twice([*to_fit, *to_check])
     if not to_fit:
         raise InputError("no recording was given")
@@ -58,19 +72,19 @@ def load_dataset(
     fitted = [segment for recording in to_fit for segment in recording.segments]
     held = [segment for recording in to_check for segment in recording.segments]
     if not to_check:
-        quality.append(LAST_THIRD)
+        quality.append(LAST_THIRD_NOTE)
         border, whole, fitted = sum(map(len, fitted)) * 2 // 3, fitted, []
         for segment in whole:
             cut = min(max(border, 0), len(segment))
             border -= len(segment)
-            if cut and (len(segment) == cut or cut * segment.step >= SHORTEST):
+            if cut and (len(segment) == cut or cut * segment.step >= MIN_SEGMENT_SECONDS):
                 fitted.append(segment.cut(0, cut))
-            if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= SHORTEST):
+            if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= MIN_SEGMENT_SECONDS):
                 held.append(segment.cut(cut, len(segment)))
     require_equation(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
     _refuse_too_little(fitted, bench, notes)
-    fitted = _informative(fitted, "fitted", bench, quality)
-    return fitted, _informative(held, "checked on", bench, quality), quality
+    fitted = _most_informative(fitted, "fitted", bench, quality)
+    return fitted, _most_informative(held, "checked on", bench, quality), quality
 
 
 def _refuse_twice(recordings: list[Recording]) -> None:
@@ -105,8 +119,8 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
         length = max(round(0.25 / segment.step), 1)
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
         lasted += len(segment) * segment.step
-        moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
-    if moving >= 2.0 * SHORTEST:
+        moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > MIN_TRAVEL / 10.0))
+    if moving >= 2.0 * MIN_SEGMENT_SECONDS:
         return
     reasons = list(notes)
     currents = [segment.channels["valve_current"] for segment in segments if "valve_current" in segment.channels]
@@ -123,8 +137,8 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
 
 
 def _read(
-    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, inspection: PlausibilityCheck,
-    in_full: set[Path], *, spare: bool = False,
+    paths: Sequence[str | Path], reader: RecordingReader, bench: Bench, columns: ColumnMap | None,
+    inspection: PlausibilityCheck, in_full: set[Path], *, spare: bool = False,
 ) -> tuple[list[Recording], list[str]]:  # fmt: skip
     """Recordings that can be diagnosed, and notes on their quality and on refused ones.
 
@@ -141,9 +155,9 @@ def _read(
     for path in map(Path, paths):
         try:
             if exists(path) and is_bag(path) and has_states(path):
-                found = read_bag_within(path, bench, columns, inspected)
+                found = check_bag(path, bench, columns, inspected, reader)
             else:
-                found = table_within(inspected(read_table(path, columns)), bench)
+                found = check_long_table(inspected(table_of(path, reader.columns(path), columns)), bench)
         except UnusableRecordingError as error:
             refused.append(error)
         else:
@@ -157,20 +171,255 @@ def _read(
     return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
 
 
-def _informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
-    """The most informative windows of the segments, `LONGEST` seconds at most, with a note."""
+def _most_informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
+    """The most informative windows of the segments, `MAX_SECONDS` seconds at most, with a note."""
     total = sum(len(segment) * segment.step for segment in segments)
-    if total <= LONGEST:
+    if total <= MAX_SECONDS:
         return segments
-    pieces, visits = [], Visits(bench)
+    pieces, occupancy = [], StateOccupancy(bench)
     for segment in segments:
         length = round(WINDOW / segment.step)
         for at in range(0, max(len(segment) - length + 1, 1), length):
             pieces.append(segment.cut(at, at + length))
-            visits.add(pieces[-1])
-    kept = visits.select(int(LONGEST / WINDOW))
+            occupancy.add(pieces[-1])
+    kept = occupancy.select(int(MAX_SECONDS / WINDOW))
     quality.append(
         f"of {total:.0f} s the {len(kept)} windows of {WINDOW:g} s were {what} which together visit most positions, "
         "velocities, currents and pressures"
     )
     return [pieces[k] for k in kept]
+
+
+# --- long recordings -----------------------------------------------------------------------------------------------
+
+WINDOW = 10.0
+"""Length of a window [s]."""
+_SPEEDS = np.array([-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1])
+"""Edges of the velocity bins [m/s]: finer where friction changes most."""
+_OPENINGS = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
+"""Edges of the current bins, as shares of the largest current."""
+_PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
+"""Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
+
+
+class StateOccupancy:
+    """Occupancy per window: sample counts in cells of position by velocity and of current by pressure difference."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self._cells: list[FloatArray] = []
+        self._starts: list[float] = []
+
+    def add(self, window: Segment) -> None:
+        """Append the occupancy of one window."""
+        channels, bench = window.channels, self._bench
+        here: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
+        there: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
+        if "piston_position" in channels:
+            position, velocity, _ = kinematics(channels["piston_position"], window.step, window.spacing)
+            here = np.digitize(position / bench.stroke, _PLACES) * 9 + np.digitize(velocity, _SPEEDS)
+        if "valve_current" in channels:
+            there = np.digitize(channels["valve_current"] / bench.valve_current_max, _OPENINGS)
+        if {"pressure_a", "pressure_b"} <= channels.keys():
+            difference = channels["pressure_a"] - channels["pressure_b"]
+            there = there + 9 * np.digitize(0.5 * (1.0 + difference / bench.supply_pressure), _PLACES)
+        counts = [np.bincount(cells[::STRIDE], minlength=9 * 16) for cells in (here, there)]
+        self._cells.append(np.concatenate(counts).astype(np.float64))
+        self._starts.append(window.start)
+
+    def select(self, count: int, among: Sequence[int] | None = None) -> list[int]:
+        """Select at most `count` windows greedily, by the increase of the summed square roots of all cells' counts.
+
+        A window also counts in a cell for its tenth of the recording's length, so that drift is observed. `among`:
+        indices of the candidate windows, None for all. Returns ascending indices.
+        """
+        starts, cells = np.array(self._starts), np.array(self._cells)
+        part = np.minimum((starts / max(float(starts.max()), 1e-9) * 10).astype(np.int64), 9)
+        cells = np.hstack([cells, np.eye(10)[part] * cells.sum(axis=1, keepdims=True) / 2.0])
+        open_ = list(range(len(cells)) if among is None else among)
+        chosen: list[int] = []
+        held = np.zeros(cells.shape[1])
+        while open_ and len(chosen) < count:
+            gains: npt.NDArray[np.float64] = np.sqrt(held + cells[open_]).sum(axis=1)
+            chosen.append(open_.pop(int(np.argmax(gains))))
+            held += cells[chosen[-1]]
+        return sorted(chosen)
+
+
+STRETCH = 60_000
+"""Samples read at a time."""
+MAX_SECONDS = 300.0
+"""Largest duration [s] of fitted and of held-out data; longer data are reduced to informative windows, with a note."""
+MAX_WHOLE_STRETCHES = round(MAX_SECONDS / (STRETCH * SAMPLE_PERIOD))
+"""Largest number of stretches of a recording that is used whole."""
+
+
+class RecordingReader:
+    """Reader of recordings, each read once, whatever column maps are applied to it: the hypotheses of a diagnosis.
+
+    What has more than `MAX_SECONDS` at 1 kHz is not kept in memory, but read again by each call.
+    """
+
+    def __init__(self) -> None:
+        self._columns: dict[Path, Columns] = {}
+        self._bags: dict[Path, tuple[list[RawTable], list[str]]] = {}
+
+    def columns(self, path: Path) -> Columns:
+        """Return the columns of a file (`table.columns_of`). Raises InputError with a message that names the path."""
+        if path in self._columns:
+            return self._columns[path]
+        found = columns_of(path)
+        for values in found.series.values():
+            values.setflags(write=False)  # a column map makes new arrays, or refers to these
+        if max(map(len, found.series.values()), default=0) <= MAX_WHOLE_STRETCHES * STRETCH:
+            self._columns[path] = found
+        return found
+
+    def stretches(self, path: Path, notes: list[str]) -> Iterator[RawTable]:
+        """Yield a bag's samples in stretches of `STRETCH`; appends notes on its reading to `notes`."""
+        if path not in self._bags:
+            said: list[str] = []
+            stretches = _stretches(path, said)
+            head = list(islice(stretches, MAX_WHOLE_STRETCHES + 1))
+            if len(head) > MAX_WHOLE_STRETCHES:
+                yield from head
+                del head
+                yield from stretches
+                notes += said
+                return
+            self._bags[path] = head, said
+        head, said = self._bags[path]
+        notes += said
+        yield from head
+
+
+def check_bag(
+    path: Path,
+    bench: Bench,
+    columns: ColumnMap | None = None,
+    inspected: Callable[[RawTable], RawTable] = lambda table: table,
+    reader: RecordingReader | None = None,
+) -> Recording:
+    """Read a bag with /hydro/state and check it: whole if it is short, else its informative windows.
+
+    `columns` is applied to its fields (`table.map_bag_fields`); `inspected` is called with the table or first stretch.
+
+    Raises InputError if it cannot be diagnosed; the message names the path.
+    """
+    reader, notes = reader or RecordingReader(), list[str]()
+
+    def stretches() -> Iterator[RawTable]:
+        for table in reader.stretches(path, notes):
+            yield table if columns is None else map_bag_fields(path, table, columns)
+
+    try:
+        begun = stretches()
+        head = list(islice(begun, MAX_WHOLE_STRETCHES + 1))
+        if not head:
+            raise InputError(f"{path}: the recording is empty")
+        if len(head) <= MAX_WHOLE_STRETCHES:
+            whole = {name: np.concatenate([table.columns[name] for table in head]) for name in head[0].columns}
+            numbers = [table.sample for table in head if table.sample is not None]
+            samples = np.concatenate(numbers) if len(numbers) == len(head) else None
+            time, said = np.concatenate([table.time for table in head]), (*notes, *head[0].notes)
+            return check_recording(inspected(RawTable(path.name, time, samples, whole, said, head[0].units)), bench)
+        inspected(head[0])
+        del head, begun
+        found = _informative(path.name, bench, stretches)
+        return replace(found, quality=(*(f"{path.name}: {note}" for note in dict.fromkeys(notes)), *found.quality))
+    except RecordingError as error:
+        raise InputError(str(error)) from None
+
+
+def check_long_table(table: RawTable, bench: Bench) -> Recording:
+    """Check a table in memory as `check_bag` does a bag, one stretch at a time if it is long.
+
+    Raises InputError if it cannot be diagnosed; the message names the recording.
+    """
+    rows = max(round(STRETCH * SAMPLE_PERIOD / median_step(table.time)), STRETCH)
+    if len(table.time) <= MAX_WHOLE_STRETCHES * rows:
+        return check_recording(table, bench)
+
+    def stretches() -> Iterator[RawTable]:
+        """Yield views of the table; its notes come with the first."""
+        for begin in range(0, len(table.time), rows):
+            part = slice(begin, begin + rows)
+            columns = {name: values[part] for name, values in table.columns.items()}
+            sample = None if table.sample is None else table.sample[part]
+            yield RawTable(table.name, table.time[part], sample, columns, table.notes if begin == 0 else ())
+
+    return _informative(table.name, bench, stretches)
+
+
+def _stretches(path: Path, notes: list[str]) -> Iterator[RawTable]:
+    """Yield the recording in stretches; the box's sample numbers continue from one to the next."""
+    last = number = None
+    for states in _pieces(path, notes):
+        counter = states["sequence"] if last is None else np.concatenate([last, states["sequence"]])
+        steps = np.diff(counter).view(np.int32).astype(np.float64)
+        samples = np.concatenate([[0.0], np.cumsum(steps)]) if number is None else number + np.cumsum(steps)
+        number, last = float(samples[-1]), states["sequence"][-1:].copy()
+        fields = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
+        yield RawTable(path.name, states["time"].copy(), samples, fields)
+
+
+def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
+    """Yield blocks of `STRETCH` samples; the last may be shorter."""
+    parts: list[StateArray] = []
+    for block in stream_bag(path, notes=notes, skip_damaged=True):
+        parts.append(block)
+        while sum(map(len, parts)) >= STRETCH:
+            states = np.concatenate(parts)
+            parts = [states[STRETCH:].copy()]
+            yield states[:STRETCH]
+    if any(map(len, parts)):
+        yield np.concatenate(parts)
+
+
+def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
+    """Recording of the informative windows, selected in a first pass over the stretches and read in a second."""
+    windows: list[tuple[int, int, int, float]] = []  # stretch, segment in it, first sample, s since the start
+    occupancy, notes, idle, origin, seconds = (
+        StateOccupancy(bench),
+        list[str](),
+        list[UnusableRecordingError](),
+        0.0,
+        0.0,
+    )
+    for number, table in enumerate(stretches()):
+        origin = origin if number else float(table.time[0])
+        start, seconds = (float(table.time[at]) - origin for at in (0, -1))
+        try:
+            found = check_recording(table, bench)
+        except UnusableRecordingError as error:
+            idle.append(error)
+            continue
+        notes += [f"{note} (from {start:.0f} s on)" for note in found.quality]
+        for index, segment in enumerate(found.segments):
+            length = round(WINDOW / segment.step)
+            for begin in range(0, len(segment) - length + 1, length):
+                window = segment.cut(begin, begin + length)
+                windows.append((number, index, begin, start + window.start))
+                occupancy.add(window)
+    if not windows:
+        raise idle[0] if idle else UnusableRecordingError("no window of the recording is long enough")
+    notes[5:] = [f"{len(notes) - 5} more notes of this kind"] if len(notes) > 5 else []
+    if idle:
+        notes.append(f"{len(idle)} stretches of {STRETCH * 1e-3:.0f} s show nothing: {idle[0]}")
+    early = [k for k, (*_, start) in enumerate(windows) if start < seconds * 2.0 / 3.0]
+    late = [k for k, (*_, start) in enumerate(windows) if not start < seconds * 2.0 / 3.0]
+    chosen = sorted({*occupancy.select(10, early), *occupancy.select(5, late)})  # the last third may be held out
+    segments = []
+    for number, table in enumerate(stretches()):
+        here = [windows[k] for k in chosen if windows[k][0] == number]
+        checked_again = check_recording(table, bench).segments if here else ()
+        for _, index, begin, start in here:
+            segment = checked_again[index]
+            kept = segment.cut(begin, begin + round(WINDOW / segment.step))
+            channels = {name: values.copy() for name, values in kept.channels.items()}
+            segments.append(replace(kept, start=start, channels=channels))
+    notes.append(
+        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
+        "positions, velocities, currents and pressures; no other sample was judged"
+    )
+    return Recording(recording, tuple(segments), tuple(notes))

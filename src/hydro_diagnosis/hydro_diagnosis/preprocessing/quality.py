@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_diagnosis.bench_numbers import has_spring, knows
+from hydro_diagnosis.bench_parameters import has_spring, is_known
 from hydro_diagnosis.io.columns import means, median_step
 from hydro_diagnosis.preprocessing.box_clock import Mask, Rows, resample_to_box_clock
 from hydro_diagnosis.preprocessing.smoothing import white_noise
@@ -118,7 +118,7 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
     position = columns["piston_position"]
     steps = np.abs(np.diff(position))
     quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
-    least = max(MOVING, QUANTA * quantum) if np.isfinite(quantum) else MOVING
+    least = max(MIN_TRAVEL, QUANTA * quantum) if np.isfinite(quantum) else MIN_TRAVEL
 
     def load_moves(begin: int, end: int) -> bool:
         """Return whether the load force changes by more than the spring's over `least`, and by more than its noise."""
@@ -158,11 +158,11 @@ def _runs(values: FloatArray) -> list[tuple[int, int]]:
     return [(b, e + 1) for b, e in zip(edges[::2], edges[1::2], strict=True) if e - b >= 40]
 
 
-SHORTEST = 1.5
+MIN_SEGMENT_SECONDS = 1.5
 """Shortest segment [s] that is used."""
 STOP_MARGIN = 5e-4
 """Distance [m] from an end stop within which samples are excluded."""
-MOVING = 2e-4
+MIN_TRAVEL = 2e-4
 """Range [m] of the position below which a segment (of a tripped bench, say) is omitted; below a tenth of it a recording
 is refused. An encoder that repeats its value while the piston moves so far is frozen.
 """
@@ -203,9 +203,10 @@ def check_recording(table: RawTable, bench: Bench) -> Recording:
     segments = _segments(table.name, step, index, columns, bad | outside, notes, resampled)
     if not segments:
         position = columns.get("piston_position", np.zeros(0))
-        stands = len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MOVING  # as after a trip
+        stands = len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MIN_TRAVEL  # as after a trip
         raise UnusableRecordingError(
-            f"{table.name}: the bench moves without a gap for less than {SHORTEST:g} s: too short to be diagnosed"
+            f"{table.name}: the bench moves without a gap for less than {MIN_SEGMENT_SECONDS:g} s: "
+            "too short to be diagnosed"
             + (f" ({'; '.join(notes)})" if notes else "")
             + (f"; {REMEDY}" if outside.any() or stands else "")
         )
@@ -248,12 +249,12 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
     if "piston_position" in columns:
         position, stroke = columns["piston_position"], bench.stroke
         low, high = float(np.nanmin(position)), float(np.nanmax(position))
-        if high - low < MOVING / 10.0:
+        if high - low < MIN_TRAVEL / 10.0:
             raise UnusableRecordingError(
                 f"{name}: the piston position does not change (by {high - low:.2g} m): nothing can be diagnosed"
             )
         beyond = (position < -STOP_MARGIN) | (position > stroke + STOP_MARGIN)
-        if knows(bench, "stroke") and np.mean(beyond) >= 0.2:
+        if is_known(bench, "stroke") and np.mean(beyond) >= 0.2:
             raise UnusableRecordingError(
                 f"{name}: piston_position runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm, the stroke of the bench "
                 f"from 0 to {1e3 * stroke:.4g} mm: "
@@ -303,7 +304,7 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
     half a bar if the tank pressure is at most half a bar, since gauges then read relative to the atmosphere.
     """
     outside = np.zeros(len(next(iter(columns.values()))), dtype=bool)
-    if "piston_position" in columns and knows(bench, "stroke"):
+    if "piston_position" in columns and is_known(bench, "stroke"):
         position = columns["piston_position"]
         outside |= (position < STOP_MARGIN) | (position > bench.stroke - STOP_MARGIN)
     least = 5e4 if bench.tank_pressure > 5e4 else -5e4
@@ -340,9 +341,9 @@ def _segments(
         at = unique[begin:end]
         length = int(at[-1] - at[0]) + 1
         found = {key: values[rows[begin:end]] for key, values in columns.items()}
-        if length * step < SHORTEST:
+        if length * step < MIN_SEGMENT_SECONDS:
             short += length
-        elif "piston_position" in found and np.ptp(found["piston_position"]) < MOVING:
+        elif "piston_position" in found and np.ptp(found["piston_position"]) < MIN_TRAVEL:
             still += length
         else:
             bridged += length - len(at)
@@ -354,12 +355,12 @@ def _segments(
         rate = f"recorded at {1.0 / step:.4g} Hz"
         notes.append(
             f"{rate}: of every {round(SAMPLE_PERIOD / step)} rows that at the box's millisecond was taken"
-            if segments[0].thinner is None
+            if segments[0].half_rows is None
             else f"{rate}, not the box's {1.0 / SAMPLE_PERIOD:.4g} Hz: what happens between two rows is not known; "
             "nothing is claimed that half of the rows would not show too"
         )
     if still:
         notes.append(f"{still} samples in which the piston stands still were not used")
     if short:
-        notes.append(f"{short} samples stand in stretches shorter than {SHORTEST:g} s and were not used")
+        notes.append(f"{short} samples stand in stretches shorter than {MIN_SEGMENT_SECONDS:g} s and were not used")
     return segments

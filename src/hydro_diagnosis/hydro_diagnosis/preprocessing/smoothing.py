@@ -53,7 +53,8 @@ POSITION_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[0] ** 2)))
 VELOCITY_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[1] ** 2)))
 """Noise gain of the velocity of `kinematics`, times the sampling time, relative to the recorded position."""
 ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC[2], _REST) ** 2)))
-"""Noise gain of the acceleration after `finish`, times the sampling time squared, relative to the recorded position."""
+"""Noise gain of the acceleration after `smooth_kinematic`, times the sampling time squared, relative to the recorded
+position."""
 
 
 def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -68,7 +69,7 @@ def second_derivative(position: FloatArray, step: float) -> FloatArray:
     return np.asarray(correlate1d(position, np.array(weights) / step**2, mode="nearest"))
 
 
-def finish(signal: FloatArray, spacing: int = 1) -> FloatArray:
+def smooth_kinematic(signal: FloatArray, spacing: int = 1) -> FloatArray:
     """Smooth a result of `kinematics` to the total width."""
     return _through(signal, _REST_WIDTH * spacing)
 
@@ -78,8 +79,8 @@ def smooth(signal: FloatArray, spacing: int = 1) -> FloatArray:
     return _through(signal, TOTAL_WIDTH * spacing)
 
 
-def finish_at(signal: FloatArray, rows: npt.NDArray[np.int64], spacing: int = 1) -> FloatArray:
-    """`finish` evaluated at the samples `rows` only, shape (len(rows),)."""
+def smooth_kinematic_at(signal: FloatArray, rows: npt.NDArray[np.int64], spacing: int = 1) -> FloatArray:
+    """`smooth_kinematic` evaluated at the samples `rows` only, shape (len(rows),)."""
     return np.asarray(_correlated_at(signal, _taps(_REST_WIDTH * spacing, 0), rows))
 
 

@@ -16,7 +16,7 @@ import yaml
 
 from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import Claim, acting
+from hydro_diagnosis.effects.base import EffectHypothesis, acting
 from hydro_diagnosis.effects.closure import from_mapping, is_closure
 from hydro_sim.model.bench import Bench
 
@@ -27,7 +27,7 @@ HEADER = """\
 """
 
 
-def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
+def corrected_bench(bench: Bench, claims: Sequence[EffectHypothesis]) -> Bench:
     """Bench corrected by claims: its parameters are replaced, closures and other effects are appended to its own.
 
     A wrong bulk modulus or valve gain replaces the bench's parameter, unless an earlier effect acts on the same
@@ -49,7 +49,7 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
     return replace(bench, effects=tuple(effects))
 
 
-def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
+def write_corrected(bench: Bench, claims: Sequence[EffectHypothesis], path: Path) -> None:
     """Write corrected.yaml of a bench and claims; unknown parameters of the bench are omitted."""
     write_atomic(path, corrected_yaml(corrected_bench(bench, claims)).encode())
 
@@ -59,7 +59,7 @@ def corrected_yaml(bench: Bench) -> str:
     return HEADER + yaml.safe_dump(bench.to_mapping(), sort_keys=False)
 
 
-def claims_of(bench: Bench) -> tuple[Claim, ...]:
+def claims_of(bench: Bench) -> tuple[EffectHypothesis, ...]:
     """Claims for the effects and closures of a corrected bench.
 
     Raises ValueError if an effect is unknown or lacks a parameter.
@@ -73,5 +73,5 @@ def claims_of(bench: Bench) -> tuple[Claim, ...]:
         given, names = entry.get("parameters", {}), [one.name for one in effect.parameters]
         if missing := [name for name in names if name not in given]:
             raise ValueError(f"effect {effect.id} lacks its parameter {missing[0]!r}")
-        claims.append(Claim(effect.adapted(bench), {name: float(given[name]) for name in names}))
-    return (*claims, *(Claim(*from_mapping(entry, bench)) for entry in bench.closures))
+        claims.append(EffectHypothesis(effect.adapted(bench), {name: float(given[name]) for name in names}))
+    return (*claims, *(EffectHypothesis(*from_mapping(entry, bench)) for entry in bench.closures))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING
 
-from hydro_diagnosis.bench_numbers import PartialBench
+from hydro_diagnosis.bench_parameters import PartialBench
 from hydro_diagnosis.effects.base import display_unit
-from hydro_diagnosis.recording import LAST_THIRD
+from hydro_diagnosis.recording import LAST_THIRD_NOTE
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import Report, row_of
-from hydro_diagnosis.twin import sentences
+from hydro_diagnosis.simulator_comparison import sentences
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class Diagnosis:
         for models, lengths in ((self.problem.models, fitted), (self.holdout, checked)):
             for segment in (model.segment for model in models):
                 lengths[segment.recording] = lengths.get(segment.recording, 0.0) + len(segment) * segment.step
-        if LAST_THIRD in self.report.data_quality:
+        if LAST_THIRD_NOTE in self.report.data_quality:
             (name, first), last = next(iter(fitted.items())), sum(checked.values())
             return f"fitted on the first two thirds of {name} ({first:.4g} s); checked on its last third ({last:.4g} s)"
         said = (", ".join(f"{name} ({length:.4g} s)" for name, length in one.items()) for one in (fitted, checked))
@@ -128,6 +128,6 @@ class Diagnosis:
 
     def _repr_html_(self) -> str:
         """Show report.html in a notebook."""
-        from hydro_diagnosis.report.page import rendered
+        from hydro_diagnosis.report.page import render_report
 
-        return f'<iframe srcdoc="{escape(rendered(self))}" style="width: 100%; height: 40em; border: 0"></iframe>'
+        return f'<iframe srcdoc="{escape(render_report(self))}" style="width: 100%; height: 40em; border: 0"></iframe>'

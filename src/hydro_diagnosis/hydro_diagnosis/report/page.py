@@ -13,14 +13,14 @@ import numpy as np
 
 from hydro_bridge.pages import environment
 from hydro_core.files.atomic import write_atomic
-from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray, display_unit
+from hydro_diagnosis.effects.base import MOTION, EffectHypothesis, FloatArray, display_unit
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
 from hydro_diagnosis.significance import COVERAGE_FACTOR
-from hydro_diagnosis.twin import sentences
+from hydro_diagnosis.simulator_comparison import sentences
 from hydro_diagnosis.validation import FREE_RUN, SIMULATED
 from hydro_sim.plotting import GREEN, PURPLE, RED, SKY, UNITS
 
@@ -40,7 +40,7 @@ def compare(found: Diagnosis) -> dict[str, Any] | None:
     begins = first + length * np.arange(count)
     base, claims = tuple(found.problem.baseline), tuple(found.assessment.fit.claims)
 
-    def simulated(some: tuple[Claim, ...]) -> dict[str, FloatArray]:
+    def simulated(some: tuple[EffectHypothesis, ...]) -> dict[str, FloatArray]:
         """Simulated measurements by channel, the windows in sequence, each of shape (rows,)."""
         plant = Plant.of(model, some)
         shown = measurements(plant, plant.run(plant.start(begins), begins, length), begins)
@@ -66,7 +66,7 @@ def compare(found: Diagnosis) -> dict[str, Any] | None:
 
 
 def _causes(
-    found: Diagnosis, model: SegmentModel, claims: tuple[Claim, ...], begin: float, end: float
+    found: Diagnosis, model: SegmentModel, claims: tuple[EffectHypothesis, ...], begin: float, end: float
 ) -> list[tuple[float, float, str]]:
     """Intervals [s, s], each with the cause whose omission changes the residuals most."""
     problem = found.problem
@@ -110,10 +110,10 @@ def write_files(found: Diagnosis, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     found.report.write(folder)
     write_corrected(found.corrected, (), folder / "corrected.yaml")
-    write_atomic(folder / "report.html", rendered(found).encode())
+    write_atomic(folder / "report.html", render_report(found).encode())
 
 
-def rendered(found: Diagnosis) -> str:
+def render_report(found: Diagnosis) -> str:
     """Return report.html as text."""
     report, comparison = found.report, compare(found)
 

@@ -84,7 +84,7 @@ def signals_plot(
 def residual_plot(found: Diagnosis) -> str:
     """Plot the residuals of the first segment without and with the claims, and the 2-sigma band of the noise."""
     problem, layout = found.problem, found.problem.layout
-    before, after = found.outcome.nothing.residual, found.assessment.fit.residual
+    before, after = found.outcome.baseline_fit.residual, found.assessment.fit.residual
     present = [k for k in range(len(CHANNELS)) if np.any(layout.channel == k)]
 
     with svg(len(present), (9.0, 1.5 * len(present) + 0.5), sharex=True) as (axes, text):
@@ -197,7 +197,7 @@ def location_plot(found: Diagnosis) -> str:
 
     Moving RMS over 0.1 s, for the four equations with the largest shares of the mismatch, in each one's main channel.
     """
-    places, pause, layout = found.assessment.places[:4], 1.0, found.problem.layout
+    places, pause, layout = found.assessment.locations[:4], 1.0, found.problem.layout
     begins = np.cumsum([0.0, *(len(model.segment) * model.step + pause for model in found.problem.models)])
 
     with svg(len(places), (9.0, 1.2 * len(places) + 0.6), sharex=True) as (axes, text):
@@ -206,7 +206,7 @@ def location_plot(found: Diagnosis) -> str:
                 at = (layout.channel == CHANNELS.index(place.channel)) & (layout.segment == k)
                 time = layout.time[at]
                 width = max(int(0.1 / max(float(np.median(np.diff(time))), 1e-3)), 1)
-                squares = uniform_filter1d(np.square(found.outcome.nothing.residual[at]), width, mode="nearest")
+                squares = uniform_filter1d(np.square(found.outcome.baseline_fit.residual[at]), width, mode="nearest")
                 level = np.sqrt(np.maximum(squares, 1e-2))
                 shift = begins[k] - model.segment.start
                 axis.plot(time + shift, level, color=BLUE, linewidth=0.7, label="unexplained" if k == 0 else None)

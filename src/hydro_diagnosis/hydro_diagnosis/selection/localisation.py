@@ -21,7 +21,7 @@ from scipy.ndimage import uniform_filter1d
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, FOLD_SECONDS, Problem
-from hydro_diagnosis.model.responses import Responses, Shown
+from hydro_diagnosis.model.responses import ChannelResponses, Responses
 
 KNOTS = 24
 """Number of knots of each free-form function; of functions of time, per segment."""
@@ -93,9 +93,9 @@ def _visible(problem: Problem, equation: str, sensor: str) -> bool:
     return (equation if equation in ("motion", "load") else "pressure") in problem.blocks
 
 
-def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) -> Shown:
+def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) -> ChannelResponses:
     """Responses to inputs, shape (functions, n): N, A, m3/s into a chamber, or additive errors of a sensor."""
-    model, nothing = way.model, np.zeros_like(hidden)
+    model, zeros = way.model, np.zeros_like(hidden)
     if equation == "motion":
         return way.to_force(hidden)
     if equation == "load":
@@ -103,13 +103,13 @@ def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) ->
     if equation == "actuation":
         return way.to_spool(hidden)
     if equation != "sensor":
-        return way.to_flows(*((hidden, nothing) if equation == "pressure_a" else (nothing, hidden)))
+        return way.to_flows(*((hidden, zeros) if equation == "pressure_a" else (zeros, hidden)))
     if sensor == "load_force":
         return way.restrict_to_blocks({"load": way.smooth(hidden)})
     means = np.stack([model.means(one) for one in hidden])
     if sensor == "hydraulic_force":
         return way.restrict_to_blocks({"motion": way.smooth(hidden), "hydraulic": means})
-    passed = np.stack([way.observer_innovations(one, nothing[0]) for one in hidden])
+    passed = np.stack([way.observer_innovations(one, zeros[0]) for one in hidden])
     area = -way.bench.piston_area * (1.0 if sensor == "pressure_a" else -way.bench.area_ratio)
     return way.restrict_to_blocks({sensor: way.smooth(passed), "hydraulic": area * means})
 
@@ -131,7 +131,7 @@ def _hats(problem: Problem, variable: str) -> tuple[FloatArray, list[FloatArray]
 
 
 @dataclass(frozen=True)
-class Place:
+class MismatchLocation:
     """Location of a mismatch: its equation and share, and where it is large in time and in state space."""
 
     equation: str
@@ -145,13 +145,13 @@ class Place:
     """Channel of the residuals in which it is largest."""
 
 
-def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm] = ()) -> list[Place]:
+def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm] = ()) -> list[MismatchLocation]:
     """Return the locations, by equation, of residuals that are more than noise, the largest share first.
 
     `forms`: free-form inputs in descending order of evidence.
     """
     gains = {form.equation: form.gain for form in reversed(forms)}
-    excess = {name: square - 1.0 for name, square in problem.remaining(residual).items()}
+    excess = {name: square - 1.0 for name, square in problem.excess_channels(residual).items()}
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     weights: dict[str, float] = {}
     channel_of: dict[str, str] = {}
@@ -165,7 +165,7 @@ def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm] = (
     return [_place(problem, residual, equation, channel_of[equation], weights[equation] / total) for equation in ranked]
 
 
-def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Place]:
+def locate_claims(problem: Problem, found: Fit, baseline_residual: FloatArray) -> list[MismatchLocation]:
     """Return the locations where claimed effects act, by descending power of their signatures in the residuals."""
     layout = problem.layout
     power: dict[tuple[str, str], float] = {}
@@ -182,7 +182,8 @@ def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Pla
     total = sum(power.values()) or 1.0
     ranked = sorted(power, key=lambda key: -power[key])
     return [
-        _place(problem, nothing, equation, channel, power[equation, channel] / total) for equation, channel in ranked
+        _place(problem, baseline_residual, equation, channel, power[equation, channel] / total)
+        for equation, channel in ranked
     ]
 
 
@@ -209,12 +210,12 @@ def _equation(
 def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
     """Return whether both chambers' residuals are large mainly while fed by the supply, whose error it then is.
 
-    One of them may be less than noticeable, but must exceed chance.
+    One of them may be no excess, but must exceed chance.
     """
     layout = problem.layout
     loudness, count = np.zeros((2, 2)), np.zeros((2, 2))
     for k, model in enumerate(problem.models):
-        opens_a = np.interp(model.kept_time(), model.time, model.channels["valve_current"]) > 0.0
+        opens_a = np.interp(model.evaluated_time(), model.time, model.channels["valve_current"]) > 0.0
         for index in range(2):
             fed = opens_a if index == 0 else ~opens_a
             squares = np.square(residual[(layout.channel == index) & (layout.segment == k)]) - 1.0
@@ -234,7 +235,7 @@ def _coherent(problem: Problem, residual: FloatArray) -> bool:
         )
         seen = motion
         if problem.bench.load_cell_bandwidth is not None:
-            kept = model.kept_time()
+            kept = model.evaluated_time()
             fine = model.behind_cell(np.interp(model.time, kept, motion), problem.bench)
             seen = np.interp(kept, model.time, fine)
         matched += float(seen @ load)
@@ -242,7 +243,7 @@ def _coherent(problem: Problem, residual: FloatArray) -> bool:
     return power > 0.0 and matched / power > 0.6
 
 
-def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, share: float) -> Place:
+def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, share: float) -> MismatchLocation:
     layout = problem.layout
     windows, inside = [], []
     for k, model in enumerate(problem.models):
@@ -263,7 +264,7 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
             region[name] = (float(low), float(high))
     amount = f"{share * 100:.0f} %" if share >= 0.01 else "Under 1 %"
     sentence = f"{amount} of the mismatch is in {_WORDS[equation]}."
-    return Place(equation, share, tuple(windows), region, sentence, channel)
+    return MismatchLocation(equation, share, tuple(windows), region, sentence, channel)
 
 
 def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float], ...]:

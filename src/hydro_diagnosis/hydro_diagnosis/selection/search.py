@@ -16,18 +16,24 @@ import numpy as np
 from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.estimation.fit import (
     FORM_ERROR,
+    Candidate,
     Fit,
-    Prospect,
     Signatures,
     add_claim,
     fit,
     pack,
+    rank_candidates,
     remove_claim,
-    screen,
 )
 from hydro_diagnosis.estimation.intervals import all_significant
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
-from hydro_diagnosis.significance import CLAIM_THRESHOLD, COVERAGE_FACTOR, DECISIVE, ITERATIONS, PRACTICAL_SHARE
+from hydro_diagnosis.significance import (
+    CLAIM_THRESHOLD,
+    COVERAGE_FACTOR,
+    ITERATIONS,
+    PRACTICAL_SHARE,
+    VERY_STRONG_EVIDENCE,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +42,7 @@ class SearchSettings:
 
     threshold: float = CLAIM_THRESHOLD
     """Evidence in units of BIC that a claim needs beyond its parameters' price."""
-    most: int = 12
+    max_claims: int = 12
     """Largest number of claims."""
     patience: int = 2
     """Successive claims that each remove less than twice `PRACTICAL_SHARE` of the remainder before the search ends."""
@@ -60,11 +66,11 @@ class SearchOutcome:
     problem: Problem
     """The problem with the weights of the fit."""
     fit: Fit
-    nothing: Fit
+    baseline_fit: Fit
     steps: list[Step] = field(default_factory=list)
     rivals: dict[str, list[Fit]] = field(default_factory=dict)
     """Fits with another cause in place of a claim, by the claim's label, best first."""
-    cut_short: str = ""
+    stop_reason: str = ""
     """Reason in words if the search stopped while further claims might gain enough; else empty."""
 
 
@@ -80,11 +86,11 @@ class _Screened:
 
     doubt: tuple[float, ...]
     """`Problem.uncertainty` at the time of the screening."""
-    waiting: list[Prospect]
-    """Prospects that are not fitted yet."""
+    waiting: list[Candidate]
+    """Candidates that are not fitted yet."""
     fits: list[Fit] = field(default_factory=list)
     """Fits with one claim more than the base."""
-    polished: set[str] = field(default_factory=set)
+    refitted: set[str] = field(default_factory=set)
     """Labels of the candidates that are fitted in full, not by secants."""
 
 
@@ -109,11 +115,11 @@ class Shortlists:
         """
         screened = self._screened.get(_labels(base))
         if screened is None:
-            prospects = screen(problem, base, self._library, self.signatures)[:7]  # the most promising ones
-            hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self._settings.threshold]
+            candidates = rank_candidates(problem, base, self._library, self.signatures)[:7]  # the most promising ones
+            hopeful = [candidate for candidate in candidates if candidate.gain > 0.5 * self._settings.threshold]
             screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, hopeful)
         elif not np.allclose(screened.doubt, problem.uncertainty, rtol=SAME_UNCERTAINTY, atol=0.0):
-            again = [Prospect(one.claims[-1], np.inf) for one in screened.fits]
+            again = [Candidate(one.claims[-1], np.inf) for one in screened.fits]
             screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, [*again, *screened.waiting])
         now = [one for one in screened.waiting if one.gain >= promised and one.claim.effect.label != but]
         screened.waiting = [one for one in screened.waiting if one not in now]
@@ -121,7 +127,7 @@ class Shortlists:
         screened.fits.sort(key=lambda one: one.score)
         return [one for one in screened.fits if one.claims[-1].effect.label != but]
 
-    def polish(self, problem: Problem, base: Fit, enough: float, most: int = 1000, kin: str = "") -> None:
+    def refit(self, problem: Problem, base: Fit, enough: float, most: int = 1000, kin: str = "") -> None:
         """Fit in full the extensions of a base that score `enough` or less, among the best `most`.
 
         `kin`: family that is fitted in full whatever its score: secants do not converge on a spool's two parameters.
@@ -130,13 +136,13 @@ class Shortlists:
         for k, one in enumerate(screened.fits[:most]):
             newest = one.claims[-1].effect
             label = newest.label
-            if label not in screened.polished and (one.score <= enough or (kin and newest.family == kin)):
+            if label not in screened.refitted and (one.score <= enough or (kin and newest.family == kin)):
                 screened.fits[k] = fit(problem, one.claims, tolerance=SCREEN_TOLERANCE)
-                screened.polished.add(label)
+                screened.refitted.add(label)
         screened.fits.sort(key=lambda one: one.score)
 
 
-POLISHED = 3
+MAX_REFITS = 3
 """Largest number of candidates for a further claim that are fitted in full; the others by secants."""
 REFIT_MARGIN = 0.3
 """Share of the best gain by which a candidate's secant fit may fall short and the candidate still be fitted in full;
@@ -178,11 +184,11 @@ class Search:
             self._begun = self.problem.budget.evaluations
         return self._from(fit(self.problem, ()))
 
-    def nothing(self) -> SearchOutcome:
+    def baseline_outcome(self) -> SearchOutcome:
         """Return the outcome without claims."""
         problem = self.problem.reweighted(())
-        nothing = fit(problem, ())
-        return SearchOutcome(problem, nothing, nothing)
+        baseline_fit = fit(problem, ())
+        return SearchOutcome(problem, baseline_fit, baseline_fit)
 
     def _with_given_numbers(self) -> SearchOutcome | None:
         """Return the outcome of a search at the given bench parameters, then estimated jointly with its claims.
@@ -190,14 +196,14 @@ class Search:
         None where something remains: without causes not found yet, a parameter would leave its given value.
         """
         outcome = Search(self.problem.with_estimated(()), self.library, self.settings, self.progress).run()
-        if outcome.problem.noticeable(outcome.fit.residual) and not self.problem.budget.exceeds(SEARCH):
+        if outcome.problem.has_excess(outcome.fit.residual) and not self.problem.budget.exceeds(SEARCH):
             return None
-        most = outcome.fit.score + DECISIVE * self.settings.threshold
+        most = outcome.fit.score + VERY_STRONG_EVIDENCE * self.settings.threshold
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
         numbers = [replace(one, values=sizes.pop(one.effect.label, one.values)) for one in self.problem.estimated]
         others = [claim for claim in outcome.fit.claims if claim.effect.label in sizes]
         outcome.problem, outcome.fit = self._weighed(fit(self.problem, (*numbers, *others)))
-        outcome.nothing = fit(outcome.problem, ())
+        outcome.baseline_fit = fit(outcome.problem, ())
         names = {one.effect.label for one in numbers}
         for label, fits in outcome.rivals.items():
             near = [one for one in fits if one.score < most and not names & _labels(one)]
@@ -205,7 +211,7 @@ class Search:
         self.steps[:] = outcome.steps
         return outcome
 
-    def _from(self, nothing: Fit) -> SearchOutcome:
+    def _from(self, baseline_fit: Fit) -> SearchOutcome:
         """Add the best candidates, and swap claims for better ones, until no step gains enough.
 
         Where something remains, candidates that may only correct a form error of their family join too, but only if in
@@ -213,11 +219,11 @@ class Search:
         """
         self.steps.clear()
         self._unguarded = self._passed_over = False
-        outcome = self._grown(SearchOutcome(self.problem.reweighted(()), nothing, nothing))
-        if self._passed_over and outcome.problem.noticeable(outcome.fit.residual):
+        outcome = self._grown(SearchOutcome(self.problem.reweighted(()), baseline_fit, baseline_fit))
+        if self._passed_over and outcome.problem.has_excess(outcome.fit.residual):
             self._unguarded = True
             whole = self._grown(replace(outcome, steps=[*outcome.steps], rivals={**outcome.rivals}))
-            if not whole.problem.noticeable(whole.fit.residual):
+            if not whole.problem.has_excess(whole.fit.residual):
                 return whole
             self.steps[:] = outcome.steps
         return outcome
@@ -226,7 +232,7 @@ class Search:
         """The outcome with further claims."""
         self._shortlists.signatures.clear()
         ranked, idle = self._ranked(outcome.problem, outcome.fit), 0
-        for _ in range(2 * self.settings.most):
+        for _ in range(2 * self.settings.max_claims):
             if ranked:
                 idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
@@ -239,17 +245,17 @@ class Search:
         return outcome
 
     def _further(self, outcome: SearchOutcome) -> list[Fit]:
-        """Return candidates for a further claim; none if the search must end (`SearchOutcome.cut_short` says why)."""
+        """Return candidates for a further claim; none if the search must end (`SearchOutcome.stop_reason` says why)."""
         if self._exhausted:
             effort = f"its effort of {self.settings.effort} evaluations"
             spent = self.problem.budget.exceeds(SEARCH)
-            outcome.cut_short = f"{'its part of the budget of work' if spent else effort} was spent"
+            outcome.stop_reason = f"{'its part of the budget of work' if spent else effort} was spent"
             return []
         ranked = self._ranked(outcome.problem, outcome.fit)
-        if ranked and len(outcome.fit.cause_claims) >= self.settings.most:
-            outcome.cut_short = f"it looks for {self.settings.most} causes at most"
+        if ranked and len(outcome.fit.cause_claims) >= self.settings.max_claims:
+            outcome.stop_reason = f"it looks for {self.settings.max_claims} causes at most"
             return []
-        outcome.cut_short = ""
+        outcome.stop_reason = ""
         return ranked
 
     @property
@@ -267,7 +273,7 @@ class Search:
         fits = self._shortlists.extensions(problem, base, 0.0)
         if fits:
             best = fits[0].score
-            self._shortlists.polish(problem, base, best + REFIT_MARGIN * (base.score - best), POLISHED)
+            self._shortlists.refit(problem, base, best + REFIT_MARGIN * (base.score - best), MAX_REFITS)
         better = [one for one in self._shortlists.extensions(problem, base, 0.0) if one.score <= enough]
         evidence = [one for one in better if all_significant(problem, one)]
         if self._unguarded or not evidence or not form_error(problem, base, evidence[0]):
@@ -281,10 +287,10 @@ class Search:
         """Whether `found` and one claim more leave only noise in a channel in which that claim alone leaves more."""
         enough = found.score - self.settings.threshold
         self._shortlists.extensions(problem, found, 0.0)
-        self._shortlists.polish(problem, found, enough, POLISHED)
-        for pair in self._shortlists.extensions(problem, found, 0.0)[:POLISHED]:
-            clean = problem.remaining(base.residual).keys() - problem.remaining(pair.residual).keys()
-            if clean and clean & problem.remaining(fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
+        self._shortlists.refit(problem, found, enough, MAX_REFITS)
+        for pair in self._shortlists.extensions(problem, found, 0.0)[:MAX_REFITS]:
+            clean = problem.excess_channels(base.residual).keys() - problem.excess_channels(pair.residual).keys()
+            if clean and clean & problem.excess_channels(fit(problem, (*base.claims, pair.claims[-1])).residual).keys():
                 return True
         return False
 
@@ -302,7 +308,7 @@ class Search:
             present = outcome.fit.score
             evidence = max(base.score - present, 0.0)
             self._shortlists.extensions(problem, base, promising * evidence, label)
-            self._shortlists.polish(problem, base, present + REFIT_MARGIN * evidence, kin=claim.effect.family)
+            self._shortlists.refit(problem, base, present + REFIT_MARGIN * evidence, kin=claim.effect.family)
             fits = self._shortlists.extensions(problem, base, promising * evidence, label)
             outcome.rivals[label] = fits[:4]
             better = []
@@ -317,8 +323,8 @@ class Search:
 
     def _accept(self, outcome: SearchOutcome, found: Fit, action: str, label: str) -> None:
         outcome.problem, outcome.fit = self._weighed(found)
-        outcome.nothing = fit(outcome.problem, ())
-        gained = outcome.fit.score - outcome.nothing.score
+        outcome.baseline_fit = fit(outcome.problem, ())
+        gained = outcome.fit.score - outcome.baseline_fit.score
         outcome.steps.append(Step(action, label, gained))
         self.steps[:] = outcome.steps
         self.progress(f"{action} {label}")
@@ -340,7 +346,7 @@ def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
 
     False where something remains without it and nothing with it: a wrong form leaves a remainder with any name.
     """
-    if problem.noticeable(base.residual) and not problem.noticeable(found.residual):
+    if problem.has_excess(base.residual) and not problem.has_excess(found.residual):
         return False
     newest = found.claims[-1].effect
     kin = [claim for claim in base.cause_claims if newest.family and claim.effect.family == newest.family]
@@ -372,5 +378,5 @@ def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
     before, after = (problem.mean_squares(one.residual) for one in (base, found))
     counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
     channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
-    excess = problem.remaining(found.residual).get(channel, 1.0) - 1.0
+    excess = problem.excess_channels(found.residual).get(channel, 1.0) - 1.0
     return before[channel] - after[channel] < 2.0 * PRACTICAL_SHARE * excess

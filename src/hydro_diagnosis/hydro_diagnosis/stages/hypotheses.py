@@ -19,14 +19,14 @@ from scipy.optimize import minimize_scalar
 from threadpoolctl import threadpool_limits
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.bench_numbers import knows
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.bench_parameters import is_known
+from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED, InputError, Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.significance import ITERATIONS
-from hydro_diagnosis.stages.reading import Case, DiagnosisInput, Progress, read
+from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, Progress, prepare
 from hydro_diagnosis.wiring import AlternativeRepairs, PlausibilityCheck, Repair, in_other_units, reversed_sign
 
 if TYPE_CHECKING:
@@ -36,18 +36,18 @@ DECISIVE_LOG_RATIO = float(np.log(10.0))
 """Decisive `log_gain` of a repair: log of the factor by which mean squared residuals fall, summed over the channels."""
 TIE_LOG_RATIO = float(np.log(1.1))
 """`log_gain` within which two wiring hypotheses tie."""
-PHYSICS = {
+PHYSICAL_DELAYS = {
     "valve_current": (-0.02, 0.0), "piston_position": (-0.01, 0.02), "load_force": (-0.01, 0.06),
     "hydraulic_force": (-0.02, 0.02), "pressure_a": (-0.02, 0.02), "pressure_b": (-0.02, 0.02),
 }  # fmt: skip
 """Range of each channel's delay [s] (negative: early) that valve, play or an amplifier explain: causes, no mistakes."""
-TRIAL = SearchSettings(effort=1500)
+TRIAL_SETTINGS = SearchSettings(effort=1500)
 """Search settings for the comparison of wiring hypotheses."""
-Repaired = tuple[tuple[Repair, ...], Case]
-"""Repairs, and the case of the repaired recordings."""
+RepairedDiagnosis = tuple[tuple[Repair, ...], PreparedDiagnosis]
+"""Repairs, and the prepared diagnosis of the repaired recordings."""
 
 
-def residual_sums(problem: Problem, claims: Sequence[Claim]) -> FloatArray:
+def residual_sums(problem: Problem, claims: Sequence[EffectHypothesis]) -> FloatArray:
     """Return sums of squared residuals over the noise variance, and counts, shape (2, channels)."""
     with np.errstate(all="ignore"):
         squares = problem.layout.squares(problem.residual(claims))
@@ -72,13 +72,16 @@ def log_gain(before: FloatArray, after: FloatArray) -> float:
 
 
 def suspected_repairs(
-    problem: Problem, claims: Sequence[Claim], held: Sequence[Segment] = (), units: Mapping[str, str] | None = None
+    problem: Problem,
+    claims: Sequence[EffectHypothesis],
+    held_out: Sequence[Segment] = (),
+    units: Mapping[str, str] | None = None,
 ) -> tuple[Repair, ...]:
     """Return at most four repairs, selected greedily, that each gain `DECISIVE_LOG_RATIO` or more under these claims.
 
-    `held`: held-out segments, evaluated jointly with the problem's; `units`: unit of a field's column, if not SI.
+    `held_out`: held-out segments, evaluated jointly with the problem's; `units`: unit of a field's column, if not SI.
     """
-    segments = [replace(one, thinner=None) for one in (*(model.segment for model in problem.models), *held)]
+    segments = [replace(one, half_rows=None) for one in (*(model.segment for model in problem.models), *held_out)]
     found: list[Repair] = []
     while len(found) < 4:
         trial = _Trial(problem, claims, segments)
@@ -93,7 +96,7 @@ def suspected_repairs(
 class _Trial:
     """Trial of single repairs on segments."""
 
-    def __init__(self, problem: Problem, claims: Sequence[Claim], segments: list[Segment]) -> None:
+    def __init__(self, problem: Problem, claims: Sequence[EffectHypothesis], segments: list[Segment]) -> None:
         self._problem, self._claims, self._segments = problem, claims, segments
         self._known: dict[Repair | None, FloatArray] = {}
 
@@ -125,16 +128,16 @@ class _Trial:
         for name in ("valve_current", "hydraulic_force", "load_force"):
             if name in here:
                 yield reversed_sign(name)
-        if "piston_position" in here and knows(bench, "stroke"):
+        if "piston_position" in here and is_known(bench, "stroke"):
             yield replace(reversed_sign("piston_position"), offset=bench.stroke)
         for one, other in (("pressure_a", "pressure_b"), ("hydraulic_force", "load_force")):
             if {one, other} <= here:
-                yield Repair(one, f"{one} and {other} are exchanged", exchanged=other)
+                yield Repair(one, f"{one} and {other} are exchanged", exchanged_with=other)
         for name in ("hydraulic_force", "load_force"):
             if name in here:
                 yield from in_other_units(name, ("N", "kN", "daN", "lbf"), units)
         for name in (*MEASURED, "valve_current"):
-            if name in here and not PHYSICS[name][0] <= (late := self.delay(name)) <= PHYSICS[name][1]:
+            if name in here and not PHYSICAL_DELAYS[name][0] <= (late := self.delay(name)) <= PHYSICAL_DELAYS[name][1]:
                 yield advance(name, late)
 
     def delay(self, field: str) -> float:
@@ -176,46 +179,46 @@ def advance(field: str, delay: float) -> Repair:
 
 
 @dataclass(frozen=True)
-class SearchResult:
+class WiringFit:
     """Residuals of the best causes under one wiring hypothesis: the recordings as they are, or repaired."""
 
     fitted: FloatArray
     """`residual_sums` of the fitted recordings."""
-    held: FloatArray
+    held_out: FloatArray
     """`residual_sums` of the held-out recordings."""
-    claims: tuple[Claim, ...]
-    numbers: int
+    claims: tuple[EffectHypothesis, ...]
+    parameter_count: int
     """Number of parameters of the causes."""
 
 
-def read_repaired(question: DiagnosisInput, progress: Progress) -> Case:
-    """Read the recordings as they are, or repaired if that explains them better; `Case.wiring` states which and why.
+def prepare_best_wiring(inputs: DiagnosisInput, progress: Progress) -> PreparedDiagnosis:
+    """Prepare the recordings as they are, or repaired if that explains them better; its `wiring` states which and why.
 
     Raises InputError if they can be diagnosed neither as they are nor repaired.
     """
     inspection = PlausibilityCheck()
-    case: Case | None = None
+    prepared: PreparedDiagnosis | None = None
     refusal = ""
     try:
-        case = read(question, progress, inspection)
+        prepared = prepare(inputs, progress, inspection)
     except InputError as error:
-        if question.as_wired or not inspection.doubts:
+        if inputs.as_wired or not inspection.doubts:
             raise
         refusal = str(error)
-    if case is not None and question.as_wired:
-        return case
-    if case is not None and not (inspection.doubts or case.problem.noticeable(case.problem.residual(()))):
-        return case
-    readings: list[Repaired] = [((), case)] if case is not None else []
-    if case is None or inspection.doubts:
-        readings = _plausible(question, inspection, progress)
+    if prepared is not None and inputs.as_wired:
+        return prepared
+    if prepared is not None and not (inspection.doubts or prepared.problem.has_excess(prepared.problem.residual(()))):
+        return prepared
+    readings: list[RepairedDiagnosis] = [((), prepared)] if prepared is not None else []
+    if prepared is None or inspection.doubts:
+        readings = _plausible(inputs, inspection, progress)
     for k, (repairs, one) in enumerate(readings):
-        if further := suspected_repairs(one.problem, (), one.held, one.units):  # besides implausible values
+        if further := suspected_repairs(one.problem, (), one.held_out, one.units):  # besides implausible values
             repairs = (*repairs, *further)
             with suppress(InputError):
-                readings[k] = repairs, read(_repaired(question, repairs, inspection.units), progress)
+                readings[k] = repairs, prepare(_repaired(inputs, repairs, inspection.units), progress)
     if not readings:
-        return read(question, progress)
+        return prepare(inputs, progress)
     repairs, other = readings[0]
     if len(readings) > 1:
         explained = [_searched(one, progress) for _, one in readings]
@@ -224,53 +227,56 @@ def read_repaired(question: DiagnosisInput, progress: Progress) -> Case:
         ]
     if not repairs:
         return other
-    if any(repair.becomes == "" for repair in repairs):
+    if any(repair.reassigned_to == "" for repair in repairs):
         refusal = "no two sensors have the same noise"
-    if case is None or refusal:
-        return replace(other, wiring=_repair_note(repairs, other.question, f"as recorded: {refusal.split(' (')[0]}"))
-    return _choose(case, _searched(case, progress), repairs, other, progress)
+    if prepared is None or refusal:
+        return replace(other, wiring=_repair_note(repairs, other.inputs, f"as recorded: {refusal.split(' (')[0]}"))
+    return _choose(prepared, _searched(prepared, progress), repairs, other, progress)
 
 
-def reconsider_wiring(case: Case, found: StageResult, progress: Progress) -> Case:
-    """Return the case, or its repaired version if the residual or a pair of claims is explained by a wiring mistake."""
+def reconsider_wiring(prepared: PreparedDiagnosis, found: StageResult, progress: Progress) -> PreparedDiagnosis:
+    """Return the prepared diagnosis, or its repaired version if a wiring mistake explains residual or two claims."""
     claims = found.outcome.fit.claims
-    left_over = found.assessment.remainder or found.holdout.noticeable(found.holdout.residual(claims))
-    if case.question.as_wired or found.by_curve is not None:
-        return case  # the residual of rough recordings is no evidence of their wiring
-    repairs = suspected_repairs(found.problem, claims, case.held, case.units) if left_over else ()
+    left_over = found.assessment.remainder or found.holdout.has_excess(found.holdout.residual(claims))
+    if prepared.inputs.as_wired or found.by_curve is not None:
+        return prepared  # the residual of rough recordings is no evidence of their wiring
+    repairs = suspected_repairs(found.problem, claims, prepared.held_out, prepared.units) if left_over else ()
     values = {claim.effect.id: claim.values for claim in claims}
     if not repairs and values.keys() >= {"spring_rest", "dead_volume"}:
         offset = found.problem.bench.spring_rest_position - values["spring_rest"]["position"]
         said = "piston_position has its zero elsewhere (offset estimated from the spring force: better measure it)"
         repairs = (Repair("piston_position", said, offset=float(f"{offset:.5g}")),)
     if not repairs:
-        return case
+        return prepared
     try:
-        other = read(_repaired(case.question, repairs, case.units), progress)
+        other = prepare(_repaired(prepared.inputs, repairs, prepared.units), progress)
     except InputError:
-        return case
-    return _choose(case, _search_result(found.problem, found.holdout, claims), repairs, other, progress)
+        return prepared
+    return _choose(prepared, _wiring_fit(found.problem, found.holdout, claims), repairs, other, progress)
 
 
-def _plausible(question: DiagnosisInput, inspection: PlausibilityCheck, progress: Progress) -> list[Repaired]:
+def _plausible(inputs: DiagnosisInput, inspection: PlausibilityCheck, progress: Progress) -> list[RepairedDiagnosis]:
     """Repairs of the fields with implausible values, with the smallest residuals for each set of remaining channels.
 
     At most eight combinations are tried.
     """
-    best: dict[frozenset[str], Repaired] = {}
+    best: dict[frozenset[str], RepairedDiagnosis] = {}
     units = inspection.units
     for repairs in islice(product(*_one_per_field(inspection.doubts)), 8):
         further = PlausibilityCheck()
         try:
-            case = read(_repaired(question, repairs, units), progress, further)
+            prepared = prepare(_repaired(inputs, repairs, units), progress, further)
             if further.doubts:  # in millimetres and from mid-stroke, for instance
                 repairs = (*repairs, *(doubt[-1] for doubt in _one_per_field(further.doubts)))
-                case = read(_repaired(question, repairs, units), progress)
+                prepared = prepare(_repaired(inputs, repairs, units), progress)
         except InputError:
             continue
-        key = frozenset(case.problem.models[0].channels)
-        if key not in best or log_gain(residual_sums(best[key][1].problem, ()), residual_sums(case.problem, ())) > 0.0:
-            best[key] = repairs, case
+        key = frozenset(prepared.problem.models[0].channels)
+        if (
+            key not in best
+            or log_gain(residual_sums(best[key][1].problem, ()), residual_sums(prepared.problem, ())) > 0.0
+        ):
+            best[key] = repairs, prepared
     return list(best.values())
 
 
@@ -286,10 +292,10 @@ def _one_per_field(doubted: Iterable[AlternativeRepairs]) -> list[AlternativeRep
     return [sorted(found, key=lambda doubt: str(doubt[-1]))[len(found) // 2] for _, found in groups]
 
 
-def _repaired(question: DiagnosisInput, repairs: Sequence[Repair], units: Mapping[str, str]) -> DiagnosisInput:
-    """Question with the column map that repairs the recordings; `units`: of the fields' columns, if not SI."""
-    given = ColumnMap.load(question.columns) or ColumnMap({})
-    fields = [name for one in repairs for name in (one.field, one.exchanged) if name]
+def _repaired(inputs: DiagnosisInput, repairs: Sequence[Repair], units: Mapping[str, str]) -> DiagnosisInput:
+    """Input with the column map that repairs the recordings; `units`: of the fields' columns, if not SI."""
+    given = ColumnMap.load(inputs.columns) or ColumnMap({})
+    fields = [name for one in repairs for name in (one.field, one.exchanged_with) if name]
     whole = "time" in given.sources
     columns = given if whole else ColumnMap({**{name: Source(name) for name in fields}, **given.sources}, given.absent)
     for name in fields:
@@ -297,28 +303,34 @@ def _repaired(question: DiagnosisInput, repairs: Sequence[Repair], units: Mappin
             columns = columns.changed(name, replace(source, unit=units[name]))
     for repair in repairs:
         columns = repair.edit(columns)
-    return replace(question, columns=columns if whole else columns.corrections())
+    return replace(inputs, columns=columns if whole else columns.corrections())
 
 
-def _searched(case: Case, progress: Progress) -> SearchResult:
+def _searched(prepared: PreparedDiagnosis, progress: Progress) -> WiringFit:
     """Residuals after a small search for causes."""
     with threadpool_limits(1, "blas"):
-        found = Search(case.problem, case.candidates, TRIAL, progress).run()
-    holdout = found.problem.for_segments(case.held).reweighted(found.fit.claims)
-    return _search_result(found.problem, holdout, found.fit.claims)
+        found = Search(prepared.problem, prepared.candidates, TRIAL_SETTINGS, progress).run()
+    holdout = found.problem.for_segments(prepared.held_out).reweighted(found.fit.claims)
+    return _wiring_fit(found.problem, holdout, found.fit.claims)
 
 
-def _search_result(problem: Problem, holdout: Problem, claims: Sequence[Claim]) -> SearchResult:
-    numbers = sum(len(claim.effect.parameters) for claim in claims)
-    return SearchResult(residual_sums(problem, claims), residual_sums(holdout, claims), tuple(claims), numbers)
+def _wiring_fit(problem: Problem, holdout: Problem, claims: Sequence[EffectHypothesis]) -> WiringFit:
+    parameter_count = sum(len(claim.effect.parameters) for claim in claims)
+    return WiringFit(residual_sums(problem, claims), residual_sums(holdout, claims), tuple(claims), parameter_count)
 
 
-def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Case, progress: Progress) -> Case:
-    """The better explained case of the two, with a note on both."""
+def _choose(
+    prepared: PreparedDiagnosis,
+    here: WiringFit,
+    repairs: Sequence[Repair],
+    other: PreparedDiagnosis,
+    progress: Progress,
+) -> PreparedDiagnosis:
+    """The better explained of the two prepared diagnoses, with a note on both."""
     there = _searched(other, progress)
     lags = ("sensor_lag", "transport_delay", "valve_lag")  # these would absorb the error of an estimated delay
     claims = [claim for claim in there.claims if claim.effect.id not in lags]
-    trial = _Trial(other.problem, claims, [replace(model.segment, thinner=None) for model in other.problem.models])
+    trial = _Trial(other.problem, claims, [replace(model.segment, half_rows=None) for model in other.problem.models])
     again = [
         advance(one.field, round(one.delay + trial.refine_delay(advance(one.field, 0.0)).delay, 5))
         if one.delay
@@ -327,31 +339,33 @@ def _choose(case: Case, here: SearchResult, repairs: Sequence[Repair], other: Ca
     ]
     if again != list(repairs):
         with suppress(InputError):
-            nearer = read(_repaired(case.question, again, case.units), progress)
+            nearer = prepare(_repaired(prepared.inputs, again, prepared.units), progress)
             closer = _searched(nearer, progress)
             gained = log_gain(there.fitted, closer.fitted)
-            if gained > TIE_LOG_RATIO or (gained > -TIE_LOG_RATIO and closer.numbers <= there.numbers):
+            if gained > TIE_LOG_RATIO or (gained > -TIE_LOG_RATIO and closer.parameter_count <= there.parameter_count):
                 repairs, other, there = again, nearer, closer
-    clearer = min(log_gain(here.fitted, there.fitted), log_gain(here.held, there.held))
+    clearer = min(log_gain(here.fitted, there.fitted), log_gain(here.held_out, there.held_out))
     estimated = sum(bool(repair.delay or repair.offset) for repair in repairs)
-    simpler = there.numbers + estimated < here.numbers
-    recorded, repaired = (float(np.sqrt(sum(squares) / sum(counts))) for squares, counts in (here.held, there.held))
+    simpler = there.parameter_count + estimated < here.parameter_count
+    recorded, repaired = (
+        float(np.sqrt(sum(squares) / sum(counts))) for squares, counts in (here.held_out, there.held_out)
+    )
     both = (
         f"in a trial of both, {recorded:.3g} times the noise was left on what was held out as recorded, "
         f"{repaired:.3g} times as repaired"
     )
     if clearer >= DECISIVE_LOG_RATIO or (clearer > -TIE_LOG_RATIO and simpler):
-        return replace(other, wiring=_repair_note(repairs, other.question, both))
+        return replace(other, wiring=_repair_note(repairs, other.inputs, both))
     note = (
         f"the recordings look as if {_words(repairs)}, but were diagnosed as recorded ({both}); if it is a mistake of "
-        f'wiring all the same, diagnose with --columns "{other.question.columns}"'
+        f'wiring all the same, diagnose with --columns "{other.inputs.columns}"'
     )
-    return replace(case, wiring=note)
+    return replace(prepared, wiring=note)
 
 
-def _repair_note(repairs: Sequence[Repair], question: DiagnosisInput, beside: str) -> str:
+def _repair_note(repairs: Sequence[Repair], inputs: DiagnosisInput, beside: str) -> str:
     return (
-        f'{_words(repairs)}: the recordings were diagnosed as repaired by --columns "{question.columns}" ({beside}); '
+        f'{_words(repairs)}: the recordings were diagnosed as repaired by --columns "{inputs.columns}" ({beside}); '
         "correct it at the rig or in the logger, or keep that map; --as-wired takes them as recorded"
     )
 

@@ -15,24 +15,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.bench_numbers import can_simulate
+from hydro_diagnosis.bench_parameters import can_simulate
 from hydro_diagnosis.closure.admission import admit, closure_reports
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.curve_claims import CurveClaims, claims_from_curve
 from hydro_diagnosis.curves import ForceCurve, Motion, motions
-from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim, Effect
+from hydro_diagnosis.effects.base import MOTION, PRESSURE, Effect, EffectHypothesis
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
-from hydro_diagnosis.judge import Accounted, Assessment, accounted_shares, assess, retain_claims
+from hydro_diagnosis.judge import Assessment, ExplainedShares, accounted_shares, assess, retain_claims
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.selection.search import Search, SearchOutcome
-from hydro_diagnosis.validation import Known, equation_errors, holdout_errors
+from hydro_diagnosis.validation import SimulationCache, equation_errors, holdout_errors
 
 if TYPE_CHECKING:
-    from hydro_diagnosis.stages.reading import Case, Progress
+    from hydro_diagnosis.stages.reading import PreparedDiagnosis, Progress
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,11 +46,11 @@ class StageResult:
     """Confidence intervals of the claims' parameters."""
     holdout: Problem
     """Held-out recordings, reweighted for the claims."""
-    simulated: Known
+    simulations: SimulationCache
     """Simulations of the held-out recordings so far."""
-    proof: dict[str, Any]
+    holdout_report: dict[str, Any]
     """Held-out errors: `fit` of report.json."""
-    accounted: Accounted
+    accounted: ExplainedShares
     curve: ForceCurve | None = None
     """Curve of the missing force; None without the equation of motion."""
     by_curve: CurveClaims | None = None
@@ -65,30 +65,30 @@ class StageResult:
         return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}
 
 
-def name_causes(case: Case, search: Search) -> StageResult:
+def name_causes(prepared: PreparedDiagnosis, search: Search) -> StageResult:
     """Name the causes, by the search or by the force curve of rough recordings; return them with their validation."""
     problem, progress = search.problem, search.progress
     progress(stage_bar.CURVES)
     moving = moving_motions(problem) if MOTION in problem.blocks else []
     curve = ForceCurve.over_speed(moving) if moving else None
     if curve is not None and PRESSURE not in problem.blocks and curve.rough:
-        return _by_curve(problem, search.nothing(), case.held, ForceCurve(curve.motions), search, ())
+        return _by_curve(problem, search.baseline_outcome(), prepared.held_out, ForceCurve(curve.motions), search, ())
     progress(stage_bar.SEARCHING)
     outcome = search.run()
     problem = outcome.problem
     progress(stage_bar.SELECTING)
-    holdout = problem.for_segments(case.held)
-    kept, bounds = retain_claims(problem, holdout, outcome.fit, outcome.nothing)
+    holdout = problem.for_segments(prepared.held_out)
+    kept, bounds = retain_claims(problem, holdout, outcome.fit, outcome.baseline_fit)
     progress(stage_bar.CHECKING)
     holdout = holdout.reweighted(kept.claims)
-    simulated: Known = {}
-    proof = holdout_errors(problem, holdout, kept.claims, simulated)
-    accounted = accounted_shares(proof["equations"], proof["equations"])
-    assessment = assess(problem, outcome.fit, kept, outcome.nothing, holdout, accounted)
+    simulations: SimulationCache = {}
+    holdout_report = holdout_errors(problem, holdout, kept.claims, simulations)
+    accounted = accounted_shares(holdout_report["equations"], holdout_report["equations"])
+    assessment = assess(problem, outcome.fit, kept, outcome.baseline_fit, holdout, accounted)
     known = can_simulate(problem.bench)  # needed to simulate a proposed recording
     return StageResult(
-        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated=simulated,
-        proof=proof, accounted=accounted, curve=curve,
+        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout,
+        simulations=simulations, holdout_report=holdout_report, accounted=accounted, curve=curve,
         next_recording=next_recording(problem, outcome, assessment) if known else None,
     )  # fmt: skip
 
@@ -98,31 +98,31 @@ def moving_motions(problem: Problem) -> list[Motion]:
     return [one for one in motions(problem.models, problem.baseline) if float(np.ptp(one.position)) > 0.0]
 
 
-def model_remainder(found: StageResult, case: Case, search: Search) -> StageResult:
+def model_remainder(found: StageResult, prepared: PreparedDiagnosis, search: Search) -> StageResult:
     """Return the result extended by closures; unchanged if no mismatch remains or no closure is admitted.
 
-    None is sought if the remainder may be a resonance aliased by the logger (`Problem.unseen_ringing`), or the budget
-    is spent. If none is admitted in the motion equation of rough recordings, effects are named by the force curve.
+    None is sought if the remainder may be a resonance aliased by the logger (`Problem.aliased_resonance`), or if the
+    budget is spent. If none is admitted in the motion equation of rough recordings, the force curve names effects.
     """
     problem, curve = found.problem, found.curve
     if found.by_curve is not None or not found.assessment.remainder:
         return found
-    if not problem.unseen_ringing and not problem.budget.exhausted:
+    if not problem.aliased_resonance and not problem.budget.exhausted:
         search.progress(stage_bar.MODELLING)
         library = [effect for effect in search.library if effect.named]
         if modelled := _with_laws(found, library, search.progress):
             return modelled
     in_motion = any(place.equation == MOTION for place in found.assessment.remainder)
-    if curve is None or not in_motion or not (curve.rough or problem.unseen_ringing):
+    if curve is None or not in_motion or not (curve.rough or problem.aliased_resonance):
         return found
     others = tuple(one for one in found.assessment.fit.claims if MOTION not in one.effect.blocks)
-    read = _by_curve(problem, found.outcome, case.held, ForceCurve(curve.motions), search, others)
+    read = _by_curve(problem, found.outcome, prepared.held_out, ForceCurve(curve.motions), search, others)
     return read if read.by_curve is not None and read.names - found.names else found
 
 
 def _by_curve(
     problem: Problem, outcome: SearchOutcome, held: Sequence[Segment], curve: ForceCurve, search: Search,
-    others: Sequence[Claim],
+    others: Sequence[EffectHypothesis],
 ) -> StageResult:  # fmt: skip
     """Result with effects named by the force curve, jointly with claims of other equations."""
     search.progress(stage_bar.SELECTING)
@@ -131,13 +131,15 @@ def _by_curve(
     others_fit = fit(problem, others)
     kept = fit(problem, (*others_fit.claims, *read.claims), iterations=0)
     holdout = holdout.reweighted(kept.claims)
-    proof = holdout_errors(problem, holdout, kept.claims)
-    accounted = accounted_shares(proof["equations"], proof["equations"]) | {MOTION: dict(read.accounted)}
+    holdout_report = holdout_errors(problem, holdout, kept.claims)
+    accounted = accounted_shares(holdout_report["equations"], holdout_report["equations"]) | {
+        MOTION: dict(read.accounted)
+    }
     bounds = [*intervals(problem, others_fit), *read.bounds]
-    assessment = assess(problem, kept, kept, outcome.nothing, holdout, accounted)
+    assessment = assess(problem, kept, kept, outcome.baseline_fit, holdout, accounted)
     return StageResult(
-        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulated={},
-        proof=proof, accounted=accounted, curve=curve, by_curve=read, closures=list(read.closures),
+        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulations={},
+        holdout_report=holdout_report, accounted=accounted, curve=curve, by_curve=read, closures=list(read.closures),
     )  # fmt: skip
 
 
@@ -145,7 +147,7 @@ def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress
     """Result with the first admitted closure, fitted jointly with the claims; None if none is admitted."""
     problem, holdout = names.problem, names.holdout
     candidates = closures(problem, names.assessment.fit, library)
-    found = admit(problem, holdout, candidates, names.proof, names.simulated)
+    found = admit(problem, holdout, candidates, names.holdout_report, names.simulations)
     bounds = intervals(found.closure_fit.problem, found.closure_fit.fit) if found else []
     if not found or not all_exclude_neutral(found.closure_fit.fit.claims, bounds):
         return None
@@ -154,11 +156,11 @@ def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress
     named = tuple(one for one in joint_fit.claims if one.effect.named)
     everything = equation_errors(holdout, joint_fit.claims)
     accounted = accounted_shares(everything, equation_errors(holdout, named))
-    nothing = names.outcome.nothing
+    baseline_fit = names.outcome.baseline_fit
     result = replace(
         names, problem=problem, holdout=holdout, bounds=bounds, closures=closure_reports(found, bounds),
-        accounted=accounted, assessment=assess(problem, names.outcome.fit, joint_fit, nothing, holdout, accounted),
-        proof={**found.holdout_report, "equations": everything},
+        accounted=accounted, assessment=assess(problem, names.outcome.fit, joint_fit, baseline_fit, holdout, accounted),
+        holdout_report={**found.holdout_report, "equations": everything},
     )  # fmt: skip
     ahead = names.next_recording if result.names == names.names else None  # else it would separate a dropped claim
     if ahead is None and can_simulate(problem.bench):

@@ -22,22 +22,22 @@ from threadpoolctl import threadpool_limits
 from hydro_bridge.bags.location import is_bag
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.bench_numbers import (
+from hydro_diagnosis.bench_parameters import (
     applies,
-    lacks,
+    is_missing,
+    mark_unknown,
     omission_notes,
     parse_bench,
     read_bench,
     require_parameters,
-    with_unknown,
 )
 from hydro_diagnosis.effects import CANDIDATES
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, Machine, scale_bounds
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, MachineScales, scale_bounds
 from hydro_diagnosis.estimation.problem import Budget, Problem
-from hydro_diagnosis.estimation.unknown_numbers import estimated_claims, require_estimable, starting_bench
+from hydro_diagnosis.estimation.unknown_parameters import estimated_claims, require_estimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.preprocessing.loading import load_dataset
-from hydro_diagnosis.recording import InputError, Segment, named_in_full
+from hydro_diagnosis.preprocessing.loading import RecordingReader, load_dataset
+from hydro_diagnosis.recording import InputError, Segment, ambiguous_paths
 from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.wiring import PlausibilityCheck
 from hydro_sim.files import learned_bench
@@ -46,12 +46,12 @@ from hydro_sim.model.bench import Bench
 
 def recording_entries(paths: Sequence[str | Path]) -> list[dict[str, Any]]:
     """Entry of each recording: `name`, and `begin` [s since 1970] of a bag with /hydro/state, None for other files."""
-    in_full, entries = named_in_full(paths), []
+    in_full, entries = ambiguous_paths(paths), []
     for path in map(Path, paths):
         name, begin = path.stem, None
         if is_bag(path):
             with suppress(RecordingError, StopIteration, IndexError):  # a bag of other topics
-                begin = float(next(stream_bag(path, salvages=True))["time"][0])
+                begin = float(next(stream_bag(path, skip_damaged=True))["time"][0])
                 name = path.name
         entries.append({"name": str(path) if path in in_full else name, "begin": begin})
     return entries
@@ -103,20 +103,22 @@ class DiagnosisInput:
     estimate: Sequence[str]
     as_wired: bool
     budget: Budget = field(default_factory=Budget)
+    reader: RecordingReader = field(default_factory=RecordingReader)
+    """Reader that all wiring hypotheses share, so that none reads a file again."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class PreparedDiagnosis:
     """Input of a diagnosis after reading: estimation problem, candidate effects and held-out segments."""
 
-    question: DiagnosisInput
+    inputs: DiagnosisInput
     problem: Problem
     candidates: list[Effect]
-    held: list[Segment]
+    held_out: list[Segment]
     """Held-out segments."""
-    facts: dict[str, Any]
+    report_fields: dict[str, Any]
     """Fields of the report that are known before the search."""
-    numbers: dict[str, float | None]
+    estimated_parameters: dict[str, float | None]
     """Bench parameters to be estimated, with the bench file's values; None if it holds none."""
     units: Mapping[str, str]
     """Unit of a field's column before conversion to SI, if stated."""
@@ -124,48 +126,50 @@ class Case:
     """Note on the wiring hypothesis taken, as recorded or repaired, if a mistake is suspected; else empty."""
 
 
-def read(question: DiagnosisInput, progress: Progress, inspection: PlausibilityCheck | None = None) -> Case:
+def prepare(
+    inputs: DiagnosisInput, progress: Progress, inspection: PlausibilityCheck | None = None
+) -> PreparedDiagnosis:
     """Read the recordings, check them against the bench file, initialise the parameters to be estimated.
 
     `inspection`: as of `load_dataset`.
 
     Raises InputError if no recording can be diagnosed, or the bench file lacks parameters that they require.
     """
-    estimate = tuple(dict.fromkeys(question.estimate))
+    estimate = tuple(dict.fromkeys(inputs.estimate))
     require_estimable(estimate)
-    given, origin = baseline(question.bench, question.model, estimate)
-    candidates = _candidates(question.without)
+    given, origin = baseline(inputs.bench, inputs.model, estimate)
+    candidates = _candidates(inputs.without)
     progress(stage_bar.READING)
     inspection = PlausibilityCheck() if inspection is None else inspection
-    fitted, held, quality = load_dataset(
-        question.recordings, question.holdout, with_unknown(given, estimate), ColumnMap.load(question.columns),
-        inspection,
+    fitted, held_out, quality = load_dataset(
+        inputs.recordings, inputs.holdout, mark_unknown(given, estimate), ColumnMap.load(inputs.columns),
+        inspection, inputs.reader,
     )  # fmt: skip
     channels = set.intersection(*(set(segment.channels) for segment in fitted))
     require_parameters(channels, given, estimate)
-    believed, baseline_claims = given, claims_of(given)
+    starting, baseline_claims = given, claims_of(given)
     if estimate:
         progress("estimating " + ", ".join(estimate))
         with threadpool_limits(1, "blas"):
-            believed = starting_bench(fitted, given, baseline_claims, estimate)
+            starting = starting_bench(fitted, given, baseline_claims, estimate)
     others = (effect for effect in CANDIDATES if effect not in candidates and effect.named)
-    ruled_out = [effect.adapted(believed) for effect in others if applies(effect, believed)]
-    question.budget.allow(sum(len(segment) for segment in fitted))
+    ruled_out = [effect.adapted(starting) for effect in others if applies(effect, starting)]
+    inputs.budget.allow(sum(len(segment) for segment in fitted))
     problem = Problem(
-        fitted, believed, baseline_claims,
-        estimated=estimated_claims(believed, estimate), ruled_out=ruled_out, budget=question.budget,
+        fitted, starting, baseline_claims,
+        estimated=estimated_claims(starting, estimate), ruled_out=ruled_out, budget=inputs.budget,
     )  # fmt: skip
     if not np.isfinite(problem.residual(())).all():
         raise InputError(
             "the recordings and the bench file give residuals that are not finite: check units and numbers"
         )
-    candidates = [effect.adapted(believed) for effect in candidates if applies(effect, believed)]
-    if machine := _machine(problem):
+    candidates = [effect.adapted(starting) for effect in candidates if applies(effect, starting)]
+    if machine := _machine_scales(problem):
         candidates = [scale_bounds(effect, machine) for effect in candidates]
-    limits = [f"--without {' '.join(question.without)}: these causes were not tried"] if question.without else []
-    limits += [*omission_notes(channels, believed), *quality]
-    if rings := problem.unseen_ringing:  # which the load cell hardly shows
-        candidates = [one for one in candidates if one.id not in RINGING or one.lagged_channel == "load_force"]
+    limits = [f"--without {' '.join(inputs.without)}: these causes were not tried"] if inputs.without else []
+    limits += [*omission_notes(channels, starting), *quality]
+    if rings := problem.aliased_resonance:  # which the load cell hardly shows
+        candidates = [one for one in candidates if one.id not in RESONANCE_CAUSES or one.lagged_channel == "load_force"]
         limits.append(
             f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no cause "
             "is sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is given no "
@@ -178,31 +182,33 @@ def read(question: DiagnosisInput, progress: Progress, inspection: PlausibilityC
         version = metadata.version("hydro_diagnosis")
     except metadata.PackageNotFoundError:
         version = "0.1.0"
-    facts = {
+    report_fields = {
         "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
-        "recordings": recording_entries([*question.recordings, *question.holdout]),
+        "recordings": recording_entries([*inputs.recordings, *inputs.holdout]),
         "data_quality": limits,
         "baseline": {"bench": given.to_mapping(), "model": origin},
         "versions": {"hydro_diagnosis": version},
     }
-    numbers = {name: None if lacks(given, name) else float(getattr(given, name)) for name in estimate}
-    return Case(
-        question=question, problem=problem, candidates=candidates, held=held, facts=facts, numbers=numbers,
-        units=inspection.units,
+    estimated_parameters = {name: None if is_missing(given, name) else float(getattr(given, name)) for name in estimate}
+    return PreparedDiagnosis(
+        inputs=inputs, problem=problem, candidates=candidates, held_out=held_out, report_fields=report_fields,
+        estimated_parameters=estimated_parameters, units=inspection.units,
     )  # fmt: skip
 
 
-RINGING = frozenset({"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"})
+RESONANCE_CAUSES = frozenset(
+    {"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"}
+)
 """Causes that change the resonance of the mass on the oil, or its measurement."""
 
 
-def _machine(problem: Problem) -> Machine | None:
+def _machine_scales(problem: Problem) -> MachineScales | None:
     """Scales of the machine: force, speed and stroke; None without a recorded force or motion."""
     moving = [one for one in problem.models if one.has_position and MOTION in problem.blocks]
     if not moving:
         return None
-    return Machine(
+    return MachineScales(
         force=max(float(np.max(np.abs(one.measured_force(())))) for one in moving),
         speed=max(float(np.percentile(np.abs(one.v), 99.0)) for one in moving),
         stroke=max(float(np.ptp(one.x)) for one in moving),

@@ -14,25 +14,25 @@ import scipy.signal
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.curve_claims import OPERATORS
 from hydro_diagnosis.curve_reports import curve_reports
-from hydro_diagnosis.effects.base import HYDRAULIC, Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import HYDRAULIC, Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
-from hydro_diagnosis.estimation.fit import Fit, by_claim, cause, fit, holdout_gain
+from hydro_diagnosis.estimation.fit import Fit, by_claim, cause_key, fit, holdout_gain
 from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Layout, Problem
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
-from hydro_diagnosis.selection.localisation import Place
+from hydro_diagnosis.selection.localisation import MismatchLocation
 from hydro_diagnosis.selection.search import Search, SearchOutcome
-from hydro_diagnosis.significance import DECISIVE
-from hydro_diagnosis.stages.unclaimed import bench_parameter_estimates, confirmed, undetectable_note
+from hydro_diagnosis.significance import VERY_STRONG_EVIDENCE
+from hydro_diagnosis.stages.parameter_checks import bench_parameter_estimates, confirmation_note, undetectable_note
 
 if TYPE_CHECKING:
     from hydro_diagnosis.stages.naming import StageResult
-    from hydro_diagnosis.stages.reading import Case
+    from hydro_diagnosis.stages.reading import PreparedDiagnosis
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """Spectral line of the residuals, at the same frequency in all recordings."""
 
     frequency: float
@@ -50,7 +50,7 @@ class Line:
         )
 
 
-def line_of(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> Line | None:
+def common_spectral_line(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> SpectralLine | None:
     """Return the spectral line common to a channel's residuals in all segments, or None.
 
     `parts`: layout and residuals [noise standard deviations] of the fitted, and of the held-out recordings.
@@ -65,10 +65,10 @@ def line_of(parts: Sequence[tuple[Layout, FloatArray]], channel: str) -> Line | 
     told = [line for line in lines if line is not None]
     if not told or len(told) < len(lines) or np.ptp([line.frequency for line in told]) > finest:
         return None
-    return Line(float(np.mean([line.frequency for line in told])), min(line.share for line in told))
+    return SpectralLine(float(np.mean([line.frequency for line in told])), min(line.share for line in told))
 
 
-def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
+def _strongest(time: FloatArray, residual: FloatArray) -> SpectralLine | None:
     """Spectral line of one segment: over 30 % of the residual's power beyond the noise (1 per sample) within two bins.
 
     Its peak is at least 40 times the median of 40 bins on either side: for white noise once in 10^8, with 5000 bins.
@@ -86,10 +86,10 @@ def _strongest(time: FloatArray, residual: FloatArray) -> Line | None:
     if beyond <= 0.0 or frequency[best] <= slowest or power[best] < 40.0 * floor:
         return None
     share = float(power[best - 2 : best + 3].sum()) / 1.5 / beyond  # Hann's window widens a line: 1.5 bins of noise
-    return Line(float(frequency[best]), min(share, 1.0)) if share > 0.3 else None
+    return SpectralLine(float(frequency[best]), min(share, 1.0)) if share > 0.3 else None
 
 
-def describe(findings: StageResult) -> list[EffectReport]:
+def effect_reports(findings: StageResult) -> list[EffectReport]:
     """Report entries of the retained named effects, sorted by decreasing evidence."""
     problem, found, read = findings.problem, findings.assessment.fit, findings.by_curve
     reports = []
@@ -124,19 +124,19 @@ def describe(findings: StageResult) -> list[EffectReport]:
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
-def _rivals(outcome: SearchOutcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
+def _rivals(outcome: SearchOutcome, found: Fit, claim: EffectHypothesis) -> tuple[list[Rival], list[LookAlike]]:
     """Rivals of a claim, the closest first, and separately those without an id in the table of effects."""
     rivals, look_alikes = [], []
     if any(is_closure(one.effect) for one in found.claims):
         return [], []  # rivals were fitted without the closure: no fair comparison
-    seen = {cause(claim.effect)}
+    seen = {cause_key(claim.effect)}
     for other in outcome.rivals.get(claim.effect.label, []):
         last = other.claims[-1]
-        if cause(last.effect) in seen or len(other.claims) != len(found.claims):
+        if cause_key(last.effect) in seen or len(other.claims) != len(found.claims):
             continue
-        seen.add(cause(last.effect))
+        seen.add(cause_key(last.effect))
         distance = other.score - found.score
-        apart, words = distance > DECISIVE, last.effect.label.replace(":", " ")
+        apart, words = distance > VERY_STRONG_EVIDENCE, last.effect.label.replace(":", " ")
         words = words if last.effect.named else words.replace("_", " ")
         why = (
             f"{words} in its place fits worse: its BIC is higher by {distance:.0f}"
@@ -151,7 +151,7 @@ def _rivals(outcome: SearchOutcome, found: Fit, claim: Claim) -> tuple[list[Riva
     return rivals[:3], look_alikes
 
 
-def location_of(place: Place, problem: Problem) -> Location:
+def location_of(place: MismatchLocation, problem: Problem) -> Location:
     """Report entry of a location of the mismatch, with its windows by recording."""
     windows: dict[str, list[list[float]]] = {}
     for model, stretches in zip(problem.models, place.windows, strict=True):
@@ -160,43 +160,45 @@ def location_of(place: Place, problem: Problem) -> Location:
     return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)
 
 
-def build_report(case: Case, search: Search, found: StageResult, begun: float) -> Diagnosis:
+def build_report(prepared: PreparedDiagnosis, search: Search, found: StageResult, begun: float) -> Diagnosis:
     """Build the report, with its underlying data; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
     searched = found.by_curve is None
     hidden = undetectable_note(problem, assessment.fit, search.library, search.settings.threshold) if searched else ""
-    effects = describe(found)
-    notes = (*([case.wiring] if case.wiring else []), *_notes(found, effects, hidden, search.library))
+    effects = effect_reports(found)
+    notes = (*([prepared.wiring] if prepared.wiring else []), *_notes(found, effects, hidden, search.library))
     search.progress(stage_bar.FORECASTING)
-    given = (*case.question.recordings, *case.question.holdout)
-    forecast, reason = forecasts(problem, assessment.fit.claims, case.held, given)
+    given = (*prepared.inputs.recordings, *prepared.inputs.holdout)
+    forecast, reason = forecasts(problem, assessment.fit.claims, prepared.held_out, given)
     lacking = [f"forecast: {reason}"] if reason else []
     report = Report(
         verdict=assessment.verdict,
-        location=[location_of(place, problem) for place in assessment.places],
+        location=[location_of(place, problem) for place in assessment.locations],
         effects=effects,
         remainder=_remainder(found),
         closures=found.closures,
         curves=curve_reports(problem, assessment.fit.claims, found.curve, found.by_curve),
         accounted=found.accounted,
-        estimated=bench_parameter_estimates(problem, assessment.fit, found.bounds, search.library, case.numbers),
+        estimated=bench_parameter_estimates(
+            problem, assessment.fit, found.bounds, search.library, prepared.estimated_parameters
+        ),
         forecast=forecast,
-        fit=found.proof,
+        fit=found.holdout_report,
         next_recording=found.next_recording,
         seconds=time.monotonic() - begun,
         steps=_steps(search),
-        **case.facts
-        | {"data_quality": [*case.facts["data_quality"], *notes]}
-        | {"not_checked": [*case.facts["not_checked"], *lacking]},
+        **prepared.report_fields
+        | {"data_quality": [*prepared.report_fields["data_quality"], *notes]}
+        | {"not_checked": [*prepared.report_fields["not_checked"], *lacking]},
     )
-    return Diagnosis(report, case.problem.bench, problem, assessment, found.outcome, found.holdout.models)
+    return Diagnosis(report, prepared.problem.bench, problem, assessment, found.outcome, found.holdout.models)
 
 
-def interrupted_report(case: Case, search: Search, begun: float) -> Report:
+def interrupted_report(prepared: PreparedDiagnosis, search: Search, begun: float) -> Report:
     """Return the report after Ctrl-C, without a verdict: equations that can be checked, and search steps so far."""
     return Report(
         verdict=INTERRUPTED, location=[], effects=[], remainder=None, fit={}, next_recording=None,
-        seconds=time.monotonic() - begun, steps=_steps(search), **case.facts,
+        seconds=time.monotonic() - begun, steps=_steps(search), **prepared.report_fields,
     )  # fmt: skip
 
 
@@ -204,7 +206,7 @@ def _notes(
     found: StageResult, effects: Sequence[EffectReport], hidden: str, library: Sequence[Effect]
 ) -> tuple[str, ...]:
     """Return notes on limits of the verdict."""
-    assessment, cut_short, budget, early = found.assessment, "", found.problem.budget, ""
+    assessment, stop_reason, budget, early = found.assessment, "", found.problem.budget, ""
     rows = {model.step * model.spacing for model in found.problem.models}
     for effect in effects:
         bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
@@ -213,17 +215,21 @@ def _notes(
                 "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
                 "the same; if this one does, move that column down by one row and diagnose again"
             )
-    if budget.exhausted or (budget.exceeds(SEARCH) and found.outcome.cut_short):
-        cut_short = (
+    if budget.exhausted or (budget.exceeds(SEARCH) and found.outcome.stop_reason):
+        stop_reason = (
             f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: this is the best answer until "
             "then; --seconds sets another"
         )
-    elif found.outcome.cut_short and assessment.remainder:
-        cut_short = f"the search for causes ended early ({found.outcome.cut_short}): there may be more than it names"
-    sure = "" if assessment.remainder else confirmed(found.problem, assessment.fit, found.bounds, library, hidden)
+    elif found.outcome.stop_reason and assessment.remainder:
+        stop_reason = (
+            f"the search for causes ended early ({found.outcome.stop_reason}): there may be more than it names"
+        )
+    sure = (
+        "" if assessment.remainder else confirmation_note(found.problem, assessment.fit, found.bounds, library, hidden)
+    )
     lacking = found.by_curve.why if found.by_curve is not None else ""
     lacking = f"no friction is named: {lacking}" if lacking else ""
-    return tuple(note for note in (early, hidden, cut_short, lacking, sure) if note)
+    return tuple(note for note in (early, hidden, stop_reason, lacking, sure) if note)
 
 
 def _steps(search: Search) -> list[dict[str, Any]]:
@@ -236,7 +242,7 @@ def _remainder(found: StageResult) -> dict[str, Any] | None:
         return None
     equation = assessment.remainder[0].equation
     left = ((problem.layout, assessment.fit.residual), (holdout.layout, holdout.residual(assessment.fit.claims)))
-    line = line_of(left, assessment.remainder[0].channel)
+    line = common_spectral_line(left, assessment.remainder[0].channel)
     like = [claim.effect.sentence(claim.values) for claim in assessment.dropped if not claim.effect.named]
     telling = [form for form in assessment.forms if form.gain > 0.0 and form.equation == equation]
     return {

@@ -17,8 +17,8 @@ from hydro_core.files import site
 from hydro_core.settings import describe
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped_metric
-from hydro_filter.region.statement import CertifiedRegion, region_path
-from hydro_filter.region.watch import RegionMonitor
+from hydro_filter.region.certified_region import CertifiedRegion, region_path
+from hydro_filter.region.monitor import RegionMonitor
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
@@ -47,8 +47,8 @@ class FilterChoice:
     ) -> FilterChoice:
         """Create the choice of these files; None: the shipped ones, and the bench.yaml of hydro_sim."""
         file = Path(bench) if bench else None
-        believed = Bench.load(file) if file else Bench.nominal()
-        return cls(bench=believed, bench_file=file, metric=str(metric or LEARNED), model=Path(model) if model else None)
+        assumed = Bench.load(file) if file else Bench.nominal()
+        return cls(bench=assumed, bench_file=file, metric=str(metric or LEARNED), model=Path(model) if model else None)
 
     @property
     def files(self) -> dict[str, Path]:
@@ -70,9 +70,9 @@ class FilterChoice:
                 told[name] = f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}"
             except OSError as error:
                 raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None
-        ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.certificates)
+        ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.all_metrics)
         certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
-        proved, foreign = self._statements
+        proved, foreign = self._regions
         laws = {False: "the paper's law", True: "the compensated law"}
         regions = [f"proved for {laws[compensated]}" for compensated in proved]
         regions += [f"{name} is of another model or bench: not used" for name in foreign]
@@ -90,7 +90,7 @@ class FilterChoice:
         stored, name = self.stored_metric, self.files["metric"].name
         return (
             learned_bench.box_mismatch(self.files["model"], box, learn)
-            or mismatch(f"the metric {name}", stored.made, box, learn_metric, model=self._model_digest)
+            or mismatch(f"the metric {name}", stored.provenance, box, learn_metric, model=self._model_digest)
             or stored.validity_error(name)
         )
 
@@ -120,25 +120,25 @@ class FilterChoice:
         """Create the filter.
 
         Raises WeightsError: a file is missing, unreadable, or of a model that has no certificate; ValueError: as
-        `loop_parts`.
+        `filter_record`.
         """
         metric = self.stored_metric
         return loop_filter(metric, learned_bench.load_model(self.files["model"]), self.bench, settings)
 
     @cached_property
-    def _statements(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
-        """Statements stored with the metric, True: of the compensated law; and names of files for another bench.
+    def _regions(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
+        """Regions stored with the metric, True: of the compensated law; and names of files for another bench.
 
-        Raises ValueError: a file is not a region's statement.
+        Raises ValueError: a file is not of a region.
         """
-        believed, proved, foreign = (self._model_digest, self.bench.digest), {}, []
+        expected, proved, foreign = (self._model_digest, self.bench.digest), {}, []
         for compensated in (False, True):
             path = region_path(self.files["metric"], compensated=compensated)
             if not path.is_file():
                 continue
-            statement = CertifiedRegion.load(path)
-            if (statement.facts.get("model"), statement.facts.get("box")) == believed:
-                proved[compensated] = statement
+            region = CertifiedRegion.load(path)
+            if (region.facts.get("model"), region.facts.get("box")) == expected:
+                proved[compensated] = region
             else:
                 foreign.append(path.name)
         return proved, foreign
@@ -146,10 +146,10 @@ class FilterChoice:
     def make_region_monitor(self, filtering: LoopFilter) -> RegionMonitor | None:
         """Return a monitor of the regions stored with the metric; None: none is certified for this model and bench.
 
-        Raises ValueError: a file is not a region's statement.
+        Raises ValueError: a file is not of a region.
         """
-        proved, _ = self._statements
-        return RegionMonitor(proved, float(filtering.parts["closing"][0])) if proved else None
+        proved, _ = self._regions
+        return RegionMonitor(proved, float(filtering.record["closing"][0])) if proved else None
 
 
 NUMERIC_OPTIONS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "state_age_max")

@@ -14,7 +14,7 @@ from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
 from hydro_filter.controller.factory import LEARNED, FilterChoice
-from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
+from hydro_filter.controller.loop_filter import LoopFilterSettings, filter_record
 from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, without_disturbances
 from hydro_sim.box.firmware import Records
 from hydro_sim.box.header import header_file, initializer, record_members, wrap_words
@@ -23,13 +23,13 @@ from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.source import embedded_source
 
 
-def render_header(parts: Records, loop: Loop, table: FloatArray, origin: str) -> str:
+def render_header(record: Records, loop: Loop, table: FloatArray, origin: str) -> str:
     """Return a C header that defines the filter's configuration, `HYDRO_LOOP_FILTER`.
 
     Parameters
     ----------
-    parts
-        Record of `loop_parts`, shape (1,).
+    record
+        Record of `filter_record`, shape (1,).
     loop, table
         Loop model and table of the metric.
     origin
@@ -40,9 +40,9 @@ def render_header(parts: Records, loop: Loop, table: FloatArray, origin: str) ->
     ValueError
         The model uses a function that the C firmware does not have.
     """
-    truth, arrays = loop.truth, loop.arrays | {"table": table}
+    model, arrays = loop.model_bench, loop.arrays | {"table": table}
     names = {name: f"HYDRO_FILTER_{name.upper().replace('.', '_')}" for name in arrays}
-    members = record_members(parts[0])
+    members = record_members(record[0])
     members["table"] = names.pop("table")
     for name, word in names.items():
         *path, last = name.split(".")
@@ -50,7 +50,7 @@ def render_header(parts: Records, loop: Loop, table: FloatArray, origin: str) ->
     at = members["loop"]
     at["whole"]["rates"], at["linear"]["rates"] = "hydro_whole_all_rates", "hydro_linear_all_rates"
     at["sample"], at["jacobian"] = "hydro_whole_all_sample", "hydro_linear_all_jacobian"
-    models = (("hydro_whole", truth, False), ("hydro_linear", without_disturbances(truth), True))
+    models = (("hydro_whole", model, False), ("hydro_linear", without_disturbances(model), True))
     lines = [
         f"#define HYDRO_STATES {max(int(loop['whole.states']), int(loop['linear.states']))}",
         f"#define HYDRO_COORDINATES {len(loop.scale)}",
@@ -93,10 +93,10 @@ def main() -> None:
     choice = FilterChoice.from_files(metric=options.metric, model=options.model, bench=options.bench)
     if trouble := choice.pairing_error():
         raise ValueError(trouble)
-    truth, bench, metric = load_model(choice.files["model"]), choice.bench, choice.stored_metric
+    model, bench, metric = load_model(choice.files["model"]), choice.bench, choice.stored_metric
     settings = LoopFilterSettings(contraction_rate=options.contraction_rate)
-    loop, parts = make_loop(truth, bench), loop_parts(metric, truth, bench, settings)
+    loop, record = make_loop(model, bench), filter_record(metric, model, bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     origin = f"Written by `ros2 run hydro_filter export_c` for the bench {bench.digest}: {told}."
-    write_atomic(Path(options.out), render_header(parts, loop, metric.table, origin).encode())
+    write_atomic(Path(options.out), render_header(record, loop, metric.table, origin).encode())
     print(f"{options.out}: {options.metric} metric for bench {bench.digest}")

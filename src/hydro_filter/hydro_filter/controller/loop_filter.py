@@ -5,7 +5,7 @@
 
     contraction_filter = default_filter(bench)
     contraction_filter.correct(sample)                    Sample in, Result out, one bench, as the node runs it
-    records.decide(address, parts, memory, ...)           the same for a compiled loop
+    records.decide(address, record, memory, ...)          the same for a compiled loop
 
 The law is represented by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample.law_inputs`). v is relative to f_r even
 if the law follows f_c: the loop's contraction does not depend on the reference.
@@ -106,26 +106,26 @@ class LoopFilter:
 
     Parameters
     ----------
-    parts
-        Record of `loop_parts` for the metric's C_1.
+    record
+        Record of `filter_record` for the metric's C_1.
     settings
-        Only age, bypass and `innovation_limit` are read here; the others are part of `parts`.
+        Only age, bypass and `innovation_limit` are read here; the others are part of `record`.
     others
         Records for other C_1.
     """
 
     def __init__(
-        self, parts: Records, settings: LoopFilterSettings | None = None, others: Sequence[Records] = ()
+        self, record: Records, settings: LoopFilterSettings | None = None, others: Sequence[Records] = ()
     ) -> None:
-        self.parts = parts
+        self.record = record
         self.settings = settings or LoopFilterSettings()
         self.memory, self.monitor = new_memories(), new_monitors()
         self.decision = np.zeros(1, DECISION)
         """Decision on the last sample, with a, b, low, high of its QP."""
         self._sample = np.zeros(1, SAMPLE)
         self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
-        self._parts = (parts, *others)  # have to live as long as their addresses
-        self._certificates = [(float(each["velocity_compensation"][0]), address_of(each)) for each in self._parts]
+        self._records = (record, *others)  # have to live as long as their addresses
+        self._certificates = [(float(each["velocity_compensation"][0]), address_of(each)) for each in self._records]
         """C_1 and address of each record."""
         papers = [c_1 == 1.0 for c_1, _ in self._certificates]
         self._unknown = [True not in papers, False not in papers]
@@ -160,15 +160,15 @@ class LoopFilter:
         if self._unknown[sample.compensated]:
             self.reset_history()
             return Result.uncorrected(CorrectionStatus.BYPASSED)
-        law, (_, parts) = sample.law_inputs, self._certificates[0]
+        law, (_, record) = sample.law_inputs, self._certificates[0]
         for c_1, address in self._certificates[1:]:
             if abs(law[2] - law[3] * c_1) <= C1_TOLERANCE * law[3]:
-                parts = address
+                record = address
         _PACK(
             self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
         )  # fmt: skip
-        self._judge(parts, self.settings.innovation_limit, *self._addresses)  # an old sample, too: the memory moves on
+        self._judge(record, self.settings.innovation_limit, *self._addresses)  # an old sample, too: the memory moves on
         delta_u, before, after, *_, status, _ = self.decision.item()
         if status == CorrectionStatus.NAN:
             before = math.nan
@@ -192,12 +192,12 @@ _PACK = struct.Struct("17d?").pack_into
 def loop_filter(
     metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopFilter:
-    """Return the filter of a metric's file, with all its certificates (raises as `loop_parts`)."""
-    first, *others = (loop_parts(each, model, bench, settings) for each in metric.certificates)
+    """Return the filter of a metric's file, with all its metrics (raises as `filter_record`)."""
+    first, *others = (filter_record(each, model, bench, settings) for each in metric.all_metrics)
     return LoopFilter(first, settings, others)
 
 
-def loop_parts(
+def filter_record(
     metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> Records:
     """Return a record of FILTER, shape (1,): of a metric, its training model, and the bench assumed by the box.

@@ -71,9 +71,9 @@ WHOLE_SAMPLE = 1e-9
 class Loop:
     """Model of the force loop; `loop["whole.spool"]` is a field of hydro_loop (firmware/hydro/loop.h)."""
 
-    truth: Bench
+    model_bench: Bench
     """The bench file."""
-    believed: Bench
+    box_bench: Bench
     """Bench that the box's force law is configured for."""
     values: dict[str, Any]
     """Fields of `record`, by name."""
@@ -91,47 +91,47 @@ class Loop:
         return self.arrays["scale"]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return make_loop, (self.truth, self.believed)
+        return make_loop, (self.model_bench, self.box_bench)
 
 
-def make_loop(truth: Bench, believed: Bench) -> Loop:
-    """Return the force loop of the bench file `truth` under a box configured for the bench `believed`.
+def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
+    """Return the force loop of the bench file `model_bench` under a box configured for the bench `box_bench`.
 
     Raises ValueError: the certificate's coordinates cannot represent this bench; the message is one sentence.
     """
-    check_representable(truth)
+    check_representable(model_bench)
     # both models, and the indices of the linear model's states in the whole one
-    linear_bench = without_disturbances(truth)
-    whole, linear = BenchModel(truth, substeps=SUBSTEPS), BenchModel(linear_bench, substeps=SUBSTEPS)
-    states, linear_states = terms.hidden_state_indices(truth), terms.hidden_state_indices(linear_bench)
+    linear_bench = without_disturbances(model_bench)
+    whole, linear = BenchModel(model_bench, substeps=SUBSTEPS), BenchModel(linear_bench, substeps=SUBSTEPS)
+    states, linear_states = terms.hidden_state_indices(model_bench), terms.hidden_state_indices(linear_bench)
     k, rest, _ = whole.begin(whole.values)
     carried = whole.values * [MASS_FACTOR if one.name == "moving_mass" else 1.0 for one in whole.parameters]
-    past = whole.structure.past
+    past = whole.structure.past_currents
     from_whole = [*range(TEXTBOOK), *(states[name] for name in linear_states), *range(len(rest) - past, len(rest))]
 
     # load, friction, sensors and valve
-    numbers, law, size = truth.constants()[0], believed.constants()[0], believed.size
+    numbers, law, size = model_bench.constants()[0], box_bench.constants()[0], box_bench.size
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
-    forces = terms.load_curve(numbers, [one for one in truth.terms if one["id"] not in DISTURBANCES], positions)
+    forces = terms.load_curve(numbers, [one for one in model_bench.terms if one["id"] not in DISTURBANCES], positions)
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
-    level, (before, after) = terms.dry_friction(truth), terms.null_shifts(truth)
-    bristles = any(effect["id"] == "friction_presliding" for effect in truth.effects)
-    (lag, inertia), (gain, bias) = terms.load_cell_coefficients(truth), terms.sensor_calibration(truth)
+    level, (before, after) = terms.dry_friction(model_bench), terms.null_shifts(model_bench)
+    bristles = any(effect["id"] == "friction_presliding" for effect in model_bench.effects)
+    (lag, inertia), (gain, bias) = terms.load_cell_coefficients(model_bench), terms.sensor_calibration(model_bench)
     area, stiffness_a = float(numbers["piston_area"]), hydraulics.stiffnesses(numbers, float(rest[2]))[0]
     half_supply = sqrt(0.5 * float(numbers["supply_pressure"]))
-    delay = catalogue.total_delay(truth.effects)
+    delay = catalogue.total_delay(model_bench.effects)
 
     # coordinates that the bench file adds to the eight: of lagging pressure sensors, then of currents in the dead time
-    sensors = terms.lagging_sensors(truth, states, linear_states)
+    sensors = terms.lagging_sensors(model_bench, states, linear_states)
     on_their_way = ceil(delay / SAMPLE_PERIOD - WHOLE_SAMPLE)
     lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
     for i, one in enumerate(sensors):
         lagging[i] = one.signal_index, one.rate_index, one.chamber, one.delay
     if count := len(sensors):
         observer[: count + 1, : 3 * count] = terms.pressure_observer(linear, sensors, size)
-    scale = coordinate_scales(believed)
-    pressure, currents = float(scale[Q_HYDRAULIC]) / truth.piston_area, TEXTBOOK + len(linear_states)
+    scale = coordinate_scales(box_bench)
+    pressure, currents = float(scale[Q_HYDRAULIC]) / model_bench.piston_area, TEXTBOOK + len(linear_states)
     kept = [index for one in sensors for index in (one.linear_signal_index, one.linear_rate_index)]
     kept += range(currents, currents + on_their_way)
     added = [unit for one in sensors for unit in (pressure, one.omega * pressure)]
@@ -142,7 +142,7 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
         "coordinates": len(scale) + len(added), "lagging": lagging, "lagging_count": count, "observer": observer,
         "force_shown": terms.state_index(states, terms.FORCE_CELL_LAG, "signal"),
         "delay": delay, "past": past, "at_valve": floor(delay / SAMPLE_PERIOD + WHOLE_SAMPLE),
-        "on_their_way": on_their_way, "spool_age": terms.lag_delay(terms.find_parameters(truth, terms.VALVE_LAG)),
+        "on_their_way": on_their_way, "spool_age": terms.lag_delay(terms.find_parameters(model_bench, terms.VALVE_LAG)),
         "before": before, "after": after,
         "points": len(forces), "first": positions[0], "step": positions[1] - positions[0],
         "level": level, "holds": level > 0.0 and not bristles, "creep": size.length * VELOCITY_NOISE_FLOOR,
@@ -154,7 +154,7 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
         # g is zero where both chambers are at their limits
         "least_gain": 0.1 * area * stiffness_a * float(numbers["valve_gain"]) * half_supply,
         "least_opening": 0.1 * float(numbers["valve_current_max"]),
-        "gain_floor": float(BoxConfig().constants(believed)["gain_floor"][0]),
+        "gain_floor": float(BoxConfig().constants(box_bench)["gain_floor"][0]),
         "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
         "bench": tuple(float(law[name]) for name in BENCH_FIELDS),
     }  # fmt: skip
@@ -171,18 +171,18 @@ def make_loop(truth: Bench, believed: Bench) -> Loop:
         "from_whole": np.array(from_whole, np.int32), "rest": rest, "forces": forces,
         "scale": np.append(scale, added), "kept": np.array(kept, np.int32),
     }  # fmt: skip
-    return Loop(truth, believed, values, arrays, make_record(LOOP, values, arrays))
+    return Loop(model_bench, box_bench, values, arrays, make_record(LOOP, values, arrays))
 
 
-def check_representable(truth: Bench) -> None:
+def check_representable(bench: Bench) -> None:
     """Raise ValueError if the certificate cannot represent one of a bench's effects or closures."""
-    static = [one for one in truth.closures if not has_hidden_states(one)]
+    static = [one for one in bench.closures if not has_hidden_states(one)]
     loads: list[Mapping[str, Any]] = [{"id": "closure", **one} for one in static if one["equation"] == "load"]
     refused: dict[str, list[Mapping[str, Any]]] = {
-        "what closures remember": [one for one in truth.closures if has_hidden_states(one)],
+        "what closures remember": [one for one in bench.closures if has_hidden_states(one)],
         "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
         "a mass that the load drags along": [one for one in loads if "acceleration" in signals_of(one)],
-        "a load that follows the velocity": [one for one in loads if terms.depends_on_velocity(truth, one)],
+        "a load that follows the velocity": [one for one in loads if terms.depends_on_velocity(bench, one)],
     }
     for what, closures in refused.items():
         if closures:
@@ -192,7 +192,7 @@ def check_representable(truth: Bench) -> None:
                 "small"
             )
     for what, label in SINGLE_LAG_EFFECTS.items():
-        if sum(catalogue.label(effect).startswith(label) for effect in truth.effects) > 1:
+        if sum(catalogue.label(effect).startswith(label) for effect in bench.effects) > 1:
             raise ValueError(f"the filter's certificate has a place for one lag of {what}, the bench file has more")
 
 
@@ -238,16 +238,16 @@ def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> 
     return make_samples(to_matrix(states), **signals, c_1=velocity_compensation)
 
 
-def without_disturbances(truth: Bench) -> Bench:
+def without_disturbances(bench: Bench) -> Bench:
     """Return the bench without `DISTURBANCES` and without motion closures that depend on the direction of motion."""
     return replace(
-        truth,
-        effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES),
-        closures=tuple(one for one in truth.closures if one["equation"] != "motion" or not depends_on_direction(one)),
+        bench,
+        effects=tuple(effect for effect in bench.effects if effect["id"] not in DISTURBANCES),
+        closures=tuple(one for one in bench.closures if one["equation"] != "motion" or not depends_on_direction(one)),
     )
 
 
-def without_overlap(truth: Bench) -> Bench | None:
+def without_overlap(bench: Bench) -> Bench | None:
     """Return the bench without its valve's overlap; None if it has none."""
-    kept = tuple(effect for effect in truth.effects if effect["id"] != terms.OVERLAP)
-    return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None
+    kept = tuple(effect for effect in bench.effects if effect["id"] != terms.OVERLAP)
+    return replace(bench, effects=kept) if len(kept) < len(bench.effects) else None

@@ -3,9 +3,9 @@
 
 ::
 
-    parts = loop_parts(metric, model, bench)                   a record of FILTER, shape (1,)
+    record = filter_record(metric, model, bench)               a record of FILTER, shape (1,)
     linearize(loop, samples)                                   F, G, K, v of successive samples
-    decide(decide_address(), parts, memory, sample, made)      one decision, in a loop that numba compiles
+    decide(decide_address(), record, memory, sample, decision) one decision, in a loop that numba compiles
 
 A record and the arrays that it points to share one block of memory (`make_record`): pointers are valid as long as the
 record, and a copy of the record alone must not outlive it. The library is that of the box (`hydro_sim.box.firmware`).
@@ -144,9 +144,9 @@ def decide_address() -> int:
 
 
 @intrinsic
-def decide(typingctx: Any, address: Any, parts: Any, memory: Any, sample: Any, made: Any) -> Any:
+def decide(typingctx: Any, address: Any, record: Any, memory: Any, sample: Any, decision: Any) -> Any:
     """Numba intrinsic: decide the correction of a sample without the monitor; arguments are records of shape (1,)."""
-    return declare_call(types.void(types.int64, parts, memory, sample, made), "pppp")
+    return declare_call(types.void(types.int64, record, memory, sample, decision), "pppp")
 
 
 class Linearization(NamedTuple):
@@ -154,7 +154,7 @@ class Linearization(NamedTuple):
 
     transition: FloatArray
     """F, shape (n, c, c). F, G and K have only the samples selected for linearization."""
-    push: FloatArray
+    input_vector: FloatArray
     """G [1/A], shape (n, c)."""
     feedback: FloatArray
     """K [A], shape (n, c)."""
@@ -187,13 +187,13 @@ def linearize(
     n, width, states = len(samples), int(loop["coordinates"][0]), int(loop["whole"]["states"][0])
     rows = n if linearized is None else int(linearized.sum())
     shapes = (rows, width, width), (rows, width), (rows, width), (n, width), (n, states), (n, 2), (n,)
-    made = Linearization(*(np.empty(shape) for shape in shapes))
+    output = Linearization(*(np.empty(shape) for shape in shapes))
     memory = new_memories() if memory is None else memory
     chosen = None if linearized is None else address_of(linearized)
     library().hydro_c_filter_follow(
-        address_of(loop), address_of(memory), n, address_of(samples), chosen, *map(address_of, made)
+        address_of(loop), address_of(memory), n, address_of(samples), chosen, *map(address_of, output)
     )
-    return made
+    return output
 
 
 def run_monitor(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
@@ -206,6 +206,6 @@ def run_monitor(loop: Records, samples: Records, memory: Records, monitor: Recor
 
 def law_gradient(loop: Records, sample: Records) -> FloatArray:
     """Return the gradient du/dx of the force law at a sample, shape (8,), A per unit of each measurement."""
-    made = np.empty(8)
-    library().hydro_c_filter_gradient(address_of(loop), address_of(sample), address_of(made))
-    return made
+    output = np.empty(8)
+    library().hydro_c_filter_gradient(address_of(loop), address_of(sample), address_of(output))
+    return output

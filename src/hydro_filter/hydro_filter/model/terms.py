@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
+from hydro_core.bench_scales import BenchScales
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_core.size import Size
 from hydro_filter.model.records import NO_STATE
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
@@ -97,8 +97,8 @@ def load_cell_coefficients(bench: Bench) -> tuple[float, float]:
 
 def load_curve(record: Any, effects: Sequence[Mapping[str, Any]], positions: FloatArray) -> FloatArray:
     """Return the load force f_l [N] at `positions` [m], without backlash."""
-    numbers = SimpleNamespace(**{name: float(record[name]) for name in record.dtype.names})
-    force = rates.load_force(numbers, [_evaluable(effect, numbers) for effect in effects], positions)
+    bench = SimpleNamespace(**{name: float(record[name]) for name in record.dtype.names})
+    force = rates.load_force(bench, [_evaluable(effect, bench) for effect in effects], positions)
     return np.asarray(force, np.float64)
 
 
@@ -112,14 +112,14 @@ def depends_on_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
 def sensor_calibration(bench: Bench) -> tuple[FloatArray, FloatArray]:
     """Return gain and bias of the five readings, shape (5,) each."""
     ends = np.array([np.zeros(len(READINGS)), np.ones(len(READINGS))])
-    for made in (_evaluable(effect, None) for effect in bench.effects):
-        ends = np.array([[made.read_sensor(name, z) for name, z in zip(READINGS, row, strict=True)] for row in ends])
+    for one in (_evaluable(effect, None) for effect in bench.effects):
+        ends = np.array([[one.read_sensor(name, z) for name, z in zip(READINGS, row, strict=True)] for row in ends])
     return ends[1] - ends[0], ends[0]
 
 
-def _evaluable(effect: Mapping[str, Any], numbers: Any, velocity: float = 0.0) -> Effect:
+def _evaluable(effect: Mapping[str, Any], bench: Any, velocity: float = 0.0) -> Effect:
     """Return an effect with its parameters' values, for terms that need no state but the velocity [m/s]."""
-    return catalogue.parse_entry(effect)[0].bound(parameters_of(effect), numbers=numbers, velocity=velocity)
+    return catalogue.parse_entry(effect)[0].bind(parameters_of(effect), bench=bench, velocity=velocity)
 
 
 def dry_friction(bench: Bench) -> float:
@@ -184,7 +184,7 @@ def lagging_sensors(
     return found
 
 
-def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size: Size) -> FloatArray:
+def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size: BenchScales) -> FloatArray:
     """Return the gains of the observer of pressures behind lagging sensors.
 
     The observer corrects pressure, sensor output and its rate, of each lagging sensor, twice a sample. The position's

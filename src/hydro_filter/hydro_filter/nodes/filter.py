@@ -45,7 +45,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from hydro_bridge.plant_clock import FILTER_WINDOW
-from hydro_bridge.ros.answers import SampleAcknowledger
+from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import (
     DiagnosticsPublisher,
     Level,
@@ -66,13 +66,13 @@ from hydro_bridge.ros.topics import AUTHORITY, CORRECTION, LAW_STATE, STATE, cre
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.cli.console import UserError, command
 from hydro_core.files.site import RECOMMISSION_HINT
-from hydro_core.process import endings
+from hydro_core.process import termination
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import OUTSIDE_REGION, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
 from hydro_filter.controller.factory import FilterChoice, parse_args
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
-from hydro_filter.region.watch import RegionMonitor
+from hydro_filter.region.monitor import RegionMonitor
 from hydro_msgs.msg import Authority
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.model.bench import Bench
@@ -83,7 +83,7 @@ DISCOVERY_TIME = 0.5
 """s after the start within which another filter is discovered, if there is one."""
 LAW_VALID_SAMPLES = 50
 """Number of samples for which a LawState message stays valid, as one may be lost."""
-REPORTED = (
+REPORTED_STATUSES = (
     CorrectionStatus.BYPASSED, CorrectionStatus.MISMATCH, CorrectionStatus.NAN, CorrectionStatus.STALE,
     CorrectionStatus.INFEASIBLE, CorrectionStatus.RELAXED, CorrectionStatus.MODIFIED,
 )  # fmt: skip
@@ -125,8 +125,8 @@ class LoadedFilter(NamedTuple):
     @classmethod
     def load(cls, choice: FilterChoice, settings: LoopFilterSettings) -> LoadedFilter:
         """Create the filter of a choice and compile its models at first use; raises as `FilterChoice.make`."""
-        made = choice.make(settings)
-        return cls(choice, choice.describe(), made, choice.make_region_monitor(made))
+        contraction_filter = choice.make(settings)
+        return cls(choice, choice.describe(), contraction_filter, choice.make_region_monitor(contraction_filter))
 
     def __str__(self) -> str:
         return "; ".join(f"{name}: {value}" for name, value in self.description.items())
@@ -171,17 +171,17 @@ class FileWatch:
 class FilterNode(Node):
     """Node that runs the filter on each BenchState and publishes a Correction for it.
 
-    `choice`: filter to run. `settings`: defaults of the ROS parameters. `realtime`: request SCHED_FIFO. `handed`: a
+    `choice`: filter to run. `settings`: defaults of the ROS parameters. `realtime`: request SCHED_FIFO. `in_process`: a
     plant in this process hands over its samples (`hydro_bridge.nodes.plant_node.Corrector`), and decides on scheduling.
     """
 
     def __init__(
-        self, choice: FilterChoice, settings: LoopFilterSettings, *, realtime: bool = False, handed: bool = False
+        self, choice: FilterChoice, settings: LoopFilterSettings, *, realtime: bool = False, in_process: bool = False
     ) -> None:
         super().__init__("filter")
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
-        self._statistics, self._handed, self._armed = FilterStatistics(), handed, False
+        self._statistics, self._in_process, self._armed = FilterStatistics(), in_process, False
         self._reported: Counter[CorrectionStatus] = Counter()
         """Statuses when they were last reported."""
         self._lock = threading.Lock()  # held while a sample is answered, which may be in a plant's thread
@@ -205,7 +205,7 @@ class FilterNode(Node):
         self._states: Subscription | None = None
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._advice = "" if realtime else ", or start it with --realtime"
-        scheduling = "in the plant's process" if handed else request_realtime(realtime=realtime)
+        scheduling = "in the plant's process" if in_process else request_realtime(realtime=realtime)
         rate = f"contraction rate {self.settings.contraction_rate:g} 1/s"
         self.get_logger().info(f"{self._loaded}; {rate}, {scheduling}")
         if self.settings.bypass:
@@ -216,7 +216,7 @@ class FilterNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DISCOVERY_TIME, self._start_publishing, clock=steady)
         self.create_timer(FILE_POLL_PERIOD, self._poll_files, clock=steady)
-        if handed:
+        if in_process:
             return
         self._laws = subscribe(self, LAW_STATE, LAW_STATES, self._on_law_state)
         self._authority = create_subscription(self, AUTHORITY, self._on_authority)
@@ -231,11 +231,11 @@ class FilterNode(Node):
         late = threading.Timer(WAIT_NOTICE_DELAY, log, [notice])
         late.daemon = True
         late.start()
-        before = endings.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
+        before = termination.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
             loaded = LoadedFilter.load(choice, self.settings)
         finally:
-            endings.restore_handlers(before)
+            termination.restore_handlers(before)
             late.cancel()
         if (taken := time.monotonic() - begin) > WAIT_NOTICE_DELAY:
             log(f"compiled in {taken:.0f} s")
@@ -246,7 +246,7 @@ class FilterNode(Node):
             return
         if others := self.get_publishers_info_by_topic(CORRECTION):
             waits = "this filter waits until it ends"
-            if self._handed:
+            if self._in_process:
                 waits = "its corrections do not reach this plant, end it"
             self.get_logger().warning(f"{others[0].node_name} answers already: {waits}", throttle_duration_sec=10.0)
             return
@@ -334,16 +334,16 @@ class FilterNode(Node):
     def _answer(self, message: Any) -> None:
         self._waiting = None
         with self._lock:
-            begin, made = time.perf_counter(), self._loaded.filter
+            begin, contraction_filter = time.perf_counter(), self._loaded.filter
             gap = -1 if self._last is None else (message.sequence - self._last.sequence - 1) & 0xFFFFFFFF
             self._statistics.missing += gap if 0 < gap < 0x80000000 else 0  # a restarted source counts from zero
             if gap:
-                made.reset_history()
+                contraction_filter.reset_history()
             age, law, armed = self._age(message), self._recent_law(message.sequence), message.flags & Flag.ARMED
             if law is not None and self._bypass_reason(law):
                 result = Result.uncorrected(CorrectionStatus.BYPASSED)
             elif law is not None and law.sequence != message.sequence and armed:
-                made.reset_history()
+                contraction_filter.reset_history()
                 result = Result.uncorrected(CorrectionStatus.STALE)
             else:
                 sample = Sample(
@@ -353,7 +353,7 @@ class FilterNode(Node):
                 )  # fmt: skip
                 if message.sequence % SAMPLES_PER_STEP == 0:
                     self._check_region(sample)
-                result = made.correct(sample, age)
+                result = contraction_filter.correct(sample, age)
             delta_u, before, after, status = self._check_model(result)
             infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
             outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(armed)
@@ -361,7 +361,7 @@ class FilterNode(Node):
                 message.stamp, message.sequence, delta_u, before, after, delta_u != 0.0, infeasible,
                 int(status) | OUTSIDE_REGION * outside, self._epoch,
             )  # fmt: skip
-            if not self._handed:  # else the plant says when
+            if not self._in_process:  # else the plant says when
                 self.publish()
             self._statistics.outside += outside
             self._statistics.statuses[status] += 1
@@ -421,7 +421,7 @@ class FilterNode(Node):
     def _status(self) -> Status:
         seen = self._statistics
         counts, self._reported = seen.statuses - self._reported, seen.statuses.copy()
-        parts = [f"{counts[status]} {status.name.lower()}" for status in REPORTED if counts[status]]
+        parts = [f"{counts[status]} {status.name.lower()}" for status in REPORTED_STATUSES if counts[status]]
         told = f"{counts.total()} corrections" + (f": {', '.join(parts)}" if parts else "")
         level, late = Level.OK, counts[CorrectionStatus.STALE]
         if not counts:

@@ -43,4 +43,4 @@ def main() -> None:
         raise UserError(f"two nodes are here: say which by -r {asked.plant}:__node:=NAME or -r filter:__node:=NAME")
     choice.describe()  # a missing file is refused before ROS starts
     make = PLANTS[asked.plant](words)
-    run_node(lambda: make(FilterNode(choice, settings, handed=True)), ros)
+    run_node(lambda: make(FilterNode(choice, settings, in_process=True)), ros)

@@ -26,8 +26,8 @@ from itertools import product
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.region.certified_region import Bounds, CertifiedRegion
 from hydro_filter.region.interval import AffineSet, Interval, interval, symmetric
-from hydro_filter.region.statement import Bounds, CertifiedRegion
 
 PERIOD = SAMPLE_PERIOD
 SERIES_TERMS = 34
@@ -52,7 +52,7 @@ class JacobianBounds:
     """nu without leaks [1/s]."""
     flow_error: Interval
     """Part of a nu^ by u_nom - s [1/s]."""
-    flow_apart: float
+    flow_deviation: float
     """Largest deviation of nu from its mean within a sample [1/s]."""
     flow_ratio: Interval
     """a nu^ over nu at the same opening."""
@@ -69,7 +69,7 @@ class JacobianBounds:
     dead_time: Interval
     share: Interval
     """C_1."""
-    c_apart: float
+    c_deviation: float
     """Largest deviation of c from its mean within a sample [N/m]."""
     gain_ratio: Interval
     """a."""
@@ -115,11 +115,11 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     weighted = _weighted(phi, root_a, root_b, sigma_law, mu)
     core = weighted * bulge_a * stiffer  # g over the law's, but for valve gain and bulk modulus
     # within a sample c moves by the velocity
-    swept = PERIOD * v.size * max((area / volume_a).high, (area_b / volume_b).high)
+    swept = PERIOD * v.magnitude * max((area / volume_a).high, (area_b / volume_b).high)
     gain_ratio = kappa * modulus * core
 
     # nu, the pressures' effect on the flows, and a nu^ of the law, in which valve gain and modulus cancel
-    opening, error = state["opening"], state["opening_error"].size
+    opening, error = state["opening"], state["opening_error"].magnitude
     largest = max(opening.high, 0.0) if side > 0 else max(-opening.low, 0.0)
     stiff_a, stiff_b = (ratio["bulk_modulus"] * bench["bulk_modulus"] / volume for volume in (volume_a, volume_b))
     valve = ratio["valve_gain"] * bench["valve_gain"]
@@ -148,17 +148,17 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     slope = state["gain_drift"]
     down, up = (math.expm1(PERIOD * end) * (1.0 + 1e-9) for end in (slope.low, slope.high))
     drift = Interval(min(down, 0.0), max(up, 0.0))
-    flow_apart = per_opening.high * (0.5 * PERIOD * state["opening_rate"].size + drift.size * largest)
+    flow_deviation = per_opening.high * (0.5 * PERIOD * state["opening_rate"].magnitude + drift.magnitude * largest)
     return JacobianBounds(
         c_law=c_law_a + c_law_b, zeta=rho_a * stiffer,
         chi=kappa * weighted * interval((1.0 - swept, 1.0 + swept)), gain_ratio=gain_ratio,
-        flow=per_opening * Interval(0.0, largest), flow_apart=flow_apart, flow_ratio=flow_ratio,
-        flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_apart)), leak=leak,
+        flow=per_opening * Interval(0.0, largest), flow_deviation=flow_deviation, flow_ratio=flow_ratio,
+        flow_error=flow_ratio * (per_opening * symmetric(error) + symmetric(flow_deviation)), leak=leak,
         eta=eta, eta_law=gain_ratio * (area / law_a * told_a + area_b / law_b * told_b),
         mean=0.5005 * drift,  # the mean of an exponential is within a thousandth of half its end
         drift=drift, spring=ratio["spring_stiffness"] * bench["spring_stiffness"],
         spool=ratio["spool_bandwidth"] * (2.0 * math.pi * bench["spool_bandwidth"]), dead_time=ratio["dead_time"],
-        share=compensation, c_apart=(c_a + c_b).high * swept, g=g_a + g_b,
+        share=compensation, c_deviation=(c_a + c_b).high * swept, g=g_a + g_b,
     )  # fmt: skip
 
 
@@ -228,7 +228,12 @@ def enclose_closed_loop(
         (V, V): one * (-bench["viscous_friction"] / mass),
     }  # fmt: skip
     # how far entries of the mean transition may be from their mean within a sample
-    apart = {(F, F): n.flow_apart, (F, Z): 0.51 * n.drift.size, (F, X): 4.0 * n.eta.size, (F, V): n.c_apart}
+    apart = {
+        (F, F): n.flow_deviation,
+        (F, Z): 0.51 * n.drift.magnitude,
+        (F, X): 4.0 * n.eta.magnitude,
+        (F, V): n.c_deviation,
+    }
     rates, varies = zeros(7, 7), np.zeros((7, 7))
     for (row, column), entry in entries.items():
         factor = PERIOD * unit[column] / unit[row]
@@ -247,7 +252,7 @@ def enclose_closed_loop(
     set_block(law, 0, L, chi @ zeta @ affine_symbol("gain", gain) * (-scale[L] / scale[Z]))
     set_block(law, 0, X, affine_symbol("eta_law", n.eta_law) * (scale[X] / scale[Z]))
     set_block(law, 0, BOX_VELOCITY, affine_symbol("share", n.share) @ chi @ c * (scale[BOX_VELOCITY] / scale[Z]))
-    noise = n.gain_ratio * (gain.size * wrong["force_noise"]) + (n.flow + n.flow_error.size) * (
+    noise = n.gain_ratio * (gain.magnitude * wrong["force_noise"]) + (n.flow + n.flow_error.magnitude) * (
         2.0 * wrong["pressure_noise"] * bench["piston_area"]
     )
     set_block(law, 0, count + 1, affine_radius(noise.high / scale[Z]))
@@ -289,13 +294,13 @@ def _unit_row(column: int, width: int) -> AffineSet:
 
 
 def enclose_transition(
-    rates: AffineSet, apart: FloatArray, inputs: AffineSet, reach: AffineSet, whole: bool
+    rates: AffineSet, deviation: FloatArray, inputs: AffineSet, reach: AffineSet, whole: bool
 ) -> tuple[AffineSet, AffineSet]:
     """Return enclosures of the transition matrix and of the response to held inputs over the last `reach` of a sample.
 
     The series of time-ordered products of rates A(t): its n-th term is the n-fold product of their mean, A, and terms
-    with one and more deviations E(t) from it, |E| <= `apart`. All are times T. Over a `whole` sample E has the mean 0
-    and a slope of at most 2 |E|/T, so that a term with one E counts (n - 1)/(n + 1) of its size:
+    with one and more deviations E(t) from it, |E| <= `deviation`. All are times T. Over a `whole` sample E has the mean
+    0 and a slope of at most 2 |E|/T, so that a term with one E counts (n - 1)/(n + 1) of its size:
     int E t^(n-1) dt <= (2/T) int |t^n - t T^(n-1)|/n dt = (n - 1)/(n + 1) T^n/n.
     """
     states, count = len(rates.center), len(rates.center) + inputs.center.shape[1]
@@ -306,8 +311,8 @@ def enclose_transition(
     for place in range(count):
         set_block(by_reach, place, place, reach)
     set_of = set_of @ by_reach
-    size, varies = set_of.size, np.zeros((count, count))
-    varies[:states, :states] = apart * reach.size[0, 0]
+    size, varies = set_of.magnitude, np.zeros((count, count))
+    varies[:states, :states] = deviation * reach.magnitude[0, 0]
     total, term = zeros(count, count), zeros(count, count)
     total.center[:] = term.center[:] = np.eye(count)
     plain: FloatArray = np.eye(count)

@@ -42,7 +42,7 @@ class Interval:
         return nextafter(max(self.high - self.midpoint, self.midpoint - self.low), inf)
 
     @property
-    def size(self) -> float:
+    def magnitude(self) -> float:
         """Largest magnitude in the interval."""
         return max(abs(self.low), abs(self.high))
 
@@ -110,29 +110,29 @@ class AffineSet:
     """R, shape (n, m), 0 or more."""
 
     @property
-    def size(self) -> FloatArray:
+    def magnitude(self) -> FloatArray:
         """Largest magnitude of each entry."""
         return (np.abs(self.center) + np.abs(self.slopes).sum(axis=0)) * (1.0 + 1e-13) + self.radius
 
     def __add__(self, other: AffineSet) -> AffineSet:
         center, slopes = self.center + other.center, self.slopes + other.slopes
-        rounding = EPS * (len(slopes) + 2) * (self.size + other.size)
+        rounding = EPS * (len(slopes) + 2) * (self.magnitude + other.magnitude)
         return AffineSet(center, slopes, (self.radius + other.radius + rounding) * (1.0 + 1e-12))
 
     def __matmul__(self, other: AffineSet) -> AffineSet:
         spread, others = np.abs(self.slopes).sum(axis=0), np.abs(other.slopes).sum(axis=0)
         radius = (
-            self.size @ other.radius
+            self.magnitude @ other.radius
             + self.radius @ (np.abs(other.center) + others)
             + spread @ others
-            + EPS * (self.center.shape[1] + len(self.slopes) + 4) * self.size @ other.size
+            + EPS * (self.center.shape[1] + len(self.slopes) + 4) * self.magnitude @ other.magnitude
         ) * (1.0 + 1e-12)
         return AffineSet(self.center @ other.center, self.slopes @ other.center + self.center @ other.slopes, radius)
 
     def __mul__(self, factor: float) -> AffineSet:
         size = abs(factor)
         return AffineSet(
-            self.center * factor, self.slopes * factor, (self.radius * size + EPS * 2.0 * self.size * size)
+            self.center * factor, self.slopes * factor, (self.radius * size + EPS * 2.0 * self.magnitude * size)
         )
 
     def submatrix(self, rows: slice | Sequence[int], columns: slice | Sequence[int]) -> AffineSet:

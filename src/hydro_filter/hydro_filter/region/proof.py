@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proof of a statement: a linear matrix inequality at the vertices of the sample's affine set.
+"""Proof of a certified region: a linear matrix inequality at the vertices of the sample's affine set.
 
 ::
 
@@ -21,9 +21,9 @@ from itertools import pairwise, product
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.region.certified_region import CertifiedRegion, ToleranceCell
 from hydro_filter.region.enclosure import enclose_closed_loop
 from hydro_filter.region.interval import EPS, AffineSet, Interval
-from hydro_filter.region.statement import CertifiedRegion, ToleranceCell
 
 SLOPE_MIN = 1e-7
 """Sum of a symbol's slopes below which the symbol becomes radius."""
@@ -71,7 +71,7 @@ def decay_margin(
     left, right = np.linalg.cholesky(after).T, np.linalg.inv(np.linalg.cholesky(bound).T)
     center, slopes = sample.center[:, columns] @ right, sample.slopes[:, :, columns] @ right
     lost = float(np.linalg.norm(np.abs(left) @ sample.radius[:, columns] @ np.abs(right)))
-    size = sample.size[:, columns]
+    size = sample.magnitude[:, columns]
     reach, weight = size @ np.abs(right), np.abs(after) + np.abs(left.T) @ np.abs(left)
     squares = np.abs(right.T) @ np.abs(bound) @ np.abs(right), reach.T @ weight @ reach
     rounding = 100.0 * EPS * float(sum(np.linalg.norm(one) for one in squares))
@@ -80,11 +80,11 @@ def decay_margin(
     return 1.0 - lost - rounding - ROUNDING_ALLOWANCE - np.sqrt(largest + rounding)
 
 
-def prove_cell(region: CertifiedRegion, cell: ToleranceCell, parts: int = 1) -> float:
-    """Return the smallest `decay_margin` over a cell, each segment split into `parts`; positive: the cell is proved."""
+def prove_cell(region: CertifiedRegion, cell: ToleranceCell, subdivisions: int = 1) -> float:
+    """Return the smallest `decay_margin` over a cell, each segment in `subdivisions` parts; positive: proved."""
     least, reach = math.inf, region.gain_rate * SAMPLE_PERIOD
     for segment in pairwise(cell.gains):
-        for low, high in pairwise(np.linspace(*segment, parts + 1).tolist()):
+        for low, high in pairwise(np.linspace(*segment, subdivisions + 1).tolist()):
             gain, first, last = Interval(low, high), interpolate_metric(cell, low), interpolate_metric(cell, high)
             pairs = [(first, first), (last, last)]  # vertices of (M(K_p), M(K_p+))
             if reach != 0.0:  # by this segment's slope, and where the next one begins by its own

@@ -7,7 +7,7 @@ the distance between the twins, largest |difference of f_l| in a window, early a
     stable      late < 0.6 early         unstable    late > early, or the box tripped       else: neither, not used
 
 An overlap of the valve keeps the twins apart at small gains, by less the higher the gain, and at high gains it hides
-instability. Where a bench has one, the bench without it (`free`) is labelled, too: `combine_labels`.
+instability. Where a bench has one, the bench without it (`overlap_free`) is labelled, too: `combine_labels`.
 
 Gains are drawn from the whole range of the box; references are those of `hydro_sim.excitation`. Every rollout gives
 windows of successive samples (paper: horizon H_m = 10), each with the exact F, G, K at the measured state, noise
@@ -120,7 +120,7 @@ class Windows:
 
     transition: FloatArray
     """F, shape (n, H, c, c)."""
-    push: FloatArray
+    input_vector: FloatArray
     """G [1/A], shape (n, H, c)."""
     feedback: FloatArray
     """K [A], shape (n, H, c)."""
@@ -144,8 +144,10 @@ class Windows:
         )
 
 
-def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, free: Plant | None = None) -> Rollout:
-    """Run rollout number `index`, reproducible for equal settings; `free`: the plant without its overlap."""
+def roll_out(
+    plant: Plant, bench: Bench, settings: DataSettings, index: int, overlap_free: Plant | None = None
+) -> Rollout:
+    """Run rollout number `index`, reproducible for equal settings; `overlap_free`: the plant without its overlap."""
     rng = np.random.default_rng((settings.seed, index))
     low, high = settings.gain_min, settings.gain_max
     edges = [(low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high)][0 if low < 0.0 else 1 :]
@@ -169,8 +171,8 @@ def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, fre
 
     first, second = twins(plant)
     label = stability_label(first, second)
-    if free is not None:
-        label = combine_labels(label, stability_label(*twins(free)))
+    if overlap_free is not None:
+        label = combine_labels(label, stability_label(*twins(overlap_free)))
     trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
     kept = first[: trips[0]] if len(trips) else first
     return Rollout(states=kept, gains=gains, label=label)
@@ -185,9 +187,9 @@ def stability_label(first: StateArray, second: StateArray) -> int:
     return UNSTABLE if late > early else STABLE if late < DECAY_RATIO * early else NEITHER
 
 
-def combine_labels(own: int, free: int) -> int:
+def combine_labels(label: int, overlap_free_label: int) -> int:
     """Return the label of gains from the bench's label and that of the bench without overlap."""
-    return UNSTABLE if own == UNSTABLE else free
+    return UNSTABLE if label == UNSTABLE else overlap_free_label
 
 
 def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
@@ -206,10 +208,10 @@ def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int
     linearized = np.zeros(count, np.bool_)
     linearized[inside] = True
     samples = recorded_samples(rollout.states, settings.velocity_compensation)
-    made = linearize(loop.record, samples, linearized=linearized)
+    found = linearize(loop.record, samples, linearized=linearized)
     rows = (np.cumsum(linearized) - 1)[inside]
     return Windows(
-        transition=made.transition[rows], push=made.push[rows], feedback=made.feedback[rows],
+        transition=found.transition[rows], input_vector=found.input_vector[rows], feedback=found.feedback[rows],
         gain=np.full(len(inside), rollout.gains[0]), label=np.full(len(inside), rollout.label),
     )  # fmt: skip
 
@@ -246,7 +248,7 @@ def rest_displacements(
     signals = {"nominal": 1e-9, "current": closing, "k_p": gain, "c_1": velocity_compensation}
     still = linearize(loop.record, make_samples(x, **signals))
     asked = np.einsum("ki,ki->k", still.feedback, still.displacement)
-    moved = np.einsum("kij,kj->ki", still.transition, still.displacement) + asked[:, None] * still.push
+    moved = np.einsum("kij,kj->ki", still.transition, still.displacement) + asked[:, None] * still.input_vector
     return np.asarray(moved[100:], np.float64)
 
 

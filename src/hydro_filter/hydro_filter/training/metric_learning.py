@@ -58,7 +58,7 @@ from hydro_filter.training.data import (
 )
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench, recordings
-from hydro_sim.files.pairing import BoxIdentity, MadeFor
+from hydro_sim.files.pairing import BoxIdentity, Provenance
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -89,33 +89,33 @@ class RiccatiCorrection(NamedTuple):
 
     feedback: FloatArray
     """K [A], shape (c,)."""
-    driven: int
+    input_index: int
     """Index of the coordinate through which the current enters: its entry of G is proportional to g."""
-    push: float
-    """Entry of G [1/A] at `driven` for the bench at rest."""
+    input_gain: float
+    """Entry of G [1/A] at `input_index` for the bench at rest."""
 
     @classmethod
     def from_design(cls, loop: Loop, design: MetricDesign) -> RiccatiCorrection:
         """Solve the correction for the loop at rest; the current enters by the spool's rate, or the newest current."""
-        on_their_way, push = loop["on_their_way"], linearize_at_rest(loop, design.gain_low)[1]
-        driven = len(loop.scale) - on_their_way if on_their_way else Q_SPOOL_RATE
-        return cls(solve_riccati(loop, design)[1], driven, float(push[driven]))
+        on_their_way, input_vector = loop["on_their_way"], linearize_at_rest(loop, design.gain_low)[1]
+        input_index = len(loop.scale) - on_their_way if on_their_way else Q_SPOOL_RATE
+        return cls(solve_riccati(loop, design)[1], input_index, float(input_vector[input_index]))
 
-    def feedback_at(self, push: FloatArray) -> FloatArray:
+    def feedback_at(self, input_vector: FloatArray) -> FloatArray:
         """Return K [A] at samples with these G, shape (..., c), scaled by g as the force law is."""
-        return (self.push / push[..., self.driven])[..., np.newaxis] * self.feedback
+        return (self.input_gain / input_vector[..., self.input_index])[..., np.newaxis] * self.feedback
 
 
-def close_loop(transition: FloatArray, push: FloatArray, feedback: FloatArray) -> FloatArray:
+def close_loop(transition: FloatArray, input_vector: FloatArray, feedback: FloatArray) -> FloatArray:
     """Return F + G K, shape (..., c, c)."""
-    return transition + push[..., np.newaxis] * feedback[..., np.newaxis, :]
+    return transition + input_vector[..., np.newaxis] * feedback[..., np.newaxis, :]
 
 
 def certified_loops(windows: Windows, metric: ScheduledMetric) -> tuple[FloatArray, FloatArray]:
     """Return K_p, shape (n,), and F + G K, shape (n, H, c, c), of stable windows with certified gains."""
     inside = (windows.gain >= metric.gains[0]) & (windows.gain <= metric.gains[-1])
     wanted = windows.subset(inside & (windows.label == STABLE))
-    return wanted.gain, close_loop(wanted.transition, wanted.push, wanted.feedback)
+    return wanted.gain, close_loop(wanted.transition, wanted.input_vector, wanted.feedback)
 
 
 def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, correction: RiccatiCorrection) -> Table:
@@ -124,7 +124,7 @@ def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, co
     Raises ValueError: no held-out run has gains of one of the two.
     """
     table = Table(COLUMNS, title=f"Contraction at lambda = {RATE:g} and {FOREIGN_RATE:g} 1/s, held out")
-    corrected = close_loop(held_out.transition, held_out.push, correction.feedback_at(held_out.push))
+    corrected = close_loop(held_out.transition, held_out.input_vector, correction.feedback_at(held_out.input_vector))
     for name, metric in metrics.items():
         for kind, (gain, closed), rate in (
             ("certified", certified_loops(held_out, metric), RATE),
@@ -188,15 +188,15 @@ def refine(metric: ScheduledMetric, windows: Windows, correction: RiccatiCorrect
     """
     rng, stable = np.random.default_rng(seed), windows.subset(windows.label == STABLE)
     chosen = rng.choice(len(stable), min(SAMPLES, len(stable)), replace=False)
-    transition, push = stable.transition[chosen, 0], stable.push[chosen, 0]
+    transition, input_vector = stable.transition[chosen, 0], stable.input_vector[chosen, 0]
     problems = []
     for row, gain in zip(metric.table[:-1], metric.gains, strict=True):
         feedback = stable.feedback[chosen, 0].copy()
         feedback[:, Q_LOAD] *= gain / stable.gain[chosen]
-        problems.append((row, close_loop(transition, push, feedback), RATE + MARGIN))
+        problems.append((row, close_loop(transition, input_vector, feedback), RATE + MARGIN))
     chosen = rng.choice(len(windows), min(SAMPLES, len(windows)), replace=False)
-    transition, push = windows.transition[chosen, 0], windows.push[chosen, 0]
-    foreign = close_loop(transition, push, correction.feedback_at(push))
+    transition, input_vector = windows.transition[chosen, 0], windows.input_vector[chosen, 0]
+    foreign = close_loop(transition, input_vector, correction.feedback_at(input_vector))
     problems.append((metric.table[-1], foreign, FOREIGN_RATE + MARGIN))
     told = progress(problems, total=len(problems), label="solving", unit="metric", every=10.0)
     return replace(metric, table=np.array([refine_factor(*one) for one in told]))
@@ -263,7 +263,7 @@ def learn_metric(options: argparse.Namespace) -> None:
     learned_bench.require_match(options.model, box, remedy)
     if options.recording:
         recordings.require_box(options.recording, box)
-    made = MadeFor(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
+    provenance = Provenance(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
     loop = make_loop(model, bench)
     if without_overlap(model) is not None:
         _say(OVERLAP_WARNING)
@@ -286,10 +286,12 @@ def learn_metric(options: argparse.Namespace) -> None:
         table.rows += more.rows
     sound = [metric for metric, _ in found if not metric.validity_error(out.name)] or [found[0][0]]
     final = replace(sound[0], another=sound[1] if len(sound) > 1 else None)
-    final = replace(final, made=made, training={**final.training, "seconds": round(time.monotonic() - began, 1)})
+    final = replace(
+        final, provenance=provenance, training={**final.training, "seconds": round(time.monotonic() - began, 1)}
+    )
     final.save(out)
     table.show(options.json)
-    for one in final.certificates:
+    for one in final.all_metrics:
         sizes = one.thresholds.noise_size, one.thresholds.foreign_noise_size
         noise = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
         print(f"{out}: C_1 = {one.velocity_compensation:g}, {noise}")
@@ -385,14 +387,17 @@ def require_held_out(held_out: Windows, design: MetricDesign) -> None:
 
 
 def collect_rollouts(
-    plant: AnalyticPlant, bench: Bench, loop: Loop, data: DataSettings, free: AnalyticPlant | None = None
+    plant: AnalyticPlant, bench: Bench, loop: Loop, data: DataSettings, overlap_free: AnalyticPlant | None = None
 ) -> tuple[Windows, Windows, list[Rollout]]:
-    """Return training windows, held-out windows (every fifth rollout), and all rollouts; `free`: as in `roll_out`."""
+    """Return training windows, held-out windows (every fifth rollout), and all rollouts.
+
+    `overlap_free`: as in `roll_out`.
+    """
     kept: list[Windows] = []
     held_out: list[Windows] = []
     rollouts: list[Rollout] = []
     for index in progress(range(data.rollouts), label="rollouts", unit="run", every=10.0):
-        rollouts.append(rollout := roll_out(plant, bench, data, index, free))
+        rollouts.append(rollout := roll_out(plant, bench, data, index, overlap_free))
         windows = draw_windows(rollout, loop, data, index)
         if windows is not None and rollout.label != NEITHER:
             (held_out if index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1 else kept).append(windows)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certified region of a bench file: the box of a run's states, the metric proved to contract over it, its statement.
+"""Certified region of a bench file: the box of a run's states, the metric proved to contract over it, and its file.
 
 The box is the range of every state in a run that follows a sine of 1 Hz at the law's largest gains of the region,
 widened by a tenth at either end. The largest force of `AMPLITUDES` whose box has a proof gives the region. Unproved
-statements are not written.
+regions are not written.
 """
 
 from __future__ import annotations
@@ -24,9 +24,7 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray, Law, ReferenceSignal, 
 from hydro_filter.model.coordinates import LOOP_SIZE, Q_LOAD
 from hydro_filter.model.loop import closing_current, make_loop, recorded_samples
 from hydro_filter.model.records import linearize
-from hydro_filter.region.facts import STATES, bench_numbers, containment_share, region_states
-from hydro_filter.region.proof import prove_cell
-from hydro_filter.region.statement import (
+from hydro_filter.region.certified_region import (
     TOLERANCED_PARAMETERS,
     Bounds,
     CertifiedRegion,
@@ -34,6 +32,8 @@ from hydro_filter.region.statement import (
     delay_samples,
     region_path,
 )
+from hydro_filter.region.parameters import STATES, bench_parameters, containment_share, region_states
+from hydro_filter.region.proof import prove_cell
 from hydro_filter.training.region_metric import solve_cell
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -70,32 +70,32 @@ class RegionTarget:
     rate: float = 0.1
     """lambda [1/s]."""
     tolerance: float = 0.0
-    """Tolerance of each of `names`, to either side, as a share."""
-    names: tuple[str, ...] = TOLERANCED_PARAMETERS
+    """Tolerance of each of `toleranced_parameters`, to either side, as a share."""
+    toleranced_parameters: tuple[str, ...] = TOLERANCED_PARAMETERS
     """Parameters of the bench that have the tolerance."""
-    split: int = 1
+    tolerance_parts: int = 1
     """Parts of each tolerance of `SPLIT_TOLERANCES`; every combination of parts has a metric of its own."""
-    dead_time: float = 0.0
+    dead_time_tolerance: float = 0.0
     """s, tolerance of the dead time, above that of the bench file."""
     forces: tuple[float, ...] = AMPLITUDES
 
 
 def simulate_states(
-    model: Bench, bench: Bench, wanted: RegionTarget, force: float, gain: float, seed: int = 0
+    model: Bench, bench: Bench, target: RegionTarget, force: float, gain: float, seed: int = 0
 ) -> FloatArray:
-    """Return the states `facts.STATES`, shape (n, 10), of a run with a sine of `force` [N], 1 Hz, at K_p = `gain`."""
+    """Return the states `STATES`, shape (n, 10), of a run with a sine of `force` [N], 1 Hz, at K_p = `gain`."""
     loop = make_loop(model, bench)
     plant = AnalyticPlant(model, settings=Sensors.of_size(model.size))
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=force, offset=0.0, frequency=1.0)
-    law = Law.PAPER if wanted.law is None else Law.COMPENSATED
+    law = Law.PAPER if target.law is None else Law.COMPENSATED
     config = BoxConfig().of_bench(bench)
-    if wanted.law is not None:
-        config = replace(config, compensated=wanted.law)
-    plan = Schedule(reference=signal, gains=(gain, wanted.integral_gain), seconds=SECONDS, law=law)
+    if target.law is not None:
+        config = replace(config, compensated=target.law)
+    plan = Schedule(reference=signal, gains=(gain, target.integral_gain), seconds=SECONDS, law=law)
     states = simulate(plant, bench, plan, config=config, seed=seed)
     opening = linearize(loop.record, recorded_samples(states), linearized=np.zeros(len(states), np.bool_)).opening
     valve = np.column_stack((opening, states["nominal_valve_current"] - closing_current(loop)))
-    return region_states(bench_numbers(model, bench)[0], to_matrix(states), valve)[SETTLED:]
+    return region_states(bench_parameters(model, bench)[0], to_matrix(states), valve)[SETTLED:]
 
 
 def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
@@ -111,15 +111,15 @@ def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the matrices are small: more threads only wait for one another
-def certify_region(model: Bench, bench: Bench, wanted: RegionTarget) -> CertifiedRegion | None:
+def certify_region(model: Bench, bench: Bench, target: RegionTarget) -> CertifiedRegion | None:
     """Return the certified region of the largest provable amplitude; None: none is proved."""
-    ours, law = bench_numbers(model, bench)
+    ours, law = bench_parameters(model, bench)
     sensors, began = Sensors.of_size(model.size), time.process_time()
     unit = make_loop(model, bench).scale[:LOOP_SIZE].tolist()
-    band = (1.0 - wanted.tolerance, 1.0 + wanted.tolerance)
-    tolerances = {name: band if name in wanted.names else (1.0, 1.0) for name in TOLERANCED_PARAMETERS}
-    tolerances["dead_time"] = (ours["dead_time"], ours["dead_time"] + wanted.dead_time)
-    c_1 = 1.0 if wanted.law is None else wanted.law.velocity_compensation
+    band = (1.0 - target.tolerance, 1.0 + target.tolerance)
+    tolerances = {name: band if name in target.toleranced_parameters else (1.0, 1.0) for name in TOLERANCED_PARAMETERS}
+    tolerances["dead_time"] = (ours["dead_time"], ours["dead_time"] + target.dead_time_tolerance)
+    c_1 = 1.0 if target.law is None else target.law.velocity_compensation
     memory = ours["velocity_memory"]
     noise = {
         "friction": ours["dry_friction"], "overlap": ours["overlap"], "force_noise": 4.0 * sensors.force_noise,
@@ -129,20 +129,20 @@ def certify_region(model: Bench, bench: Bench, wanted: RegionTarget) -> Certifie
     weights = (0.5, 0.25, 0.25 if c_1 > 0.0 else 0.0, 0.0)
     if ours["overlap"] > 0.0:
         weights = (0.35, 0.15, 0.15 if c_1 > 0.0 else 0.0, 0.35)
-    for share in wanted.forces:
+    for share in target.forces:
         force = share * model.size.force
-        samples = simulate_states(model, bench, wanted, force, wanted.gains[-1])
+        samples = simulate_states(model, bench, target, force, target.gains[-1])
         region = CertifiedRegion(
             believed=law, bench=ours, tolerances=tolerances,
             states=_box(samples, ours["dry_friction"], ours["moving_mass"]),
-            velocity_compensation=(c_1, c_1), proportional_gain=(wanted.gains[0], wanted.gains[-1]),
-            gain_rate=wanted.gain_rate, disturbances=noise, weights=weights, contraction_rate=wanted.rate,
-            tube_rate=wanted.rate, tube=math.inf,
+            velocity_compensation=(c_1, c_1), proportional_gain=(target.gains[0], target.gains[-1]),
+            gain_rate=target.gain_rate, disturbances=noise, weights=weights, contraction_rate=target.rate,
+            tube_rate=target.rate, tube=math.inf,
             scale=(*unit, *[unit[1]] * delay_samples(tolerances["dead_time"][1])),
         )  # fmt: skip
         cells: list[ToleranceCell] = []
-        for part in _parts(tolerances, wanted.split):
-            if (cell := _proved(region, part, wanted.gains)) is None:
+        for part in _parts(tolerances, target.tolerance_parts):
+            if (cell := _proved(region, part, target.gains)) is None:
                 break
             cells.append(cell)
         else:
@@ -193,20 +193,20 @@ def write_regions(out: Path, model: Bench, bench: Bench, laws: Sequence[BoxLaw |
     for law in laws:
         name = "paper's law" if law is None else "compensated law"
         tables = PAPER_GAINS if law is None else (tuple(share * law.base_kp for share in GAIN_SHARES),)
-        statement = None
+        region = None
         for gains in tables:
-            wanted = RegionTarget(gains=gains, gain_rate=5.0) if law is None else RegionTarget(
+            target = RegionTarget(gains=gains, gain_rate=5.0) if law is None else RegionTarget(
                 law=law, gains=gains, gain_rate=50.0, rate=0.5, integral_gain=law.base_ki
             )  # fmt: skip
-            if (statement := certify_region(model, bench, wanted)) is not None:
+            if (region := certify_region(model, bench, target)) is not None:
                 break
-        if statement is None:
+        if region is None:
             print(f"{name}: no region is proved", file=sys.stderr)
             continue
         path = region_path(out, compensated=law is not None)
-        statement.save(path)
-        low, high = statement.proportional_gain
+        region.save(path)
+        low, high = region.proportional_gain
         print(
-            f"{path}: {name}, K_p {low:g} to {high:g} 1/s, the states of a sine of {statement.facts['force']:.0f} N: "
-            f"decay at {statement.contraction_rate:g} 1/s, tube {statement.tube:.0f} N"
+            f"{path}: {name}, K_p {low:g} to {high:g} 1/s, the states of a sine of {region.facts['force']:.0f} N: "
+            f"decay at {region.contraction_rate:g} 1/s, tube {region.tube:.0f} N"
         )

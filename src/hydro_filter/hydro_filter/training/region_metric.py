@@ -18,10 +18,10 @@ from scipy import sparse
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.model.coordinates import Q_LOAD
+from hydro_filter.region.certified_region import Bounds, CertifiedRegion, ToleranceCell
 from hydro_filter.region.enclosure import enclose_closed_loop
 from hydro_filter.region.interval import AffineSet, Interval
 from hydro_filter.region.proof import decay_margin, reduce_symbols
-from hydro_filter.region.statement import Bounds, CertifiedRegion, ToleranceCell
 
 ROUNDS_MAX = 12
 FIRST, ADDED = 2, 2

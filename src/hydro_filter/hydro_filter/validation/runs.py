@@ -51,7 +51,7 @@ PLANTS = ("emulator", "sim")
 
 
 @cache  # kept in this process, as filters are
-def plant_named(name: str, model: str | None = None) -> Plant:
+def plant_by_name(name: str, model: str | None = None) -> Plant:
     """Return one of `PLANTS`; `model`: bench file of the simulation, the shipped one by default."""
     return make_plant(model) if name == "sim" else TruthPlant(profile("default"))
 
@@ -64,12 +64,12 @@ FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force, frequenc
 class Case:
     """Validation case: gains over time, and the reference."""
 
-    about: str
+    description: str
     proportional: tuple[float, float]
     """Range of K_p [1/s]."""
     integral: tuple[float, float]
     """Range of K_i [1/s^2]."""
-    every: int = 0
+    hold_steps: int = 0
     """Policy steps of 10 ms for which drawn gains are held; 0: the whole run."""
     switched: bool = False
     """K_p is at either end of its range in turn, from a random phase on, instead of drawn."""
@@ -79,9 +79,9 @@ class Case:
         """Return random gains of a run, shape (policy steps, 2)."""
         rng, steps = np.random.default_rng(seed), round(seconds / (SAMPLES_PER_STEP * SAMPLE_PERIOD))
         if self.switched:
-            turns = (np.arange(steps) + int(rng.integers(2 * self.every))) // self.every % 2
+            turns = (np.arange(steps) + int(rng.integers(2 * self.hold_steps))) // self.hold_steps % 2
             return np.column_stack([np.where(turns == 0, *self.proportional), np.full(steps, self.integral[0])])
-        span = self.every or steps
+        span = self.hold_steps or steps
         draws = -(-steps // span)
         pairs = np.column_stack([rng.uniform(*self.proportional, draws), rng.uniform(*self.integral, draws)])
         return np.repeat(pairs, span, axis=0)[:steps]
@@ -91,19 +91,21 @@ CASES: dict[str, Case] = {
     "stable": Case("K_p 90, K_i 15 (paper)", (90.0, 90.0), (15.0, 15.0)),
     "stable-fast": Case("the same, 300 N at 2 Hz", (90.0, 90.0), (15.0, 15.0), reference=FAST),
     "base": Case("K_p 15, K_i 5", (15.0, 15.0), (5.0, 5.0)),
-    "unstable": Case("K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)", (-40.0, 40.0), (-5.0, 5.0), every=1),
-    "unstable-slow": Case("the same, drawn every 0.5 s", (-40.0, 40.0), (-5.0, 5.0), every=50),
-    "negative": Case("K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", (-40.0, 0.0), (-5.0, 0.0), every=1),
+    "unstable": Case("K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)", (-40.0, 40.0), (-5.0, 5.0), hold_steps=1),
+    "unstable-slow": Case("the same, drawn every 0.5 s", (-40.0, 40.0), (-5.0, 5.0), hold_steps=50),
+    "negative": Case("K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", (-40.0, 0.0), (-5.0, 0.0), hold_steps=1),
     "negative-held": Case("the same, drawn once", (-40.0, 0.0), (-5.0, 0.0)),
-    "positive": Case("K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", (0.0, 40.0), (0.0, 5.0), every=1),
+    "positive": Case("K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", (0.0, 40.0), (0.0, 5.0), hold_steps=1),
     "high": Case("K_p 100 to 300, K_i 5 to 15, drawn once", (100.0, 300.0), (5.0, 15.0)),
     "high-fast": Case("the same, 300 N at 2 Hz", (100.0, 300.0), (5.0, 15.0), reference=FAST),
     "highest": Case("K_p 300, K_i 15", (300.0, 300.0), (15.0, 15.0)),
-    "wide": Case("K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", (-40.0, 300.0), (-5.0, 15.0), every=1),
-    "wide-slow": Case("the same, drawn every 0.5 s", (-40.0, 300.0), (-5.0, 15.0), every=50),
-    "switched": Case("K_p 15 and 300 in turn, each for 10 ms", (15.0, 300.0), (15.0, 15.0), every=1, switched=True),
+    "wide": Case("K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", (-40.0, 300.0), (-5.0, 15.0), hold_steps=1),
+    "wide-slow": Case("the same, drawn every 0.5 s", (-40.0, 300.0), (-5.0, 15.0), hold_steps=50),
+    "switched": Case(
+        "K_p 15 and 300 in turn, each for 10 ms", (15.0, 300.0), (15.0, 15.0), hold_steps=1, switched=True
+    ),
     "switched-slow": Case(
-        "K_p 15 and 300 in turn, each for 0.5 s", (15.0, 300.0), (15.0, 15.0), every=50, switched=True
+        "K_p 15 and 300 in turn, each for 0.5 s", (15.0, 300.0), (15.0, 15.0), hold_steps=50, switched=True
     ),
 }
 
@@ -172,7 +174,7 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
         box.receive(guard.command(now), now)
         states[k] = box.tick(measurement, now)
         results.append(contraction_filter.correct(Sample.from_record(states[k])))
-        guard.note_sample(k)
+        guard.add_sample(k)
         guard.set_correction(results[-1].delta_u, results[-1].status, k, now)
         if int(states["flags"][k]) & Flag.TRIPPED:
             return Run(states[: k + 1], results)
@@ -228,7 +230,7 @@ class Task:
     bench: str | None = None
 
     @property
-    def believed(self) -> Bench:
+    def box_bench(self) -> Bench:
         """Bench that box and filter assume."""
         return Bench.load(self.bench) if self.bench else Bench.nominal()
 
@@ -244,7 +246,7 @@ class Outcome:
     """N, of f_r - f_l."""
     chattering: float
     """A/s, RMS of u'."""
-    numbers: Gammas
+    gammas: Gammas
     samples: int
     failed: int
     """Samples with a status of `FAILED`."""
@@ -284,7 +286,7 @@ def make_filter(
 
 def simulate(task: Task) -> Run:
     """Return the recorded run of a task."""
-    case, bench = CASES[task.case], task.believed
+    case, bench = CASES[task.case], task.box_bench
     amplitude = case.reference.amplitude * bench.size.force / NOMINAL.force
     trial = Trial(
         bench=bench,
@@ -294,18 +296,18 @@ def simulate(task: Task) -> Run:
         seed=task.seed,
     )
     chosen = make_filter(task.filter, task.metric, task.model, task.bench)
-    return run(trial, plant_named(task.plant, task.model), chosen)
+    return run(trial, plant_by_name(task.plant, task.model), chosen)
 
 
 def evaluate_task(task: Task) -> Outcome:
     """Run a task and compute its statistics."""
     done, osqp = simulate(task), make_filter(task.filter, task.metric, task.model, task.bench).osqp
-    states, limit = done.states, task.believed.valve_current_max
+    states, limit = done.states, task.box_bench.valve_current_max
     settled = states[min(SETTLING_SAMPLES, len(states) // 2) :]
     return Outcome(
         bounded=done.bounded, peak=float(np.abs(states["load_force"]).max()),
         rmse=tracking_rmse(settled), chattering=chattering(settled),
-        numbers=gammas(done.results, limit), samples=len(states),
+        gammas=gammas(done.results, limit), samples=len(states),
         failed=sum(result.status in FAILED for result in done.results),
         agreed=osqp.agreed, differed=osqp.differed,
     )  # fmt: skip

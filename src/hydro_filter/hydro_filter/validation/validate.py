@@ -66,25 +66,27 @@ def main() -> None:
             if options.json:
                 table.write_json(options.json)  # finished rows are saved in case of an interruption
     table.show(options.json)
-    print("\n" + "\n".join(f"{name}: {CASES[name].about}" for name in options.cases))
+    print("\n" + "\n".join(f"{name}: {CASES[name].description}" for name in options.cases))
     for plant, case in product(options.plants, options.cases) if options.plots else ():
         without, filtered = (simulate(make(plant=plant, case=case, filter=name, seed=0)) for name in FILTERS)
-        plot_tracking(without, filtered, f"{plant}: {CASES[case].about}", Path(options.plots) / f"{plant}_{case}.png")
+        plot_tracking(
+            without, filtered, f"{plant}: {CASES[case].description}", Path(options.plots) / f"{plant}_{case}.png"
+        )
 
 
 def table_row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> dict[str, Any]:
     """Return a row of the table: shares and means over all samples of all runs."""
     weights = np.array([one.samples for one in outcomes], float)
-    numbers = np.average(np.array([tuple(one.numbers) for one in outcomes]), axis=0, weights=weights)
+    gammas = np.average(np.array([tuple(one.gammas) for one in outcomes]), axis=0, weights=weights)
     agreed, differed = sum(one.agreed for one in outcomes), sum(one.differed for one in outcomes)
     return {
         "plant": plant, "case": case, "filter": chosen, "runs": len(outcomes),
         "bounded": 100.0 * sum(one.bounded for one in outcomes) / len(outcomes),
         "peak": max(one.peak for one in outcomes), "rmse": float(np.median([one.rmse for one in outcomes])),
         "chatter": float(np.median([one.chattering for one in outcomes])),
-        "gamma_1": 100.0 * numbers[0], "gamma_2": 100.0 * numbers[1], "verified_2": 100.0 * (1.0 - numbers[1]),
-        "gamma_3": numbers[2], "gamma_4": 100.0 * numbers[3], "verified_4": 100.0 * (1.0 - numbers[3]),
-        "gamma_5": numbers[4], "failed": 100.0 * sum(one.failed for one in outcomes) / weights.sum(),
+        "gamma_1": 100.0 * gammas[0], "gamma_2": 100.0 * gammas[1], "verified_2": 100.0 * (1.0 - gammas[1]),
+        "gamma_3": gammas[2], "gamma_4": 100.0 * gammas[3], "verified_4": 100.0 * (1.0 - gammas[3]),
+        "gamma_5": gammas[4], "failed": 100.0 * sum(one.failed for one in outcomes) / weights.sum(),
         "osqp": 100.0 * agreed / (agreed + differed) if agreed + differed else nan,
     }  # fmt: skip
 
@@ -115,7 +117,7 @@ def plot_tracking(without: Run, filtered: Run, title: str, path: Path) -> None:
 
 def parse_args(given: list[str]) -> argparse.Namespace:
     """Parse the command line."""
-    listed = "\n".join(f"  {name:14} {case.about}" for name, case in CASES.items())
+    listed = "\n".join(f"  {name:14} {case.description}" for name, case in CASES.items())
     parser = argparse.ArgumentParser(
         prog="validate", description=__doc__, epilog=f"cases:\n{listed}",
         formatter_class=argparse.RawDescriptionHelpFormatter,

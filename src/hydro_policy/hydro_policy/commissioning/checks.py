@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydro_bridge.serial.protocol import LawState
-from hydro_core.signals import NEUTRAL, SAMPLE_PERIOD, Flag, FloatArray, Law, StateArray
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, Flag, FloatArray, Law, StateArray
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
 from hydro_policy.commissioning.record import GateError
@@ -16,10 +16,10 @@ from hydro_policy.task.cases import Score
 from hydro_sim.model.bench import Bench
 
 LOST_MAX = 0.01  # largest share of lost samples, and of samples with late commands, in a recording
-FOLLOWS = 0.8  # correlation that two signals of the same motion must exceed
-SWING = (0.4, 1.5)  # bounds of the load force's standard deviation over its reference's
-STILL = 0.9  # RMSE on a sine over the sine's RMS, above which the load force did not follow
-SLOW = 0.5  # frequency [Hz] of the motion for the sign check
+CORRELATION_MIN = 0.8  # correlation that two signals of the same motion must exceed
+AMPLITUDE_RATIO = (0.4, 1.5)  # bounds of the load force's standard deviation over its reference's
+STANDSTILL_RATIO = 0.9  # RMSE on a sine over the sine's RMS, above which the load force did not follow
+SIGN_CHECK_FREQUENCY = 0.5  # frequency [Hz] of the motion for the sign check
 _LONGEST_GAP = 1000  # missing samples in a row from which a gap is an intended interruption, not a loss
 
 
@@ -59,14 +59,14 @@ def sensor_noise(states: StateArray, bench: Bench) -> tuple[dict[str, float], fl
 _MINUTE = 60.0  # s, in which the force may drift by at most the amplitude with the valve closed
 
 
-def creep(states: StateArray) -> float:
+def drift_rate(states: StateArray) -> float:
     """Return the drift rate of the load force at rest with the valve closed [N/s]: slope of a linear fit."""
     return float(np.polyfit(states["time"] - states["time"][0], states["load_force"], 1)[0])
 
 
 def drift_warning(states: StateArray, amplitude: float) -> str:
     """Return a warning if the load force at rest exceeds `amplitude` [N], or drifts by it in a minute; else empty."""
-    force, rate = float(np.median(states["load_force"])), creep(states)
+    force, rate = float(np.median(states["load_force"])), drift_rate(states)
     if abs(force) <= amplitude and _MINUTE * abs(rate) <= amplitude:
         return ""
     return (
@@ -76,7 +76,7 @@ def drift_warning(states: StateArray, amplitude: float) -> str:
 
 
 def channel_correlations(states: StateArray, bench: Bench) -> dict[str, float]:
-    """Return the correlations of pairs of signals that must agree in a motion at `SLOW` Hz, by the pair's name.
+    """Return the correlations of pairs of signals that must agree in a slow motion, by the pair's name.
 
     The load force may lag its reference by up to a quarter of a period, through valve overlap and dry friction.
     """
@@ -92,22 +92,22 @@ def channel_correlations(states: StateArray, bench: Bench) -> dict[str, float]:
         "position and load force": (states["piston_position"], states["load_force"]),
         "velocity and position": (read, derived),
     }
-    found = {"load force and its reference": _follows(states, SLOW)}
+    found = {"load force and its reference": _lagged_correlation(states, SIGN_CHECK_FREQUENCY)}
     found |= {name: float(np.corrcoef(*pair)[0, 1]) for name, pair in pairs.items()}
-    wrong = [f"{name} ({value:.2f})" for name, value in found.items() if not value > FOLLOWS]
+    wrong = [f"{name} ({value:.2f})" for name, value in found.items() if not value > CORRELATION_MIN]
     if wrong:
         raise GateError(f"these do not follow each other, a sign or two channels are exchanged: {', '.join(wrong)}")
     return found
 
 
 def require_tracking(states: StateArray, frequency: float) -> None:
-    """Raise GateError unless the load force tracks a sine: amplitude within `SWING`, lag up to a quarter of a period.
+    """Raise GateError unless the load force tracks a sine: `AMPLITUDE_RATIO`, lag of at most a quarter of a period.
 
     The bounds are wide, since valve overlap and dry friction are identified only later, by the diagnosis.
     """
     size = float(np.std(states["load_force"]) / np.std(states["reference_force"]))
-    found = _follows(states, frequency)
-    if not (SWING[0] <= size <= SWING[1] and found > FOLLOWS):
+    found = _lagged_correlation(states, frequency)
+    if not (AMPLITUDE_RATIO[0] <= size <= AMPLITUDE_RATIO[1] and found > CORRELATION_MIN):
         raise GateError(
             f"under the compensated law the load force has {size:.2f} times the swing of its reference, correlation "
             f"{found:.2f}: see valve and supply"
@@ -115,8 +115,11 @@ def require_tracking(states: StateArray, frequency: float) -> None:
 
 
 def is_motion_blocked(states: StateArray) -> bool:
-    """Return whether overlap and dry friction block a motion at `SLOW` Hz, so that a larger one is needed."""
-    return not np.ptp(states["piston_position"]) or 0.0 < _follows(states, SLOW) <= FOLLOWS
+    """Return whether overlap and dry friction block the motion of the sign check: a larger one is needed."""
+    return (
+        not np.ptp(states["piston_position"])
+        or 0.0 < _lagged_correlation(states, SIGN_CHECK_FREQUENCY) <= CORRELATION_MIN
+    )
 
 
 def unusable_share(armed: StateArray) -> float:
@@ -137,7 +140,8 @@ def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None
 
     `states`: recorded samples, armed or disarmed. `loop_filter`: filter in its initial state.
     """
-    compensated = LawState(Law.COMPENSATED, 0.0, 0.0, NEUTRAL, 0.0, 1.0)  # any law: only the model is judged
+    # Any law: only the model is judged.
+    compensated = LawState(Law.COMPENSATED, 0.0, 0.0, NEUTRAL_COEFFICIENTS, 0.0, 1.0)
     law = compensated if loop_filter.missing_certificate(compensated=False) else None
     follows = np.diff(states["sequence"].astype(np.int64), prepend=0) == 1
     for record, consecutive in zip(states, follows, strict=True):
@@ -152,7 +156,7 @@ def require_matching_filter(states: StateArray, loop_filter: LoopFilter) -> None
             )
 
 
-def _follows(states: StateArray, frequency: float) -> float:
+def _lagged_correlation(states: StateArray, frequency: float) -> float:
     """Return the largest correlation of load force and reference over lags of up to a quarter of a period."""
     force, reference = states["load_force"], states["reference_force"]
     delays = range(0, min(round(0.25 / (frequency * SAMPLE_PERIOD)), len(force) // 2), 25)

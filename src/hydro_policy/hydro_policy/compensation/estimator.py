@@ -59,9 +59,9 @@ STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # time [s] between two updates
 
 ORDER = 5  # of the state-variable filter: four derivatives, two of them for the load cell's amplifier
 
-SETTLED = 0.2  # settling time [s] of the filter after a gap, in which the fit is not updated
+FILTER_SETTLING_TIME = 0.2  # settling time [s] of the filter after a gap, in which the fit is not updated
 
-LEAD = 0.01  # prediction horizon [s] of f_r' in the further terms, from the last sample
+PREDICTION_HORIZON = 0.01  # prediction horizon [s] of f_r' in the further terms, from the last sample
 
 PLAYS = (0.25, 0.5, 0.75)  # S_j over `force_scale`
 
@@ -71,13 +71,13 @@ START = np.array((1.0, 0.02, 1e-4, 0.0, *[0.0] * (4 + len(PLAYS))))
 BOX_SHARE = 0.75
 """Share of a_2 applied by the box; 1 destabilises two of 20 plants of `benchmarks.hybrid_simulation`, 0.85 nearly."""
 
-PAST = 40  # samples of f_r' to which a cubic is fitted
+RATE_SAMPLES = 40  # samples of f_r' to which a cubic is fitted
 
-_CUBIC = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - PAST, 1), 4, increasing=True))
-SECOND: FloatArray = _CUBIC[1] + 2.0 * LEAD * _CUBIC[2]
-"""Weights of the last `PAST` samples of f_r' in the predicted f_r'', `LEAD` after the last one, shape (`PAST`,)."""
+_CUBIC = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - RATE_SAMPLES, 1), 4, increasing=True))
+SECOND_DERIVATIVE_WEIGHTS: FloatArray = _CUBIC[1] + 2.0 * PREDICTION_HORIZON * _CUBIC[2]
+"""Weights of the last `RATE_SAMPLES` f_r' in the predicted f_r'', `PREDICTION_HORIZON` after the last one."""
 
-ADAPTS = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
+VALIDITY_MASK = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
 """Mask of the flags that decide on a sample's use: of these only ARMED may be set."""
 
 
@@ -163,7 +163,7 @@ class _Memory(NamedTuple):
     states: FloatArray  # f_c, f and the terms of b and c, filtered, with their derivatives, shape (n, 9, `ORDER`)
     last: FloatArray  # the same nine of the last sample, shape (n, 9)
     within: FloatArray  # f_r - p_j, where f_r is within each play [N], shape (n, 3)
-    rates: FloatArray  # last f_r' [N/s], the newest last, shape (n, `PAST`); NaN: none yet
+    rates: FloatArray  # last f_r' [N/s], the newest last, shape (n, `RATE_SAMPLES`); NaN: none yet
     matrix: FloatArray
     vector: FloatArray  # of the fit, shapes (n, 11, 11) and (n, 11)
     steps: npt.NDArray[np.int64]  # since the last gap, shape (n,)
@@ -221,7 +221,7 @@ class Compensator:
             states=np.empty((count, len(START) - 2, ORDER)),
             last=np.empty((count, len(START) - 2)),
             within=np.empty((count, len(PLAYS))),
-            rates=np.empty((count, PAST)),
+            rates=np.empty((count, RATE_SAMPLES)),
             matrix=np.empty((count, *2 * START.shape)),
             vector=np.empty((count, *START.shape)),
             steps=np.empty(count, np.int64),

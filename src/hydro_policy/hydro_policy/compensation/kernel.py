@@ -9,7 +9,15 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
-from hydro_policy.compensation.estimator import BOX_SHARE, LEAD, ORDER, SECOND, SETTLED, START, STEP
+from hydro_policy.compensation.estimator import (
+    BOX_SHARE,
+    FILTER_SETTLING_TIME,
+    ORDER,
+    PREDICTION_HORIZON,
+    SECOND_DERIVATIVE_WEIGHTS,
+    START,
+    STEP,
+)
 from hydro_sim.jit import njit
 
 
@@ -40,7 +48,7 @@ def update(settings, constants, memory, samples, active, frozen, counted, coeffi
                     state[j] = total
                 memory.last[i, channel] = now[-1]
             memory.steps[i] += 1
-            if memory.steps[i] * STEP > SETTLED and not frozen[i]:
+            if memory.steps[i] * STEP > FILTER_SETTLING_TIME and not frozen[i]:
                 _learn(settings[0], constants, memory, i)
         else:
             memory.steps[i], memory.within[i] = 0, 0.0
@@ -70,12 +78,14 @@ def _command(settings, constants, memory, rate, reference, coefficients, i):
     if np.isnan(past).any():
         past[:] = rate[0]
     past[:-SAMPLES_PER_STEP], past[-SAMPLES_PER_STEP:] = past[SAMPLES_PER_STEP:].copy(), rate
-    ahead = rate[-1] + (rate[-1] - rate[0]) * LEAD / (STEP - SAMPLE_PERIOD)
-    _terms(settings, reference + LEAD * ahead, ahead, added)
+    ahead = rate[-1] + (rate[-1] - rate[0]) * PREDICTION_HORIZON / (STEP - SAMPLE_PERIOD)
+    _terms(settings, reference + PREDICTION_HORIZON * ahead, ahead, added)
     within = memory.within[i].copy()
-    _play(constants.plays, within, 0.5 * (rate[-1] + ahead), LEAD, added[4:])
+    _play(constants.plays, within, 0.5 * (rate[-1] + ahead), PREDICTION_HORIZON, added[4:])
     _play(constants.plays, within, ahead, SAMPLE_PERIOD, added[4:])
-    level = found[3] + np.sum(found[4:] * added) + (1.0 - BOX_SHARE) * found[2] * np.sum(SECOND * past)
+    level = (
+        found[3] + np.sum(found[4:] * added) + (1.0 - BOX_SHARE) * found[2] * np.sum(SECOND_DERIVATIVE_WEIGHTS * past)
+    )
     coefficients[:3] = found[:3]
     coefficients[2] *= BOX_SHARE
     if np.isfinite(level):

@@ -20,12 +20,12 @@ import numpy as np
 from hydro_bridge.safety.guard import safe_command
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, LawCommand
-from hydro_policy.compensation.estimator import ADAPTS, Compensator, CompensatorSettings, LoadCell
+from hydro_policy.compensation.estimator import VALIDITY_MASK, Compensator, CompensatorSettings, LoadCell
 from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 
-RECENT = 50  # samples for which the last /hydro/law_state is valid; none is published under the paper's law
+LAW_STATE_LIFETIME = 50  # samples for which the last /hydro/law_state is valid; none is published under the paper's law
 
-_KEPT = RECENT // SAMPLES_PER_STEP + 2
+_KEPT = LAW_STATE_LIFETIME // SAMPLES_PER_STEP + 2
 """Incomplete policy steps that are buffered, so that valid law messages find their samples on a busy machine, too."""
 
 
@@ -85,7 +85,10 @@ class LiveCompensation:
     @property
     def acting(self) -> Law:
         """Force law that acts, by the last message on /hydro/law_state."""
-        told = self._last_law >= 0 and (self._last_sample - self._last_law + RECENT) & 0xFFFFFFFF < 2 * RECENT
+        told = (
+            self._last_law >= 0
+            and (self._last_sample - self._last_law + LAW_STATE_LIFETIME) & 0xFFFFFFFF < 2 * LAW_STATE_LIFETIME
+        )
         return Law.COMPENSATED if told else Law.PAPER
 
     @property
@@ -121,11 +124,11 @@ class LiveCompensation:
         reference_rate: float = 0.0,
         *,
         reference: float = 0.0,
-        holds: bool = False,
+        excluded: bool = False,
     ) -> None:
-        """Process a sample: f [N], flags, f_r' [N/s], f_r [N]; `holds`: exclude its policy step from the estimate."""
+        """Process a sample: f [N], flags, f_r' [N/s], f_r [N]; `excluded`: whether its policy step is not used."""
         self._last_sample = sequence
-        good = flags & (ADAPTS | Flag.FILTER_STALE) == Flag.ARMED and not holds
+        good = flags & (VALIDITY_MASK | Flag.FILTER_STALE) == Flag.ARMED and not excluded
         self._enter(sequence, slice(1, 4), (force, reference_rate, reference), good)
 
     def _enter(self, sequence: int, rows: slice, values: Any, good: bool) -> None:

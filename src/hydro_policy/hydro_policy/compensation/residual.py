@@ -10,7 +10,7 @@ asymmetric valve. The network is trained on many randomised benches; its inputs 
     y, m     recent needed corrections, and their mean over similar z    a memory of the last 4 s
 
 Every policy step (10 ms) it predicts the correction p [N] of the force that is needed 16 and 26 ms from the last
-sample. Where the reference is periodic (`Period`) the corrections needed one to three periods ago replace the
+sample. Where the reference is periodic (`PeriodDetector`) the corrections needed one to three periods ago replace the
 prediction, weighted by how little the law's coefficients have changed since (repetitive control: Longman 2000, Int. J.
 Control 73(10), 930). The law's polynomial, an inverse model of the compensated loop, turns p into an addition to a_3::
 
@@ -44,25 +44,25 @@ from hydro_core.signals import SAMPLES_PER_STEP, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_sim.files import weights
 
-LONGEST = 400  # longest detectable period, policy steps (4 s)
-LEAST_WINDOW = 50  # shortest averaging window of a difference, policy steps
+PERIOD_MAX = 400  # longest detectable period, policy steps (4 s)
+WINDOW_MIN = 50  # shortest averaging window of a difference, policy steps
 PERIOD_DIFFERENCE, DISTINCT_DIFFERENCE = 0.01, 1.0
 """Thresholds of the mean squared difference at a lag over the reference's variance: a lag below the first is a period
 if a shorter lag exceeds the second."""
 _POWER = 1.0 / 300.0  # averaging rate of mean and variance, per policy step
 
 
-class Period:
+class PeriodDetector:
     """Online detector of the period of n benches' references; arrays have one row per bench."""
 
     def __init__(self, count: int) -> None:
-        self._lags = np.arange(1, LONGEST + 1)
-        self._past: FloatArray = np.zeros((count, LONGEST))  # newest first
-        self._difference: FloatArray = np.zeros((count, LONGEST))
+        self._lags = np.arange(1, PERIOD_MAX + 1)
+        self._past: FloatArray = np.zeros((count, PERIOD_MAX))  # newest first
+        self._difference: FloatArray = np.zeros((count, PERIOD_MAX))
         self._mean: FloatArray = np.zeros(count)
         self._variance: FloatArray = np.zeros(count)
         self.steps: FloatArray = np.zeros(count)  # detected period [policy steps], shape (n,); 0: none
-        self.trust: FloatArray = np.zeros(count)
+        self.confidence: FloatArray = np.zeros(count)
         """Confidence in the period, 0 to 1: similarity of the reference to itself a period earlier, shape (n,)."""
 
     def step(self, reference: FloatArray, age: npt.NDArray[np.int64]) -> None:
@@ -73,7 +73,7 @@ class Period:
             age > 1, self._variance + change * ((reference - self._mean) ** 2 - self._variance), 0
         )
         seen = age[:, np.newaxis] - self._lags  # comparisons so far
-        share = 1.0 / np.clip(seen, 1.0, np.maximum(self._lags, LEAST_WINDOW))
+        share = 1.0 / np.clip(seen, 1.0, np.maximum(self._lags, WINDOW_MIN))
         difference = (reference[:, np.newaxis] - self._past) ** 2
         self._difference = np.where(seen > 0, self._difference + share * (difference - self._difference), 0.0)
         self._past = np.concatenate((reference[:, np.newaxis], self._past[:, :-1]), axis=1)
@@ -81,7 +81,7 @@ class Period:
         behind = np.maximum.accumulate(d, axis=1) > DISTINCT_DIFFERENCE * power
         inner = d[:, 1:-1]
         low = (inner <= d[:, :-2]) & (inner < d[:, 2:]) & (inner < PERIOD_DIFFERENCE * power) & behind[:, 1:-1]
-        low &= seen[:, 1:-1] > np.maximum(LEAST_WINDOW, self._lags[1:-1]) // 2
+        low &= seen[:, 1:-1] > np.maximum(WINDOW_MIN, self._lags[1:-1]) // 2
         first, rows = np.argmax(low, axis=1), np.arange(len(d))
         found = low[rows, first]
         left, middle, right = (d[rows, first + k] for k in (0, 1, 2))
@@ -89,39 +89,39 @@ class Period:
         shift = np.clip(0.5 * (left - right) / np.where(bend > 0.0, bend, 1.0), -0.5, 0.5)
         least = np.maximum(middle - 0.25 * (left - right) * shift, 0.0)
         self.steps = np.where(found, self._lags[first + 1] + shift, 0.0)
-        self.trust = np.where(found, 1.0 - np.clip(least / (PERIOD_DIFFERENCE * power[:, 0]), 0.0, 1.0), 0.0)
+        self.confidence = np.where(found, 1.0 - np.clip(least / (PERIOD_DIFFERENCE * power[:, 0]), 0.0, 1.0), 0.0)
 
 
 STRUCTURE = "residual"  # value of `structure` in the header of a weights file
 NOMINAL_SCALE = 300.0
 """Force scale [N] of the training benches; forces of another bench are scaled to it."""
 
-BACK = np.array((0, 5, 10, 20, 35, 55, 90))  # lags of f_r' in z, samples before the last one
-LOOKAHEAD, HALF, SIGMA, PREDICTION_LATENCY = 16, 24, 8.0, 12
+RATE_LAGS = np.array((0, 5, 10, 20, 35, 55, 90))  # lags of f_r' in z, samples before the last one
+LOOKAHEAD, KERNEL_HALF_LENGTH, SIGMA, PREDICTION_LATENCY = 16, 24, 8.0, 12
 """Horizon of the predicted correction from the last sample; half length and standard deviation of the kernel S; latency
 from the start of a policy step to the effect of its p; all in samples.
 
 In the graph a_3 acts from the fifth sample after the one on which it was decided (`benchmarks.residual`)."""
-KERNEL = np.exp(-0.5 * (np.arange(-HALF, HALF + 1) / SIGMA) ** 2)
+KERNEL = np.exp(-0.5 * (np.arange(-KERNEL_HALF_LENGTH, KERNEL_HALF_LENGTH + 1) / SIGMA) ** 2)
 KERNEL /= KERNEL.sum()
 DELAY = 4  # policy steps after which a needed correction is known
 BUFFER_STEPS = 12  # policy steps whose samples are buffered
 MEMORY = 400  # needed corrections in memory, 4 s
 LAGS = (0, 2, 5, 10, 20, 40)  # lags of the recent needed corrections, policy steps before the last one
 WIDTHS = (0.25, 0.6)  # widths of the Gaussian kernels for the mean over similar z
-REPEATS = (1.0, 0.5, 0.25)  # weights of the corrections needed one, two and three periods ago
+PERIOD_WEIGHTS = (1.0, 0.5, 0.25)  # weights of the corrections needed one, two and three periods ago
 SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0  # of these corrections, over policy steps
 SMOOTHING_DELAY = DELAY + 1 + len(SMOOTHING) // 2
 """Policy steps after which the smoothed corrections of a step and the next are known."""
 SETTLING = BUFFER_STEPS + 100  # initial policy steps whose corrections are not repeated: the law converges
-STALE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since a correction at which its weight halves
+HALF_WEIGHT_CHANGE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since a correction at which its weight halves
 REPEAT_GAIN = 0.9  # share of a repeated correction that is applied
 FORGETTING = 0.01 / 1.5  # forgetting rate of the correlations, per policy step
 
-TERMS = 3 * len(BACK) + 4  # entries of z
+TERMS = 3 * len(RATE_LAGS) + 4  # entries of z
 INPUTS = 2 * TERMS + 6 + len(LAGS) + 2 * len(WIDTHS)
 OUTPUTS = 2
-WEIGHTING = np.array([0.5, 0.7, 1.0] * len(BACK) + [1.5, 0.7, 1.0, 0.0])
+WEIGHTING = np.array([0.5, 0.7, 1.0] * len(RATE_LAGS) + [1.5, 0.7, 1.0, 0.0])
 """Weights of the entries of z in the distance between two situations, shape (`TERMS`,)."""
 
 WARM_UP, RAMP = 65, 50  # policy steps before the residual acts, and over which it is ramped in
@@ -133,7 +133,7 @@ PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0  # bounds of p and of w, N at `NOMINAL
 GAIN = 0.8  # share of the prediction that is applied
 PRODUCT_RATE, AUTHORITY_RATE = 0.01, 0.03
 """Per policy step: rate of the averaged products of S(e) and p, and of the authority that follows them."""
-LEAST_POWER = 0.01  # N^2 at `NOMINAL_SCALE`: regularisation, added to the mean square of p
+POWER_REGULARISATION = 0.01  # N^2 at `NOMINAL_SCALE`: regularisation, added to the mean square of p
 
 
 @dataclass(frozen=True)
@@ -203,9 +203,9 @@ class Residual:
         self._zy, self._zz = np.zeros((n, TERMS)), np.zeros((n, TERMS))
         self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), 1e3)
         self._mean, self._variance = np.zeros(n), np.zeros(n)
-        self._period = Period(n)
+        self._period = PeriodDetector(n)
         self._recent: FloatArray = np.zeros((n, SMOOTHING_DELAY + 1, 9))  # needed correction, law, reference
-        self._past: FloatArray = np.zeros((n, len(REPEATS) * LONGEST, OUTPUTS + 8))
+        self._past: FloatArray = np.zeros((n, len(PERIOD_WEIGHTS) * PERIOD_MAX, OUTPUTS + 8))
         """Of the last steps, in turn: corrections, law, reference."""
         self._steps = 0
 
@@ -236,7 +236,7 @@ class Residual:
         self._learn()
         now = np.where(np.isfinite(reference[:, -1]), reference[:, -1], 0.0) / self._scale
         self._period.step(now, self.age)
-        past = self._rate[:, self._rate.shape[1] - 1 - BACK]
+        past = self._rate[:, self._rate.shape[1] - 1 - RATE_LAGS]
         second = (self._rate[:, -1] - self._rate[:, -1 - SAMPLES_PER_STEP]) / 0.01  # f_r''
         shaped = np.stack((np.tanh(past / 60.0), np.tanh(past / 400.0), past / 2000.0), axis=2).reshape(len(past), -1)
         plain = (now / 250.0, np.tanh(second / 4000.0), second / 20000.0, np.ones_like(second))
@@ -257,7 +257,8 @@ class Residual:
 
     def _learn(self) -> None:
         """Compute the correction needed `DELAY` steps ago; update authority, correlations and memory by it."""
-        first = (BUFFER_STEPS - DELAY) * SAMPLES_PER_STEP + LOOKAHEAD - 1 - HALF  # of S, among the kept samples
+        # first sample of S, among the kept ones
+        first = (BUFFER_STEPS - DELAY) * SAMPLES_PER_STEP + LOOKAHEAD - 1 - KERNEL_HALF_LENGTH
         at = (np.arange(first, first + len(KERNEL)) - PREDICTION_LATENCY) / SAMPLES_PER_STEP
         low = np.clip(np.floor(at).astype(int), 0, BUFFER_STEPS - 1)
         high, between = np.minimum(low + 1, BUFFER_STEPS - 1), at - low
@@ -270,7 +271,7 @@ class Residual:
         left, predicted, share = error @ KERNEL, wished @ KERNEL, PRODUCT_RATE * known
         self._product += share * (left * predicted - self._product)
         self._power += share * (predicted**2 - self._power)
-        change = AUTHORITY_RATE * np.clip(self._product / (self._power + LEAST_POWER), -1.0, 1.0)
+        change = AUTHORITY_RATE * np.clip(self._product / (self._power + POWER_REGULARISATION), -1.0, 1.0)
         self.authority = np.clip(self.authority + known * (self.age > WARM_UP + RAMP) * change, 0.0, 1.0)
         z = self._seen[:, -DELAY]
         self._zy += FORGETTING * known[:, np.newaxis] * (self.needed[:, np.newaxis] * z - self._zy)
@@ -303,7 +304,7 @@ class Residual:
         if self._network is not None:
             law = a / np.array((1.0, 1.0, 1.0, self._scale))
             total, weight = np.zeros((self._count, OUTPUTS)), np.zeros((self._count, 1))
-            for number, usual in enumerate(REPEATS):  # corrections needed whole periods ago
+            for number, usual in enumerate(PERIOD_WEIGHTS):  # corrections needed whole periods ago
                 back = (number + 1) * self._period.steps - SMOOTHING_DELAY
                 known = (back >= 0.0) & (back + SMOOTHING_DELAY + SETTLING < self.age)
                 back = np.where(known, back, 0.0)
@@ -312,11 +313,11 @@ class Residual:
                 late, early = (self._past[np.arange(self._count), (self._steps - low - k) % length] for k in (0, 1))
                 then = (1.0 - between) * late + between * early
                 changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - law) * then[:, OUTPUTS + 4 :], axis=1)
-                share = (usual * known / (1.0 + (changed / STALE) ** 2))[:, np.newaxis]
+                share = (usual * known / (1.0 + (changed / HALF_WEIGHT_CHANGE) ** 2))[:, np.newaxis]
                 total, weight = total + share * then[:, :OUTPUTS], weight + share
             repeated = total / np.maximum(weight, 1e-6)
-            trust = self._period.trust[:, np.newaxis] * np.minimum(weight, 1.0)
-            predicted = (1.0 - trust) * GAIN * self._network(self.inputs) + trust * REPEAT_GAIN * repeated
+            confidence = self._period.confidence[:, np.newaxis] * np.minimum(weight, 1.0)
+            predicted = (1.0 - confidence) * GAIN * self._network(self.inputs) + confidence * REPEAT_GAIN * repeated
         ramp = np.clip((self.age - WARM_UP) / RAMP, 0.0, 1.0) * np.clip(self._counting / RESTART_RAMP, 0.0, 1.0)
         ramp = ramp[:, np.newaxis]
         sound = np.isfinite(predicted).all(axis=1, keepdims=True)

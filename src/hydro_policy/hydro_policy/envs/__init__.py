@@ -7,4 +7,4 @@ from typing import Literal, get_args
 
 FilterName = Literal["none", "learned"]
 FILTERS: tuple[FilterName, ...] = get_args(FilterName)
-"""Names of the filters between policy and box of a simulated bench; `vector_env.fleet_filter` creates them."""
+"""Names of the filters between policy and box of a simulated bench; `vector_env.vector_filter` creates them."""

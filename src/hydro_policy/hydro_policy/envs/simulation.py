@@ -10,7 +10,7 @@ from hydro_filter.controller.factory import FilterChoice
 from hydro_policy.envs import FilterName
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
 from hydro_sim.files import learned_bench
-from hydro_sim.files.pairing import BoxIdentity, MadeFor
+from hydro_sim.files.pairing import BoxIdentity, Provenance
 from hydro_sim.model.bench import Bench
 
 
@@ -36,20 +36,20 @@ class SimulationSetup:
             return Bench.nominal()
         return learned_bench.read(None if self.model == "shipped" else self.model)
 
-    def believed(self) -> Bench:
+    def box_bench(self) -> Bench:
         """Return the bench assumed by the box's force law."""
         return Bench.load(self.box) if self.box else Bench.nominal()
 
     def box_config(self) -> BoxConfig:
         """Return the box's settings: base gains, limits, form of the integral."""
         box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
-        return replace(box.of_bench(self.believed()), integral=self.integral)
+        return replace(box.of_bench(self.box_bench()), integral=self.integral)
 
-    def made_for(self) -> MadeFor:
+    def provenance(self) -> Provenance:
         """Return the provenance of trained policies: bench assumed by the box, base gains, integral, learned bench."""
         box, model = self.box_config(), learned_bench.digest() if self.model == "shipped" else ""
-        return MadeFor(
-            box=self.believed().digest, model=model, base_kp=box.base_kp,
+        return Provenance(
+            box=self.box_bench().digest, model=model, base_kp=box.base_kp,
             base_ki=box.base_ki, integral=box.integral, any_bench=self.randomise,
         )  # fmt: skip
 
@@ -60,4 +60,4 @@ class SimulationSetup:
         wrong = learned_bench.box_mismatch(None, box, remedy) if self.model == "shipped" else ""
         if wrong or self.filter != "learned":
             return wrong
-        return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).pairing_error()
+        return FilterChoice(bench=self.box_bench(), bench_file=Path(self.box) if self.box else None).pairing_error()

@@ -39,7 +39,7 @@ from hydro_core.signals import (
 )
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model import records as filter_records
-from hydro_policy.compensation.estimator import ADAPTS
+from hydro_policy.compensation.estimator import VALIDITY_MASK
 from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs import FilterName
 from hydro_sim.box import firmware
@@ -53,7 +53,7 @@ from hydro_sim.model.plant import AnalyticPlant, Plant
 Records = npt.NDArray[np.void]
 
 
-class Analytic(NamedTuple):
+class AnalyticArrays(NamedTuple):
     """Stacked arrays of `AnalyticPlant`s, one row per bench."""
 
     constants: Records
@@ -73,7 +73,7 @@ def measurement(plants: Any, i: int) -> FloatArray:
 
 @overload(advance)
 def _advance(plants, i, noise, current):
-    if getattr(plants, "instance_class", None) is Analytic:
+    if getattr(plants, "instance_class", None) is AnalyticArrays:
 
         def analytic(plants, i, noise, current):
             one = slice(i, i + 1)
@@ -85,21 +85,23 @@ def _advance(plants, i, noise, current):
 
 @overload(measurement)
 def _measurement(plants, i):
-    if getattr(plants, "instance_class", None) is Analytic:
+    if getattr(plants, "instance_class", None) is AnalyticArrays:
         return lambda plants, i: plants.state[i].x
     if isinstance(plants, types.NamedTuple):
         return lambda plants, i: plants.x[i]
     return None
 
 
-def _copy_analytic(arrays: Analytic, index: int, plant: AnalyticPlant) -> None:
-    for name in Analytic._fields:
+def _copy_analytic(arrays: AnalyticArrays, index: int, plant: AnalyticPlant) -> None:
+    for name in AnalyticArrays._fields:
         getattr(arrays, name)[index] = getattr(plant, name)[0]
 
 
-KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
+PLANT_TYPES: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] = {
     AnalyticPlant: (
-        lambda plants: Analytic(*(np.concatenate([getattr(p, name) for p in plants]) for name in Analytic._fields)),
+        lambda plants: AnalyticArrays(
+            *(np.concatenate([getattr(p, name) for p in plants]) for name in AnalyticArrays._fields)
+        ),
         _copy_analytic,
     )
 }
@@ -110,7 +112,7 @@ benchmark may add a type."""
 _ARMED = np.uint32(Flag.ARMED)
 
 
-class FleetFilter(NamedTuple):
+class VectorFilter(NamedTuple):
     """Filter between policy and box, with one state per bench; without a filter the box sets FILTER_STALE."""
 
     fresh: bool  # whether a filter runs
@@ -121,12 +123,12 @@ class FleetFilter(NamedTuple):
     made: Records
 
 
-def fleet_filter(kind: FilterName, believed: Bench, count: int) -> FleetFilter:
-    """Return a filter of this kind for `count` benches, designed for the bench `believed`."""
-    parts = default_filter(believed).parts if kind == "learned" else np.zeros(1, filter_records.FILTER)
+def vector_filter(kind: FilterName, box_bench: Bench, count: int) -> VectorFilter:
+    """Return a filter of this kind for `count` benches, designed for the bench `box_bench`."""
+    parts = default_filter(box_bench).record if kind == "learned" else np.zeros(1, filter_records.FILTER)
     seen, made = np.zeros(1, filter_records.SAMPLE), np.zeros(1, filter_records.DECISION)
     memory = filter_records.new_memories(count)
-    return FleetFilter(kind == "learned", filter_records.decide_address(), parts, memory, seen, made)
+    return VectorFilter(kind == "learned", filter_records.decide_address(), parts, memory, seen, made)
 
 
 DEAD_TIME_MAX = 8  # maximum delay of a command, samples
@@ -136,7 +138,7 @@ LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held
 
 
 class VectorBench:
-    """Fleet of benches in one compiled loop (see the module's docstring).
+    """Vectorised benches in one compiled loop (see the module's docstring).
 
     `benches`: bench assumed by each box. `plants`: plant behind each box, all of one kind. `config`: settings of the
     boxes. `filters`: filter between policy and box; None: no filter.
@@ -147,11 +149,11 @@ class VectorBench:
         benches: Sequence[Bench],
         plants: Sequence[Plant],
         config: BoxConfig | None = None,
-        filters: FleetFilter | None = None,
+        filters: VectorFilter | None = None,
     ) -> None:
         self.config = config or BoxConfig()
-        self.filters = filters or fleet_filter("none", benches[0], len(plants))
-        make, self._copy = KINDS[type(plants[0])]
+        self.filters = filters or vector_filter("none", benches[0], len(plants))
+        make, self._copy = PLANT_TYPES[type(plants[0])]
         self.plants, self.rows, count = list(plants), make(plants), len(plants)
         for index, plant in enumerate(plants):
             self._copy(self.rows, index, plant)
@@ -168,13 +170,13 @@ class VectorBench:
         return len(self.boxes)
 
     def replace(self, index: int, bench: Bench, plant: Plant, gain_delay: int = 1, dead_time: int = 0) -> None:
-        """Replace the bench at this index; call `begin` for it next."""
+        """Replace the bench at this index; call `reset` for it next."""
         self.settings[index] = self.config.constants(bench)[0]
         self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
         self.plants[index] = plant
         self._copy(self.rows, index, plant)
 
-    def begin(
+    def reset(
         self,
         index: int,
         reference: ReferenceSignal,
@@ -229,7 +231,7 @@ class VectorBench:
         if adapted is None:
             return self.step(changes)
         samples = self.step(changes, adapted.coefficients)
-        active = np.all(samples["flags"] & ADAPTS == Flag.ARMED, axis=1)
+        active = np.all(samples["flags"] & VALIDITY_MASK == Flag.ARMED, axis=1)
         force, rate = samples["load_force"], samples["reference_force_rate"]
         adapted.step(self.compensated, force, active, rate, samples["reference_force"])
         return samples

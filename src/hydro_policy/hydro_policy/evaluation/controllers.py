@@ -21,7 +21,7 @@ class Controller:
     """Base class of controllers: gain changes at 100 Hz, under a force law."""
 
     name: str  # for tables
-    reach: GainRange  # range of the gain changes that it may request
+    gain_range: GainRange  # range of the gain changes that it may request
     fixed: tuple[float, float] | None = None  # constant total gains K_p [1/s], K_i [1/s^2]; None: they vary
 
     @property
@@ -47,7 +47,7 @@ class FixedGains(Controller):
             raise ValueError(f"fixed gains are two finite numbers, not {proportional:g} and {integral:g}")
         self.name, self.fixed = f"{kind} ({proportional:g}, {integral:g})", (proportional, integral)
         self._changes = kp, ki = proportional - base[0], integral - base[1]
-        self.reach = GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
+        self.gain_range = GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`."""
@@ -57,8 +57,8 @@ class FixedGains(Controller):
 class Compensated(Controller):
     """Controller under the compensated law: its base gains, with coefficients estimated online.
 
-    `compensation`: estimator of the coefficients. `base`: base gains of the paper's law, to which `reach` is relative
-    as any controller's. `learned`: whether the learned residual is added.
+    `compensation`: estimator of the coefficients. `base`: base gains of the paper's law, to which `gain_range` is
+    relative as any controller's. `learned`: whether the learned residual is added.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Compensated(Controller):
         self.name = "compensated, learned residual" if learned else "compensated"
         self._compensation, self._learned = compensation, learned
         self.fixed = compensation.law.base_kp, compensation.law.base_ki
-        self.reach = FixedGains(*self.fixed, base).reach
+        self.gain_range = FixedGains(*self.fixed, base).gain_range
 
     @property
     def law(self) -> LawCommand:
@@ -87,7 +87,7 @@ class PolicyController(Controller):
     """Controller that applies the mean action of a trained policy."""
 
     def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
-        self.name, self.reach = name, gains
+        self.name, self.gain_range = name, gains
         self._policy = policy
         self._action: FloatArray = np.zeros(ACTIONS)
 
@@ -100,7 +100,7 @@ class PolicyController(Controller):
         observation = observe(sample, self._action, self._policy.size)
         if np.isfinite(observation).all():
             self._action = self._policy.act(observation)
-        return self.reach.gains(self._action)
+        return self.gain_range.gains(self._action)
 
 
 def policy_controller(path: Path) -> PolicyController:

@@ -88,7 +88,7 @@ class Explorer(Controller):
         new_weights: Callable[[], FloatArray | None],
         wake: Callable[[], None],
     ) -> None:
-        self.task, self.reach = settings.task, settings.task.gains
+        self.task, self.gain_range = settings.task, settings.task.gains
         self.policy = Policy(settings.sac, settings.task.size)
         self.rng = np.random.default_rng(settings.seed)
         self.inference = Latency()  # observe, act, map to gains
@@ -110,7 +110,7 @@ class Explorer(Controller):
             self._action, mean = self.policy.draw(observation, self.rng)
             gains = self.task.gains.gains(self._action)
             self.inference.add(time.perf_counter() - began)
-            self._outputs.gains(*gains, self.published)
+            self._outputs.publish_gains(*gains, self.published)
             self.published += 1
             self._observation = observation
             reward = math.nan if before is None else self._end_step(before, taken, step, observation)
@@ -118,7 +118,7 @@ class Explorer(Controller):
             self._outputs.publish_step(self.published - 1, self.task.gains.gains(mean), reward, weights)
         self._wake()
 
-    def hold(self, gains: tuple[float, float], step: Step | None = None, *, under_way: bool = False) -> None:
+    def override_gains(self, gains: tuple[float, float], step: Step | None = None, *, under_way: bool = False) -> None:
         """Publish these gain changes instead of the policy's; the transitions that follow are not stored.
 
         The step that ends with them was under the policy, and is stored. `under_way`: whether an episode is running.
@@ -127,7 +127,7 @@ class Explorer(Controller):
             after = observe(step.sample, self._action, self.task.size)
             self._end_step(self._observation, self._action, step, after, under_way=under_way)
         self.current.overridden_steps += under_way
-        self._outputs.gains(*gains, self.published)
+        self._outputs.publish_gains(*gains, self.published)
         self.published += 1
         self._observation = None
         self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # previous action in the policy's observation

@@ -67,7 +67,7 @@ class GridSearch:
 
     def __init__(self, settings: GridSettings) -> None:
         self.settings = settings
-        self.tried: dict[Gains, FloatArray] = {}
+        self.results: dict[Gains, FloatArray] = {}
         """Force RMSE [N] on each reference by pair (K_p, K_i); infinite where the run was stopped."""
         self._pairs = self._search()
         self._next = next(self._pairs, None)
@@ -76,9 +76,9 @@ class GridSearch:
         """Return the next pair to try; None when the search is complete."""
         return self._next
 
-    def tell(self, pair: Gains, rmse: Sequence[float]) -> None:
+    def add_result(self, pair: Gains, rmse: Sequence[float]) -> None:
         """Record a pair's RMSE on each reference; infinite or NaN: it was stopped."""
-        self.tried[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
+        self.results[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
         self._next = next(self._pairs, None)
 
     def _search(self) -> Iterator[Gains]:
@@ -96,18 +96,18 @@ class GridSearch:
             steps = half * limits.kp_step, half * (2.0 * ki if spacing is None else spacing)
             for p, i in [(kp + i * steps[0], ki + j * steps[1]) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
                 allowed = limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max
-                if allowed and (p, i) not in self.tried and p < self._edge:
+                if allowed and (p, i) not in self.results and p < self._edge:
                     yield p, i
 
     @property
     def scores(self) -> dict[Gains, float]:
         """Score by pair: mean over references of RMSE relative to the smallest there; infinite if a run was stopped."""
-        return {**dict.fromkeys(self.tried, np.inf), **relative_scores(self.tried)}
+        return {**dict.fromkeys(self.results, np.inf), **relative_scores(self.results)}
 
     @property
     def any_completed(self) -> bool:
         """Whether any pair completed every reference."""
-        return bool(relative_scores(self.tried))
+        return bool(relative_scores(self.results))
 
     @property
     def best(self) -> Gains:
@@ -118,7 +118,7 @@ class GridSearch:
     @property
     def _edge(self) -> float:
         """Smallest K_p [1/s] that had to be stopped: neither it nor any above is tried again."""
-        return min((kp for (kp, _), rmse in self.tried.items() if not np.isfinite(rmse).all()), default=np.inf)
+        return min((kp for (kp, _), rmse in self.results.items() if not np.isfinite(rmse).all()), default=np.inf)
 
 
 class GridPlan(Plan):
@@ -145,7 +145,7 @@ class GridPlan(Plan):
                     rmse = [np.inf] * len(cases)
                     break
                 rmse.append(score.rmse)
-            self.search.tell(pair, rmse)
+            self.search.add_result(pair, rmse)
 
     @property
     def best(self) -> FixedGains:

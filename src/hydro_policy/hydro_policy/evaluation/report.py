@@ -32,16 +32,19 @@ def table(session: TrialRunner[Comparison]) -> Table:
     disturbed = DISTURBED_MARK if any(score.disturbed for score in session.scores) else ""
     columns = {"controller": disturbed, "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.plan.settings.repeats > 1 else ""
-    felt = (
+    brackets = (
         "; in brackets of the force on the specimen" if any(math.isfinite(s.true_rmse) for s in session.scores) else ""
     )
     force = f"{session.plan.settings.amplitude:g} N"
-    title = f"Force RMSE [N], and in % of the reference's RMS, sines of {force}{spread}{felt}"
+    title = f"Force RMSE [N], and in % of the reference's RMS, sines of {force}{spread}{brackets}"
     result = Table(columns, title=title)
-    reaches = {controller.name: controller.reach for controller in session.plan.controllers}
+    gain_ranges = {controller.name: controller.gain_range for controller in session.plan.controllers}
     for name in dict.fromkeys(score.controller for score in session.scores):
-        (kp, ki), reach = session.override.base, reaches[name]
-        ends = (kp + reach.delta_kp_min, kp + reach.delta_kp_max), (ki + reach.delta_ki_min, ki + reach.delta_ki_max)
+        (kp, ki), limits = session.override.base, gain_ranges[name]
+        ends = (
+            (kp + limits.delta_kp_min, kp + limits.delta_kp_max),
+            (ki + limits.delta_ki_min, ki + limits.delta_ki_max),
+        )
         total = ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
         cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
         result.add(controller=name, authority=total, **cells)
@@ -57,14 +60,16 @@ def best(session: TrialRunner[Comparison]) -> str:
     """
     cases = [case.name for case in session.plan.settings.cases]
     names = dict.fromkeys(score.controller for score in session.scores)
-    felt = session.compensation is not None and session.compensation.cell is not None
-    felt = felt and all(math.isfinite(score.true_rmse) for score in session.scores if math.isfinite(score.rmse))
+    of_specimen = session.compensation is not None and session.compensation.cell is not None
+    of_specimen = of_specimen and all(
+        math.isfinite(score.true_rmse) for score in session.scores if math.isfinite(score.rmse)
+    )
     rmse = {name: np.full(len(cases), np.nan) for name in names}
     for name in names:
         for column, case in enumerate(cases):
             found = runs(session.scores, name, case)
             if found and not any(score.disturbed for score in found):
-                rmse[name][column] = np.mean([score.true_rmse if felt else score.rmse for score in found])
+                rmse[name][column] = np.mean([score.true_rmse if of_specimen else score.rmse for score in found])
     scores = relative_scores(rmse)
     if len(scores) < 2:
         held_up = dict.fromkeys(score.controller for score in session.scores if score.disturbed)
@@ -72,7 +77,7 @@ def best(session: TrialRunner[Comparison]) -> str:
     first, second, *_ = sorted(scores, key=scores.__getitem__)
     ratio = rmse[first] / rmse[second]
     told = f"{ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}"
-    return f"Best: {first}, with {told}" + (", as the specimen feels it." if felt else ".")
+    return f"Best: {first}, with {told}" + (", as the specimen feels it." if of_specimen else ".")
 
 
 def runs(scores: list[Score], controller: str, case: str) -> list[Score]:
@@ -86,16 +91,16 @@ def _cell(scores: list[Score]) -> float | str:
         return f"stopped {stopped}/{len(scores)}"
     if not scores:
         return "-"
-    values, felt = [score.rmse for score in scores], float(np.mean([score.true_rmse for score in scores]))
+    values, true_rmse = [score.rmse for score in scores], float(np.mean([score.true_rmse for score in scores]))
     shown = f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if len(values) > 1 else f"{values[0]:.2f}"
     share = float(np.mean([100.0 * score.rmse / score.reference_rms for score in scores]))
     if math.isfinite(share):
         shown = f"{shown}, {share:.2f} %"
-    if math.isfinite(felt):
-        shown = f"{shown} ({felt:.2f})"
+    if math.isfinite(true_rmse):
+        shown = f"{shown} ({true_rmse:.2f})"
     if any(score.disturbed for score in scores):
         return f"{shown} *"
-    return shown if len(values) > 1 or math.isfinite(felt) or math.isfinite(share) else float(shown)
+    return shown if len(values) > 1 or math.isfinite(true_rmse) or math.isfinite(share) else float(shown)
 
 
 def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
@@ -105,7 +110,7 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
     table = Table({**columns, **dict.fromkeys(cases, "")}, title="Fixed gains, force RMSE [N]; inf: stopped")
     scores = search.scores
     for pair in sorted(scores, key=scores.__getitem__):
-        rmse = {case: float(value) for case, value in zip(cases, search.tried[pair], strict=True)}
+        rmse = {case: float(value) for case, value in zip(cases, search.results[pair], strict=True)}
         table.add(**{"K_p": pair[0], "K_i": pair[1], "score": scores[pair], **rmse})
     return table
 

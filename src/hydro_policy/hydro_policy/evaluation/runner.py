@@ -3,11 +3,11 @@
 
 trial     a new reference, settling, then measurement of e = f_r - f_l; or a training episode of a number of policy
           steps under an exploring controller (`exploration`)
-failure   the box trips, or the monitor requests a stop: the trial counts as stopped, and a second of calm follows
+failure   the box trips, or the monitor requests a stop: the trial counts as stopped, and a second of recovery follows
 pause     the plant is lost, disarmed, or overridden: the trial restarts. An episode continues under an override
 unstable  the box trips at once under base gains, several times: all trials under this force law count as stopped
-disturbed corrections, commands or samples came late, or the box tripped without commands: the trial restarts, `REPEATS`
-          times at most
+disturbed corrections, commands or samples came late, or the box tripped without commands: the trial restarts,
+          `REPEATS_MAX` times at most
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.runs.run_directory import RunRecord
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE, FALLBACK, TRIALS, PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE, FALLBACK, TRIPS_MAX, PlantSupervisor
 from hydro_policy.task.cases import DISTURBED_SHARE_MAX, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, hold_flags
 from hydro_sim.files import load_force
 
-REPEATS = 2  # largest number of restarts of a disturbed trial
+REPEATS_MAX = 2  # largest number of restarts of a disturbed trial
 
-SILENCE = "the box heard nothing for too long and tripped: the machine was held up"
+WATCHDOG_TRIP = "the box heard nothing for too long and tripped: the machine was held up"
 
 BUSY = "if the machine is busy, close other programs"
-REPLACED = 0.5  # share of samples under base gains above which a run is no measurement of its controller
+BASE_GAINS_SHARE_MAX = 0.5  # share of samples under base gains above which a run is no measurement of its controller
 
 UNFILTERED = "no filter of this bench decides, or it comes late (`ros2 topic echo /diagnostics` tells)"
 
-LAW_TRIALS = 3
+LAW_ARMINGS_MAX = 3
 """Largest number of armings under another law than the commanded one; after more, its trials count as stopped."""
-NOT_TAKEN_UP = "the plant does not take up the force law that is commanded"
+LAW_NOT_ADOPTED = "the plant does not take up the force law that is commanded"
 FROZEN = "A person had frozen the coefficients of the compensated law."
 ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed again with that"
 
@@ -61,27 +61,27 @@ class _Run:
 
 
 class Rest:
-    """Session at rest: finished after `seconds` s disarmed with all requirements of `watch` met; it arms nothing."""
+    """Session at rest, finished after `seconds` s disarmed with all requirements of `supervisor` met; arms nothing."""
 
-    def __init__(self, seconds: float, watch: PlantSupervisor) -> None:
-        self.watch, self.override, self.finished = watch, watch.override, False
+    def __init__(self, seconds: float, supervisor: PlantSupervisor) -> None:
+        self.supervisor, self.override, self.finished = supervisor, supervisor.override, False
         self._seconds, self._since = seconds, inf
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Process a sample; returns False: no gains are published."""
-        self.watch.on_sample(flags, now)
-        at_rest = self.watch.readiness.complete and not flags & Flag.ARMED
+        self.supervisor.on_sample(flags, now)
+        at_rest = self.supervisor.readiness.complete and not flags & Flag.ARMED
         self._since = min(self._since, now) if at_rest else inf
         self.finished = now - self._since >= self._seconds
         return False
 
     def on_correction(self, after: float, status: int) -> None:
         """Pass the filter's status on."""
-        self.watch.on_correction(status)
+        self.supervisor.on_correction(status)
 
     def on_tick(self, now: float) -> None:
         """Check the requirements for arming."""
-        self.watch.readiness.check(now)
+        self.supervisor.readiness.check(now)
 
 
 class Phase(IntEnum):
@@ -100,38 +100,38 @@ P = TypeVar("P", bound=Plan)
 class TrialRunner(Generic[P]):
     """Runner of a plan's trials on a live plant; a session of the node.
 
-    `plan`: plan of the trials. `watch`: supervisor of the plant. `monitor`: safety monitor, to stop a trial before the
-    box trips; None: none. `compensation`: online estimator for controllers under the compensated law, if there are any.
-    `felt`: file of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one. `record`, `kind`:
-    record of the scores, except those of a training, as events of this kind. Scores in it from an interrupted run are
-    reused, and their trials skipped.
+    `plan`: plan of the trials. `supervisor`: supervisor of the plant. `monitor`: safety monitor, to stop a trial before
+    the box trips; None: none. `compensation`: online estimator for controllers under the compensated law, if there are
+    any. `load_force_file`: file of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one.
+    `record`, `kind`: record of the scores, except those of a training, as events of this kind. Scores in it from an
+    interrupted run are reused, and their trials skipped.
     """
 
     def __init__(
         self,
         plan: P,
-        watch: PlantSupervisor,
+        supervisor: PlantSupervisor,
         *,
         monitor: SafetyMonitor | None = None,
         compensation: LiveCompensation | None = None,
-        felt: Path | None = None,
+        load_force_file: Path | None = None,
         record: RunRecord | None = None,
         kind: str = "trial",
     ) -> None:
-        self.plan, self.watch, self.override = plan, watch, watch.override
+        self.plan, self.supervisor, self.override = plan, supervisor, supervisor.override
         self.compensation, self.monitor = compensation, monitor
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
         self.clock = StepClock()
-        self._wrong_law, self._law_trials = False, 0
-        self._outputs, self._felt = watch.outputs, felt
+        self._wrong_law, self._law_armings = False, 0
+        self._outputs, self._load_force_file = supervisor.outputs, load_force_file
         self._repeats = 0
         self._run: _Run | None = None
         self._phase = Phase.WAITING
         self._steps, self._step_ended = 0, False
         self._record, self._kind = None, kind
-        for event in record.unfinished(kind) if record is not None else ():
+        for event in record.events_of_interrupted(kind) if record is not None else ():
             made, due = Score.of_event(event), plan.trial
             same = due is not None and due.empty_score().run == made.run
             if not same:
@@ -151,7 +151,7 @@ class TrialRunner(Generic[P]):
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Process a sample, shape (14,); returns whether gains were published."""
-        self.watch.on_sample(flags, now)
+        self.supervisor.on_sample(flags, now)
         if self.compensation is not None and (trial := self.plan.trial) is not None:
             self._follow_law(trial, self.compensation, sequence, sample, flags, now)
         if (trial := self.plan.trial) is None:
@@ -159,12 +159,12 @@ class TrialRunner(Generic[P]):
         step = self.clock.add(sequence, sample, flags, self._base(trial.controller))
         step_ended, self._step_ended = self._step_ended, step is not None and bool(flags & Flag.ARMED)
         if self.plan.training and (step is not None or not flags & Flag.ARMED):
-            self.plan.prepare_step(exact=bool(flags & Flag.PACED))
+            self.plan.prepare_step(synchronous=bool(flags & Flag.PACED))
         if not flags & Flag.ARMED:
             run = self._run
             if flags & Flag.TRIPPED:
                 self._on_trip(flags, sample)
-            self._pause(run, self.watch.condition)
+            self._pause(run, self.supervisor.condition)
             return False
         compensated = self.compensation is not None and self.compensation.acting is Law.COMPENSATED
         if (held := self.override.gains(now)) is not None:
@@ -172,21 +172,21 @@ class TrialRunner(Generic[P]):
                 base, law = self.override.base, self.compensation.law
                 held = base[0] + held[0] - law.base_kp, base[1] + held[1] - law.base_ki
             return self._hold(trial, held, sequence, step)
-        if self.watch.mismatched and not self.watch.calming and not self.watch.blocking_reason(now):
-            self.watch.note_action(now)
+        if self.supervisor.mismatched and not self.supervisor.recovering and not self.supervisor.blocking_reason(now):
+            self.supervisor.note_action(now)
             gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
             return self._hold(trial, gains, sequence, step)
         if self._run is None:
-            if not self.watch.may_begin(now):
+            if not self.supervisor.may_start(now):
                 self._step_ended = False
-                return self.watch.calming and self._hold(trial, (0.0, 0.0), sequence, step)
+                return self.supervisor.recovering and self._hold(trial, (0.0, 0.0), sequence, step)
             step_begins = step is not None if isinstance(trial.controller, Explorer) else step_ended
             if self.plan.training and not step_begins:
                 return False
             self._run = self._begin(trial, sequence)
-        elif isinstance(self._run.trial.controller, Explorer) and self.watch.blocking_reason(now):
+        elif isinstance(self._run.trial.controller, Explorer) and self.supervisor.blocking_reason(now):
             return False  # a person has held the gains: the plant is disarmed, and the episode is begun again
-        self.watch.note_action(now)
+        self.supervisor.note_action(now)
         run, explorer = self._run, self._run.trial.controller
         if not isinstance(explorer, Explorer):
             self._measure(run, sequence, sample, flags)
@@ -201,7 +201,12 @@ class TrialRunner(Generic[P]):
         else:
             return False
         due = self.plan.trial
-        if self._run is None and due is not None and isinstance(due.controller, Explorer) and not self.watch.calming:
+        if (
+            self._run is None
+            and due is not None
+            and isinstance(due.controller, Explorer)
+            and not self.supervisor.recovering
+        ):
             self._run = self._begin(due, sequence)  # its first step is the next one
         return step is not None
 
@@ -209,7 +214,7 @@ class TrialRunner(Generic[P]):
         """Publish gains that are not the controller's: an episode continues, any other trial restarts afterwards."""
         if isinstance(trial.controller, Explorer):
             if step is not None:
-                trial.controller.hold(gains, step, under_way=self._run is not None)
+                trial.controller.override_gains(gains, step, under_way=self._run is not None)
                 if self.monitor is not None:
                     self.monitor.reset()  # it assesses policies
             return step is not None
@@ -238,20 +243,20 @@ class TrialRunner(Generic[P]):
         Under an override the law is left unchanged. Trials under a law that the plant does not adopt count as stopped.
         """
         law = trial.controller.law
-        holds = self._run is None or law.law is Law.PAPER or self.watch.mismatched
+        excluded = self._run is None or law.law is Law.PAPER or self.supervisor.mismatched
         force, rate = float(sample[LOAD_FORCE]), float(sample[REFERENCE_RATE])
-        compensation.on_sample(sequence, force, flags, rate, reference=float(sample[REFERENCE]), holds=holds)
+        compensation.on_sample(sequence, force, flags, rate, reference=float(sample[REFERENCE]), excluded=excluded)
         wrong = bool(flags & Flag.ARMED) and compensation.acting is not law.law
-        self._law_trials += wrong and not self._wrong_law
-        self._law_trials *= wrong or not flags & Flag.ARMED
+        self._law_armings += wrong and not self._wrong_law
+        self._law_armings *= wrong or not flags & Flag.ARMED
         self._wrong_law = wrong
-        if self._law_trials > LAW_TRIALS:
-            self._give_up_law(law.law, NOT_TAKEN_UP)
+        if self._law_armings > LAW_ARMINGS_MAX:
+            self._give_up_law(law.law, LAW_NOT_ADOPTED)
         elif wrong and self.override.gains(now) is None:
             self._run = None
-            self.watch.block_runs(ANOTHER_LAW)
+            self.supervisor.block_runs(ANOTHER_LAW)
         elif not wrong and sequence % SAMPLES_PER_STEP == 0:
-            self._outputs.command_law(law, self._steps)
+            self._outputs.publish_law(law, self._steps)
 
     def _give_up_law(self, law: Law, why: str) -> None:
         """Score the plan's remaining trials under this force law, which come next, as stopped."""
@@ -262,20 +267,20 @@ class TrialRunner(Generic[P]):
 
     def on_tick(self, now: float) -> None:
         """Handle a tick, some twenty times a second."""
-        self.watch.on_tick(now)
-        if self.watch.lost:
+        self.supervisor.on_tick(now)
+        if self.supervisor.lost:
             self._pause(self._run, "no samples")
         if warning := self.plan.poll():
             self._outputs.report(warning, warning=True)
 
     def on_correction(self, after: float, status: int) -> None:
         """Process the filter's result for a sample: M_c [1/s] under its correction, and the status."""
-        self.watch.on_correction(status)
+        self.supervisor.on_correction(status)
         if self.monitor is not None:
             self.monitor.on_correction(after, status)
 
     def _begin(self, trial: Trial, sequence: int) -> _Run:
-        self.plan.begin(trial)
+        self.plan.prepare_trial(trial)
         self._phase = Phase.TRAINING if isinstance(trial.controller, Explorer) else Phase.EVALUATING
         trial.controller.reset()
         compensated = trial.controller.law.law is not Law.PAPER
@@ -284,7 +289,7 @@ class TrialRunner(Generic[P]):
             self.warnings.append(FROZEN)
         if self.monitor is not None:
             self.monitor.reset()
-        self._outputs.reference(trial.case.signal)
+        self._outputs.publish_reference(trial.case.signal)
         return _Run(trial, sequence, sequence - 1)
 
     def _measure(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> None:
@@ -302,12 +307,12 @@ class TrialRunner(Generic[P]):
         elif sequence % SAMPLES_PER_STEP == 0:
             self._publish(trial.controller.gains(sample))
         if (signal := trial.case.signal_due(before, (sequence - run.first) % 2**32)) is not None:
-            self._outputs.reference(signal)
+            self._outputs.publish_reference(signal)
         if self._run is run and time >= 0.0 and time + SAMPLE_PERIOD >= trial.measure - 1e-9:
             self._end(run)
 
     def _publish(self, gains: tuple[float, float]) -> bool:
-        self._outputs.gains(*gains, self._steps)
+        self._outputs.publish_gains(*gains, self._steps)
         self._steps += 1
         return True
 
@@ -329,11 +334,11 @@ class TrialRunner(Generic[P]):
             late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: {BUSY}"
         elif missed > DISTURBED_SHARE_MAX:  # the estimator of an adapted law excludes these
             late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY}"
-        if late and share <= REPLACED and self._again(trial, late):
+        if late and share <= BASE_GAINS_SHARE_MAX and self._again(trial, late):
             return
         acted = float(np.median(k_p)), float(np.median(k_i))
         if asked is None or not np.allclose(acted, np.array(asked, float), rtol=1e-3, atol=1e-3):
-            if share > REPLACED:
+            if share > BASE_GAINS_SHARE_MAX:
                 self._leave_out(trial, f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}")
                 return
             if asked is not None:
@@ -343,10 +348,11 @@ class TrialRunner(Generic[P]):
         if late and (warning := f"{trial.name}: {late}") not in self.warnings:
             self.warnings.append(warning)
             self._outputs.report(warning, warning=True)
-        felt = None if self._felt is None else load_force.read_forces(self._felt, trace.states["sequence"])
+        file, sequences = self._load_force_file, trace.states["sequence"]
+        specimen_force = None if file is None else load_force.read_forces(file, sequences)
         if not self.plan.training:
             self.traces.append(trace)
-        self._add(score(trace, trial.repeat, int(np.count_nonzero(bits)), felt))
+        self._add(score(trace, trial.repeat, int(np.count_nonzero(bits)), specimen_force))
 
     def _add(self, done: Score) -> str:
         self._repeats = 0
@@ -357,8 +363,8 @@ class TrialRunner(Generic[P]):
         return self.plan.add(done)
 
     def _again(self, trial: Trial, why: str) -> bool:
-        """Repeat a disturbed trial; returns False if it has been repeated `REPEATS` times."""
-        if self._repeats == REPEATS:
+        """Repeat a disturbed trial; returns False if it has been repeated `REPEATS_MAX` times."""
+        if self._repeats == REPEATS_MAX:
             return False
         self._repeats += 1
         self._outputs.report(f"{trial.name} is started again: {why}", warning=True)
@@ -367,9 +373,9 @@ class TrialRunner(Generic[P]):
     def _stop(self, trial: Trial, reason: str, sample: FloatArray) -> None:
         if isinstance(trial.controller, Explorer):
             trial.controller.terminate(sample)
-            trial.controller.hold((0.0, 0.0))
+            trial.controller.override_gains((0.0, 0.0))
         self._leave_out(trial, reason)
-        self.watch.calm()
+        self.supervisor.start_recovery()
         self._run, self._phase = None, Phase.PAUSED
 
     def _leave_out(self, trial: Trial, reason: str) -> None:
@@ -380,17 +386,17 @@ class TrialRunner(Generic[P]):
     def _on_trip(self, flags: int, sample: FloatArray) -> None:
         """Attribute a trip to the running trial, except under an override, or after late samples or commands."""
         silent, run = not flags & FAULTS, None if self.override.active else self._run
-        if run is not None and not (silent and (self.plan.training or self._again(run.trial, SILENCE))):
-            self._stop(run.trial, SILENCE if silent else self.watch.condition, sample)
-        elif self.watch.trips >= TRIALS and not self.plan.training and (trial := self.plan.trial) is not None:
-            self.watch.trips = 0
+        if run is not None and not (silent and (self.plan.training or self._again(run.trial, WATCHDOG_TRIP))):
+            self._stop(run.trial, WATCHDOG_TRIP if silent else self.supervisor.condition, sample)
+        elif self.supervisor.trips >= TRIPS_MAX and not self.plan.training and (trial := self.plan.trial) is not None:
+            self.supervisor.trips = 0
             self._give_up_law(trial.controller.law.law, BASE_GAINS_UNSTABLE)
-        elif not self.watch.calming and (self.override.active or not self.plan.training):
-            self.watch.calm()
+        elif not self.supervisor.recovering and (self.override.active or not self.plan.training):
+            self.supervisor.start_recovery()
 
     def _base(self, controller: Controller) -> tuple[float, float] | None:
         """Return the base gains of `hold_flags`; None under the compensated law, whose late commands are flagged."""
-        return self.override.base if controller.law.law is Law.PAPER and not self.watch.mismatched else None
+        return self.override.base if controller.law.law is Law.PAPER and not self.supervisor.mismatched else None
 
 
 Session = Rest | TrialRunner[Any]

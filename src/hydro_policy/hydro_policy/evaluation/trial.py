@@ -64,7 +64,7 @@ class Plan:
             self._trial = None
         return ""
 
-    def begin(self, trial: Trial) -> None:
+    def prepare_trial(self, trial: Trial) -> None:
         """Prepare the start, or restart, of the present trial."""
         return
 
@@ -72,8 +72,8 @@ class Plan:
         """Handle the interruption of a trial: the plant was disarmed, or lost."""
         return
 
-    def prepare_step(self, *, exact: bool) -> None:
-        """Prepare a policy step of a training; `exact`: the plant runs on its own clock, and waits for the return."""
+    def prepare_step(self, *, synchronous: bool) -> None:
+        """Prepare a policy step of a training; `synchronous`: the plant on its own clock waits for the return."""
         return
 
     def poll(self) -> str:
@@ -86,24 +86,27 @@ class Comparison(Plan):
 
     Controllers under the compensated law are last, since a change of the law requires disarming.
 
-    `settings`: references and lengths of the trials. `controllers`: at least one. `lead`: additional settling time [s]
-    of each controller's first trial; if not 0, controllers are not interleaved.
+    `settings`: references and lengths of the trials. `controllers`: at least one. `extra_settling_time`: added to the
+    settling time of each controller's first trial [s]; if not 0, controllers are not interleaved.
     """
 
-    def __init__(self, settings: EvaluationSettings, controllers: Sequence[Controller], lead: float = 0.0) -> None:
+    def __init__(
+        self, settings: EvaluationSettings, controllers: Sequence[Controller], extra_settling_time: float = 0.0
+    ) -> None:
         if not controllers:
             raise ValueError("an evaluation needs a controller")
         self.settings, self.controllers = settings, controllers
         order = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
-        if lead:
+        if extra_settling_time:
             order.sort(key=lambda run: controllers.index(run[2]))
         order.sort(key=lambda run: run[2].law.law)
         self.trials: list[Trial] = []
         self.total = len(order)
         for repeat, case, controller in order:
             first = not self.trials or self.trials[-1].controller is not controller
+            settle = settings.settle + extra_settling_time * first
             self.trials.append(
-                Trial(controller=controller, case=case, repeat=repeat, settle=settings.settle + lead * first,
+                Trial(controller=controller, case=case, repeat=repeat, settle=settle,
                       measure=settings.measured_time(case))
             )  # fmt: skip
 

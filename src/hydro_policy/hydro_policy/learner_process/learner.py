@@ -41,7 +41,7 @@ _IDLE = 0.05  # s between two polls of an idle learner without a wake
 CONTEXT = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
 
 
-class Latest:
+class LatestValue:
     """Double buffer in shared memory for the newest int64 array, with one writer and any number of readers.
 
         [ version, to the end of its cache line | sum, value of the even versions | sum, value of the odd ones ]
@@ -95,16 +95,16 @@ class LearnerMemory:
     def __init__(self, settings: TrainingSettings) -> None:
         self.capacity, length = settings.replay_capacity, len(agent(settings).state)
         self._replay = self._block(ReplayBuffer.nbytes(OBSERVATIONS, ACTIONS, self.capacity))
-        self._latest, self._good = self._block(Latest.nbytes(length)), self._block(Latest.nbytes(length))
+        self._latest, self._good = self._block(LatestValue.nbytes(length)), self._block(LatestValue.nbytes(length))
         self._status = self._block(STATUS.itemsize)
 
     def _block(self, size: int) -> Any:
         return CONTEXT.RawArray(ctypes.c_uint8, size)
 
-    def open(self) -> tuple[ReplayBuffer, Latest, Latest, Any]:
+    def open(self) -> tuple[ReplayBuffer, LatestValue, LatestValue, Any]:
         """Return replay buffer, latest and good `Sac.state`, and status (`STATUS`) for use in one process."""
         replay = ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
-        return replay, Latest(self._latest), Latest(self._good), np.frombuffer(self._status, STATUS)[0]
+        return replay, LatestValue(self._latest), LatestValue(self._good), np.frombuffer(self._status, STATUS)[0]
 
 
 def agent(settings: TrainingSettings, blob: bytes | None = None) -> Sac:
@@ -149,7 +149,7 @@ class Learner:
     @property
     def pending_updates(self) -> int:
         """Number of updates that are due for the transitions so far, and not done yet."""
-        return self.settings.updates_due(self.replay.produced) - self.sac.updates
+        return self.settings.updates_due(self.replay.total_appended) - self.sac.updates
 
     def work(self) -> int:
         """Roll back if requested, perform up to `CHUNK` pending updates and publish; returns their number."""

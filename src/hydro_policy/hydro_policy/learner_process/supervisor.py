@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Supervision of the learner process by the acting process: start, watch, restart, stop.
 
-Calls block only in `stop`, and while the plant waits as well (`exact`).
+Calls block only in `stop`, and while the plant waits as well (`synchronous`).
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class LearnerSupervisor:
             self._latest.publish(self._copy.state)
         self._deaths: list[float] = []  # times, s
         self.restarts = 0
-        self.exact = False
+        self.synchronous = False
         """Whether the plant waits for the learner: then reads and checkpoints include all updates that are due."""
         self._start()
 
@@ -146,17 +146,17 @@ class LearnerSupervisor:
         self._ask(WAKE)
 
     def wait_for_updates(self) -> None:
-        """If `exact`, wait until the learner has finished all updates and rollbacks that are due."""
-        due = self._settings.updates_due(self.replay.produced)
+        """If `synchronous`, wait until the learner has finished all updates and rollbacks that are due."""
+        due = self._settings.updates_due(self.replay.total_appended)
         self._await(lambda: self._rolled_back and self.updates >= due)
 
     def _await(self, done: Callable[[], bool]) -> None:
-        """If `exact`, wait for `done`, at most a minute, and not for a learner that is dead or starting."""
+        """If `synchronous`, wait for `done`, at most a minute, and not for a learner that is dead or starting."""
         give_up = time.monotonic() + SETTLE_TIMEOUT
-        while self.exact and not done() and self._status["ready"] and time.monotonic() < give_up and self.alive:
+        while self.synchronous and not done() and self._status["ready"] and time.monotonic() < give_up and self.alive:
             time.sleep(_GLANCE)
 
-    def save_policy(self, good: bytes) -> None:
+    def store_good_agent(self, good: bytes) -> None:
         """Store an agent, as returned by `sac.dump`, as the last good state."""
         self._good.publish(agent(self._settings, good).state)
 
@@ -166,7 +166,7 @@ class LearnerSupervisor:
         self.wake()
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Request a checkpoint, written on return where it is `exact`; returns False if the learner is not running."""
+        """Request a checkpoint, written on return if `synchronous`; returns False if the learner is not running."""
         self.wait_for_updates()
         wanted, asked = self.checkpoints + 1, self._ask(SaveRequest(trainer, best))
         if asked:

@@ -20,20 +20,20 @@ from hydro_core.cli.console import print_above_progress
 class RepeatFilter:
     """Rate limiter for messages: passes the first few occurrences of a sentence, numbers aside, and counts the rest."""
 
-    most: int  # largest number of occurrences of a sentence within 10 s
-    said: dict[str, tuple[float, int]] = field(default_factory=dict)
+    count_max: int  # largest number of occurrences of a sentence within 10 s
+    occurrences: dict[str, tuple[float, int]] = field(default_factory=dict)
     """Start of the period and count, by sentence."""
 
     def filter(self, sentence: str) -> str:
         """Return the sentence, with the number of similar ones omitted before it; empty: it is to be omitted."""
         now, kind = time.monotonic(), re.sub(r"[\d.]+", "", sentence)
-        since, count = self.said.get(kind, (-math.inf, 0))
+        since, count = self.occurrences.get(kind, (-math.inf, 0))
         if now - since > 10.0:
-            self.said[kind] = (now, 1)
-            left_out = count - self.most
+            self.occurrences[kind] = (now, 1)
+            left_out = count - self.count_max
             return f"{sentence} ({left_out} more since the last one)" if left_out > 0 else sentence
-        self.said[kind] = (since, count + 1)
-        return sentence if count < self.most else ""
+        self.occurrences[kind] = (since, count + 1)
+        return sentence if count < self.count_max else ""
 
 
 @dataclass
@@ -42,11 +42,11 @@ class Announcer:
 
     journal: Callable[[str, bool], None]  # publisher of sentences for recordings
     log: IO[str] | None = None  # destination of sentences besides the terminal
-    flood: RepeatFilter = field(default_factory=lambda: RepeatFilter(8))
+    repeat_filter: RepeatFilter = field(default_factory=lambda: RepeatFilter(8))
 
     def report(self, sentence: str, warning: bool = False) -> None:
         """Print a sentence, with an exclamation mark if it is a warning."""
-        told = self.flood.filter(f"! {sentence}" if warning else sentence)
+        told = self.repeat_filter.filter(f"! {sentence}" if warning else sentence)
         if not told:
             return
         print_above_progress(told)
@@ -73,11 +73,11 @@ _LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
 def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
     """Return a handler of a companion's output lines: passes each to `keep`, and prints warnings and errors."""
-    flood = RepeatFilter(1)
+    repeat_filter = RepeatFilter(1)
 
     def take(text: str) -> None:
         keep(text)
-        if any(word in text.lower() for word in _LOUD) and (line := flood.filter(text.rstrip("\n"))):
+        if any(word in text.lower() for word in _LOUD) and (line := repeat_filter.filter(text.rstrip("\n"))):
             print_above_progress(line)
 
     return take

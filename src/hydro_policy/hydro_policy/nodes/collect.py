@@ -27,7 +27,7 @@ from hydro_core.cli.console import UserError, bounded_number, command, writable_
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Plan, Trial
-from hydro_policy.nodes.graph_node import Ending, GraphNode
+from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.plant_options import add_option
 from hydro_policy.nodes.progress import TrialProgress
 from hydro_policy.task.cases import Case, Score
@@ -39,7 +39,7 @@ from hydro_sim.model.bench import NOMINAL, Bench
 SECONDS = 600.0  # s of a schedule, by default
 REST = 1.0  # s of the bench at rest, recorded before arming
 TRIPS_IN_A_ROW = 3
-AUTHORITY_WITHIN = 5.0  # timeout for the lease on the plant, s: longer than it keeps the lease of a killed node
+LEASE_WAIT = 5.0  # timeout for the lease on the plant, s: longer than it keeps the lease of a killed node
 TRIPPED = 3  # exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there
 
 
@@ -140,8 +140,8 @@ def main() -> int:
 
 def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
     """Play the schedule while it is recorded; returns its plan, with the trips and the time played."""
-    with Ending() as stack:
-        node = GraphNode("collect", alone_within=AUTHORITY_WITHIN)
+    with CleanupStack() as stack:
+        node = GraphNode("collect", lease_wait_max=LEASE_WAIT)
         stack.callback(leave_graph, node)
         refuse_unknown_parameters(node)
         if not node.wait_for_plant() or node.box is None:
@@ -157,7 +157,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         node.box_fault = lambda other: (
             "" if other.base_gains == box.base_gains else "another box with other base gains has been connected"
         )
-        start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.write_log)
+        start_dashboard(stack, node, wanted=options.dashboard, log=node.announcer.write_log)
         scratch = Path(stack.enter_context(TemporaryDirectory()))
         save_schedule(schedule, scratch / "schedule.yaml")
         (scratch / "bench.yaml").write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
@@ -211,4 +211,4 @@ def rest_recorded_requirement(node: GraphNode) -> Requirement:
 
     name = "a second of the still bench"
     missing = f"{name} was not recorded: somebody arms it again and again"
-    return Requirement(name=name, ready=recorded, hint="it is recorded first", within=600.0, missing=missing)
+    return Requirement(name=name, ready=recorded, hint="it is recorded first", timeout=600.0, timeout_message=missing)

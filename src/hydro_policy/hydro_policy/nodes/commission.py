@@ -50,17 +50,19 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import Bench
 
-AGAIN = "gains"  # gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first
+REPEAT_FROM = "gains"
+"""Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
 LOG = "commission.log"
 AT_REST = "rest"
 REST = 10.0  # s recorded at rest
-REACH = 0.8  # largest amplitude over the force at which the compensated law cuts off: its a_0 is up to 1.25
+AMPLITUDE_SHARE_MAX = 0.8
+"""Largest amplitude over the force at which the compensated law cuts off: its a_0 is up to 1.25."""
 ATTEMPTS = 3
 TRAINING = EvaluationSettings(frequencies=(0.5, 1.0, 2.0), multisine=True, steps=True)
 HELD_OUT = EvaluationSettings(frequencies=(0.7, 1.5))
 COMPARED = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0))
 POLICY = "policy"  # folder of the pretrained policy
-WATCH = (
+OPERATION_NOTES = (
     f"The filter says MISMATCH where the bench is no longer the one that was diagnosed: {RECOMMISSION_HINT}.",
     "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
 )
@@ -101,7 +103,7 @@ def link(at: Site) -> str:
     report.unlink(missing_ok=True)
     words = ("--port", at.free_port(), "--bench", str(at.bench), "--json", str(report))
     try:
-        at.run("hydro_bridge", "conformance", *words, loud=False)
+        at.run("hydro_bridge", "conformance", *words, echo=False)
     except GateError:
         if not report.is_file():
             raise
@@ -132,20 +134,20 @@ def sensors(at: Site) -> str:
     if not at.record.amplitude:
         at.record.amplitude = bench.size.force
     law = next(read_messages(at.recording(AT_REST), BOX_LAW))[1]
-    most = REACH * float(law.reference_max)
+    most = AMPLITUDE_SHARE_MAX * float(law.reference_max)
     if at.record.amplitude > most:
         raise GateError(f"--amplitude {at.record.amplitude:.0f}: this box's force law reaches {most:.0f} N")
     units = {"pressure_a": "Pa", "pressure_b": "Pa", "piston_position": "m"}
     told = (f"{name} {value:.2g} {units.get(name, 'N')}" for name, value in noise.items())
     found = f"noise {', '.join(told)}; hydraulic force {off:.1f} N off the pressures"
     at.record.cell_noise, at.record.drift = noise["load_force"], checks.drift_warning(states, at.record.amplitude)
-    return f"{found}; " + (at.record.drift or f"load force creeps {checks.creep(states):.2g} N/s")
+    return f"{found}; " + (at.record.drift or f"load force creeps {checks.drift_rate(states):.2g} N/s")
 
 
 def signs(at: Site) -> str:
     """Gate of the signs: correlations of signals in a slow motion of 0.2 times the amplitude, larger if blocked."""
     for share in (0.2, 0.5, 1.0):
-        _tracking_rmse(at, "signs", EvaluationSettings(frequencies=(checks.SLOW,)), share)
+        _tracking_rmse(at, "signs", EvaluationSettings(frequencies=(checks.SIGN_CHECK_FREQUENCY,)), share)
         if not checks.is_motion_blocked(_armed(at.recording("signs"))):
             break
     found = checks.channel_correlations(_armed(at.recording("signs")), Bench.load(at.bench))
@@ -206,7 +208,7 @@ def metric(at: Site) -> str:
         raise GateError(reason)
     at.record.certified_gains = {
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]
-        for one in found.certificates
+        for one in found.all_metrics
     }
     own = loop_filter(found, Bench.load(str(at.folder / site.MODEL)), Bench.load(at.bench))
     checks.require_matching_filter(_states(held_out), own)
@@ -262,7 +264,7 @@ def controllers(at: Site) -> str:
 def comparison(at: Site) -> str:
     """Gate of the comparison: adoption of the best controller, without those under which the piston stood."""
     entries = at.record.comparison
-    still = checks.STILL * at.record.amplitude / 2.0**0.5
+    still = checks.STANDSTILL_RATIO * at.record.amplitude / 2.0**0.5
     stood = {
         key: entry["name"]
         for key, entry in entries.items()
@@ -277,7 +279,7 @@ def comparison(at: Site) -> str:
     told = [f"At rest, {at.record.drift}."] if at.record.drift else []
     if max(adopted["rmse"].values()) < 1.5 * noise:
         told.append(f"The best errors are mainly the load cell's noise, {noise:.2g} N: less than that tells nothing.")
-    at.record.watch = list(dict.fromkeys([*at.record.watch, *told, *WATCH]))
+    at.record.watch = list(dict.fromkeys([*at.record.watch, *told, *OPERATION_NOTES]))
     return " ".join([f"{adopted['name']} is the best{left_out}.", *told]).rstrip(".")
 
 
@@ -345,7 +347,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--policy", action="store_true", help="pretrain a policy in simulation, and compare it, too")
     repeat = result.add_mutually_exclusive_group()
     repeat.add_argument("--from", dest="start", choices=NAMES, metavar="GATE", help=f"repeat from: {', '.join(NAMES)}")
-    repeat.add_argument("--again", action="store_true", help=f"the bench has changed: repeat from {AGAIN}")
+    repeat.add_argument("--again", action="store_true", help=f"the bench has changed: repeat from {REPEAT_FROM}")
     return result
 
 
@@ -357,7 +359,7 @@ def main() -> int:
     record = Record.load(folder, NAMES)
     changed = _take(options, folder, record)
     untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
-    start = AGAIN if options.again else options.start or ("policy" if untrained else None)
+    start = REPEAT_FROM if options.again else options.start or ("policy" if untrained else None)
     starts = [name for name in (start, "signs" if changed else None) if name]
     first = record.reset_invalid_gates(folder, min((NAMES.index(name) for name in starts), default=len(GATES)))
     for gate in GATES[:first]:
@@ -403,14 +405,14 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
     own = folder / site.BENCH
     given = options.bench or (bench_digest.shipped_bench_file() if plant == EMULATED else None)
     if own.is_file():
-        if options.bench and bench_digest.digest(bench_digest.read_numbers(options.bench)) != bench_digest.digest(
-            bench_digest.read_numbers(own)
+        if options.bench and bench_digest.digest(bench_digest.read_parameters(options.bench)) != bench_digest.digest(
+            bench_digest.read_parameters(own)
         ):
             raise UserError(f"{own} is another bench than {options.bench}: name another --site")
     elif given is None:
         raise UserError("--bench: which bench.yaml does the box believe?")
     else:
-        bench_digest.read_numbers(given)
+        bench_digest.read_parameters(given)
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(given, own)
     if options.truth:

@@ -25,9 +25,9 @@ from hydro_bridge.ros.companion import CompanionError, start_dashboard
 from hydro_bridge.ros.node import declare_parameters, leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError
+from hydro_core.bench_scales import rescale
 from hydro_core.cli.console import UserError
 from hydro_core.files.atomic import encode_json
-from hydro_core.size import rescale
 from hydro_policy.compensation.estimator import CompensatorSettings, LoadCell
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.compensation.residual import Network
@@ -36,7 +36,7 @@ from hydro_policy.evaluation.controllers import Compensated, Controller, FixedGa
 from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.nodes.graph_node import Ending, GraphNode
+from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.parameters import keep_overridden
 from hydro_policy.nodes.plant_options import (
     NO_FILTER,
@@ -74,10 +74,10 @@ def required_gain_range(
 ) -> GainRange:
     """Return the range of gain changes that the guard must pass for controllers and grid, on a box with base gains."""
     base = base or BASE
-    ranges = [controller.reach for controller in controllers] or [FixedGains(*base, base).reach]
+    ranges = [controller.gain_range for controller in controllers] or [FixedGains(*base, base).gain_range]
     if grid is not None:
         corners = ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))
-        ranges += [FixedGains(*pair, base).reach for pair in corners]
+        ranges += [FixedGains(*pair, base).gain_range for pair in corners]
     return GainRange.enclosing(*ranges)
 
 
@@ -180,7 +180,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
     box, cell, unfiltered = expected_box(options), load_cell(options), options.filter.split() == list(NO_FILTER)
     controllers, rearm = make_controllers(options, box), may_rearm(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
-    with Ending() as stack:
+    with CleanupStack() as stack:
         node = GraphNode("evaluate")
         stack.callback(leave_graph, node)
         settings = declare_parameters(node, settings)
@@ -203,7 +203,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
         if not node.wait_for_plant(law=options.law != "paper") or node.box is None:
             return 130
         if options.plant == "external":  # only now it is known whether the graph has a page
-            start_dashboard(stack, node, wanted=options.dashboard, keep=node.announcer.write_log)
+            start_dashboard(stack, node, wanted=options.dashboard, log=node.announcer.write_log)
         if options.law != "paper" and node.law is None:
             if options.law == "compensated" or cell:
                 raise NotReadyError(NOT_OFFERED)
@@ -212,13 +212,13 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
         settings = keep_overridden(node, settings, rescale(settings, NOMINAL, node.size))
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
-        reach = guard_range(required_gain_range(controllers, grid, box.base_gains))
-        node.override = GainOverride(reach, node.override.report, box.base_gains or BASE)
+        gain_range = guard_range(required_gain_range(controllers, grid, box.base_gains))
+        node.override = GainOverride(gain_range, node.override.report, box.base_gains or BASE)
         policies = [describe_policy(policy_file(path)) for path in options.policy]
         for sentence in policies:
             node.report(sentence)
         about = {"settings": asdict(settings), "box": box.digest, "policies": policies, "grid": grid and asdict(grid)}
-        record = begin_record(run, {**about, "load_cell": cell and asdict(cell)})
+        record = start_record(run, {**about, "load_cell": cell and asdict(cell)})
         if not rearm:
             node.listen_for_enter()
         if not unfiltered:  # one that runs all the same may be of the bench as it was
@@ -244,7 +244,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
     return 0 if results.finished else 130
 
 
-def begin_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
+def start_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
     """Return the record of an evaluation; raises UserError if its first event describes another comparison."""
     record = RunRecord(run.record)
     known = json.loads(encode_json(about))
@@ -255,7 +255,7 @@ def begin_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
 
 
 def compare_on(
-    node: GraphNode, controllers: Sequence[Controller], watch: PlantSupervisor, *, settings: EvaluationSettings,
+    node: GraphNode, controllers: Sequence[Controller], supervisor: PlantSupervisor, *, settings: EvaluationSettings,
     grid: GridSettings | None = None, searched: EvaluationSettings | None = None, rearm: bool = False,
     compensated: bool = True, cell: LoadCell | None = None, learned: bool = False, record: RunRecord | None = None,
 ) -> TrialRunner[Comparison] | None:  # fmt: skip
@@ -269,11 +269,11 @@ def compare_on(
     """
     controllers = list(controllers)
     if grid is not None:
-        search = search_on(node, grid, searched or settings, watch, record or RunRecord())
+        search = search_on(node, grid, searched or settings, supervisor, record or RunRecord())
         if search.trial is not None:
             return None
         controllers += [search.best] if search.search.any_completed else []
-        watch = node.supervisor(rearm=rearm, after=watch)
+        supervisor = node.supervisor(rearm=rearm, after=supervisor)
     if compensated and node.law is not None and node.compensation is None:
         estimator = rescale(CompensatorSettings(), NOMINAL, node.size)
         node.compensate(LiveCompensation(node.law, estimator, cell, Network.load()))
@@ -283,26 +283,28 @@ def compare_on(
         if learned and cell is None:
             controllers.append(Compensated(compensation, node.override.base, learned=True))
     plan = Comparison(settings, controllers)
-    session = TrialRunner(plan, watch, compensation=compensation, felt=node.load_force, record=record)
+    session = TrialRunner(
+        plan, supervisor, compensation=compensation, load_force_file=node.load_force_file, record=record
+    )
     with closing(TrialProgress(session, "evaluating")) as bar:
         node.run_session(session, bar.tick)
     return session
 
 
 def search_on(
-    node: GraphNode, grid: GridSettings, settings: EvaluationSettings, watch: PlantSupervisor, record: RunRecord
+    node: GraphNode, grid: GridSettings, settings: EvaluationSettings, supervisor: PlantSupervisor, record: RunRecord
 ) -> GridPlan:
     """Search the best fixed gains on the plant by short trials; returns the plan, unfinished after a signal."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     plan = GridPlan(grid, short, node.override.base)
     monitor = SafetyMonitor(rescale(MonitorSettings(), NOMINAL, node.size))
-    runner = TrialRunner(plan, watch, monitor=monitor, record=record, kind="grid")
+    runner = TrialRunner(plan, supervisor, monitor=monitor, record=record, kind="grid")
     told = 0
 
     def tick() -> None:
         nonlocal told
         bar.tick()
-        for pair, rmse in list(plan.search.tried.items())[told:]:
+        for pair, rmse in list(plan.search.results.items())[told:]:
             cells = " ".join(f"{value:.1f}" for value in rmse)
             node.report(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
             told += 1
@@ -312,6 +314,6 @@ def search_on(
         tick()
     if runner.finished and not plan.search.any_completed:
         node.report("the grid found no gains: even the lowest were stopped (see above)", warning=True)
-    if plan.search.tried:
+    if plan.search.results:
         print(f"\n{report.grid_table(plan.search, short).text()}")
     return plan

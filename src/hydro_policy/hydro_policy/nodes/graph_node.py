@@ -26,9 +26,9 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from hydro_bridge.plant_clock import COMMANDER_WINDOW
-from hydro_bridge.ros.answers import SampleAcknowledger
+from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.commander import LEASE_WAIT_MAX, Commander
-from hydro_bridge.ros.companion import Companion, CompanionError, RecorderWatch
+from hydro_bridge.ros.companion import Companion, CompanionError, RecorderMonitor
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, RosoutLogger, Status, publisher_conflicts
 from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, seconds, subscribe, subscribe_to_box
 from hydro_bridge.ros.node import request_realtime, spin
@@ -49,11 +49,11 @@ from hydro_bridge.safety.box_info import BoxDescription, box_info_requirement
 from hydro_bridge.safety.lease import DISARMED_BY_PERSON
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
+from hydro_core.bench_scales import BenchScales
 from hydro_core.cli.console import terminal_lines
-from hydro_core.process import endings
+from hydro_core.process import termination
 from hydro_core.process.realtime import Latency, drop_realtime
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, STATUS_MASK, Flag, ReferenceSignal
-from hydro_core.size import Size
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import PolicyStep
 from hydro_msgs.srv import OverrideGains
@@ -89,12 +89,12 @@ class GainTiming:
             self.jitter.add(abs(interval - _PERIOD))
 
 
-class Ending(ExitStack):
+class CleanupStack(ExitStack):
     """Exit stack of a run's clean-up calls, which signals do not interrupt."""
 
     def __exit__(self, *error: Any) -> bool | None:
         """Run the clean-up calls, the last first, with signals ignored."""
-        with endings.signals_ignored():
+        with termination.signals_ignored():
             return super().__exit__(*error)
 
 
@@ -118,10 +118,10 @@ class GraphNode(Node):
     are ready.
 
     `name`: name of the node. `realtime`: request SCHED_FIFO while a session runs; processes started then (a restarted
-    learner) stay ordinary. `alone_within`: longest wait for another node's lease on the plant, s.
+    learner) stay ordinary. `lease_wait_max`: longest wait for another node's lease on the plant, s.
     """
 
-    def __init__(self, name: str, *, realtime: bool = True, alone_within: float = LEASE_WAIT_MAX) -> None:
+    def __init__(self, name: str, *, realtime: bool = True, lease_wait_max: float = LEASE_WAIT_MAX) -> None:
         super().__init__(name)
         journal = RosoutLogger(self)
         self.announcer, self._log_call = Announcer(journal.log), journal.log_call
@@ -138,7 +138,7 @@ class GraphNode(Node):
         self.law: BoxLaw | None = None  # the box's compensated law, once received; None: not yet, or it has none
         self.compensation: LiveCompensation | None = None
         """Estimator that follows the box's compensated law; see `compensate`."""
-        self.load_force: Path | None = None
+        self.load_force_file: Path | None = None
         """File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one."""
         self.successor = ""  # name of the node that receives the plant at the end; empty: the first to ask
         self._session: Session | None = None
@@ -160,9 +160,9 @@ class GraphNode(Node):
         self._step = PolicyStep()  # one object, used again a hundred times a second
         self._steps: Publisher | None = None
         self._override_service: Service | None = None  # only with the lease: the next holder offers its own
-        self._commander = Commander(self, self._on_lease, endings.request_termination, self.warn, alone_within)
-        self._commander.settled, self._commander.stamp = self._answer, self._stamp
-        self.command_law, self.reference = self._commander.law, self._commander.reference
+        self._commander = Commander(self, self._on_lease, termination.request_termination, self.warn, lease_wait_max)
+        self._commander.on_answer, self._commander.stamp = self._answer, self._stamp
+        self.publish_law, self.publish_reference = self._commander.publish_law, self._commander.publish_reference
         self._states = subscribe(self, STATE, STATES, self._on_state)
         self._mailbox = Mailbox(name)
         self._corrections: Subscription | None = None  # read at each policy step
@@ -181,7 +181,7 @@ class GraphNode(Node):
         """
         made = PlantSupervisor(self, rearm, (*self.requirements, *needed), self.override, filtered=filtered)
         if after is not None:
-            made.take_over(after)
+            made.continue_from(after)
         return made
 
     def watch_companions(
@@ -194,7 +194,7 @@ class GraphNode(Node):
         self.companions = CompanionWatch(companions, unrecorded)
         for companion in companions:
             if recording is not None and companion.name == "recorder":
-                self.requirements.append(RecorderWatch(self, recording, companion).requirement)
+                self.requirements.append(RecorderMonitor(self, recording, companion).requirement)
 
     def wait_for_plant(self, *, law: bool = False) -> bool:
         """Wait for a plant that describes its box, and check that it is the expected one; False after a signal.
@@ -225,7 +225,7 @@ class GraphNode(Node):
         """
         self._raise_failure()
         self._session, self._each_tick, self._done = session, each_tick, Future()
-        needed = (requirement for requirement in session.watch.readiness.requirements if requirement.by_wall_clock)
+        needed = (requirement for requirement in session.supervisor.readiness.requirements if requirement.by_wall_clock)
         self._readiness = Readiness(tuple(needed), self.warn)
         scheduling = request_realtime(realtime=self._realtime and not self.paced, nice=NICE)
         if scheduling != self._scheduling:
@@ -287,7 +287,7 @@ class GraphNode(Node):
         """
         self._session = None
         if still:
-            self._commander.reference(ReferenceSignal())
+            self._commander.publish_reference(ReferenceSignal())
             self._commander.flush()
         if unconfirmed := self._commander.release_and_wait(self.successor):
             self.warn(unconfirmed)
@@ -333,9 +333,9 @@ class GraphNode(Node):
         while not self._keys.empty():
             self._keys.get()
 
-    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+    def publish_gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """See `hydro_policy.supervision.plant_supervisor.Outputs`."""
-        self._commander.gains(delta_kp, delta_ki, step)
+        self._commander.publish_gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
 
     def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
@@ -361,7 +361,7 @@ class GraphNode(Node):
         self.report(sentence, warning=True)
 
     @property
-    def size(self) -> Size:
+    def size(self) -> BenchScales:
         """Size of the bench that the box assumes; the nominal bench's if that is not known."""
         known = None if self.box is None else BoxIdentity.of_box(self.box).size
         return known or NOMINAL
@@ -387,7 +387,7 @@ class GraphNode(Node):
         again = self._heard is not None and self._heard.sequence == message.sequence
         self._heard, self._arrived = message, time.monotonic()
         self._sampled = min(self._sampled, self._arrived)
-        self._commander.collects = self.paced
+        self._commander.deferred = self.paced
         if again and self.paced:
             self._answer()
             return
@@ -405,7 +405,7 @@ class GraphNode(Node):
             if ends:
                 self._read_corrections(message.sequence)
             now = 1e-9 * message.stamp if message.flags & Flag.PACED else arrived
-            sends = self._commander.held and not session.finished
+            sends = self._commander.holds_lease and not session.finished
             if sends and session.on_sample(message.sequence, np.array(message[_SAMPLE]), message.flags, now):
                 age = seconds(self._commander.last_gains.header.stamp) - 1e-9 * message.stamp
                 self.timing.add(arrived, self._gains_out, age)
@@ -422,7 +422,13 @@ class GraphNode(Node):
     def _answer(self) -> None:
         """Answer the last policy step to a plant that waits for it, unless something is still to come."""
         ends = self._session is None or self._session.finished
-        if self._owed is None or not self.paced or ends or self._commander.requests or not self._readiness.complete:
+        if (
+            self._owed is None
+            or not self.paced
+            or ends
+            or self._commander.pending_requests
+            or not self._readiness.complete
+        ):
             return
         self._answers.acknowledge(self._owed, self._commander.flush())
         self._owed = None
@@ -458,7 +464,7 @@ class GraphNode(Node):
             with suppress(queue.Empty):  # a person is heard while a plant waits, too
                 self._keys.get_nowait()
                 if self._session is not None:
-                    self._session.watch.arm_now(self.now())
+                    self._session.supervisor.arm_now(self.now())
             if not self.paced:
                 self._read_corrections()
             if self._session is None and self._meeting is None:
@@ -486,8 +492,8 @@ class GraphNode(Node):
             self.warn(f"{crowd}; until then no sample is believed")
         self._two_plants, self._crowd = False, crowd
         if self._sampled < math.inf:
-            self._commander.check_wait(now)
-        if self._commander.held or self._sampled == math.inf:
+            self._commander.check_timeout(now)
+        if self._commander.holds_lease or self._sampled == math.inf:
             session.on_tick(now)
         if session.finished:
             self._finish()
@@ -506,8 +512,8 @@ class GraphNode(Node):
         try:
             if request.whom not in ("", own):
                 raise ValueError(f"{own} chooses the gains here, not {request.whom}")
-            hold = self.override.hold
-            told = hold(*gains, request.seconds, self.now()) if request.active else self.override.release()
+            start = self.override.start
+            told = start(*gains, request.seconds, self.now()) if request.active else self.override.release()
             answer.success, answer.message = True, told
         except (ValueError, OSError) as error:
             answer.success, answer.message = False, str(error)
@@ -531,7 +537,7 @@ class GraphNode(Node):
         if response.message == DISARMED_BY_PERSON:  # for as long as the person wants
             self.warn(response.message)
             if self._session is not None:
-                self._session.watch.defer_to_person(now)
+                self._session.supervisor.defer_to_person(now)
             return
         self._unarmed_since = min(self._unarmed_since, now)
         self.warn(f"the plant was not armed: {response.message}")

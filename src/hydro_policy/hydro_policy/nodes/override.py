@@ -40,6 +40,6 @@ def main() -> None:
         "override", ros, OVERRIDE_SERVICE, OverrideGains, wanted,
         absent=f"no trainer or evaluate found in {DISCOVERY:g} s: there are no gains to take over",
         unanswered=f"no answer within {TIMEOUT:g} s: look at the gains in /hydro/state, or ask again",
-        found_within=DISCOVERY, within=TIMEOUT,
+        discovery_timeout=DISCOVERY, timeout=TIMEOUT,
     )  # fmt: skip
     print(answer)

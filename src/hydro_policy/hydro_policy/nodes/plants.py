@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hydro_filter.controller.factory import FilterChoice
     from hydro_filter.controller.loop_filter import LoopFilterSettings
 
-LOAD_FORCE = "load_force"
+LOAD_FORCE_FILE = "load_force"
 """File, in the folder of the companions, of the last forces on the emulated load (`hydro_sim.files.load_force`)."""
 
 
@@ -85,7 +85,7 @@ def start_plant(
     `gains`: range of gain changes that the guard has to pass. `folder`: folder for port, pipes and load force of an
     emulator. `page`: whether the dashboard is wanted.
     """
-    start_dashboard(stack, node, wanted=page, keep=node.announcer.write_log)
+    start_dashboard(stack, node, wanted=page, log=node.announcer.write_log)
     if options.plant == "external":
         return ""
     uncovered = ""
@@ -95,7 +95,7 @@ def start_plant(
             uncovered = "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
             node.report(uncovered, warning=True)
     node.watch_companions(start_companions(stack, options, gains, folder, node.announcer.write_log), options.recording)
-    node.load_force = folder / LOAD_FORCE if options.plant == "emulator" else None
+    node.load_force_file = folder / LOAD_FORCE_FILE if options.plant == "emulator" else None
     return uncovered
 
 
@@ -124,7 +124,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         if options.plant == "emulator":
             port = port or str(folder / "port")
             arguments = ["--link", port, "--seed", str(options.seed), "--pace", options.pace, *bench]
-            arguments += ["--control", str(folder / "emulator_control"), "--load-force", str(folder / LOAD_FORCE)]
+            arguments += ["--control", str(folder / "emulator_control"), "--load-force", str(folder / LOAD_FORCE_FILE)]
             arguments += ["--truth", str(options.truth)] if options.truth else []
             arguments += ["--faults", options.faults] if options.faults else []
             started.append(("hydro_sim", "emulator", arguments))

@@ -47,7 +47,7 @@ class TrialProgress:
         self._redraw()
 
     def _redraw(self) -> None:
-        session, now = self._session, self._session.watch.summary
+        session, now = self._session, self._session.supervisor.summary
         self._bar.n = round(session.plan.done)
         if (trial := session.plan.trial) is not None:
             self._describe(self._label + ("" if now == "armed" else f" ({now})"), [trial.name])
@@ -112,9 +112,9 @@ class TrainingProgress(TrialProgress):
         session, plan, bar = self._session, self._plan, self._bar
         now, done, trains = plan.explorer.current, plan.progress, session.phase is Phase.TRAINING
         bar.n = min(done.episode * self._steps + (now.steps if trains else 0), bar.total or 0)
-        doing, state = session.phase.name.lower(), session.watch.summary
-        if plan.exam is not None:
-            doing = f"examining, {len(plan.scores) + 1} of {len(plan.exam)}"
+        doing, state = session.phase.name.lower(), session.supervisor.summary
+        if plan.examination is not None:
+            doing = f"examining, {len(plan.scores) + 1} of {len(plan.examination)}"
         described = doing + ("" if state == "armed" else f" ({state})")
         figures: list[str] = []
         if trains:
@@ -147,13 +147,13 @@ class TrainingProgress(TrialProgress):
             "certificate violations": monitor.violations,
             "learner restarts": learner.restarts,
             "updates": learner.updates,
-            "transitions": learner.replay.produced,
-            "inference": plan.explorer.inference.sentence(),
-            "response": node.timing.response.sentence(),
-            "state to gains": node.timing.age.sentence(),
-            "jitter": node.timing.jitter.sentence(),
+            "transitions": learner.replay.total_appended,
+            "inference": plan.explorer.inference.summary(),
+            "response": node.timing.response.summary(),
+            "state to gains": node.timing.age.summary(),
+            "jitter": node.timing.jitter.summary(),
         }
-        message = f"{phase.name.lower()}, plant {session.watch.summary}"
+        message = f"{phase.name.lower()}, plant {session.supervisor.summary}"
         message += "" if learner.alive else ", learner down"
         message += f", OVERRIDDEN by hand: {session.override.description}" if overridden else ""
         return Status(level=Level.OK if fine else Level.WARN, message=message, values=values)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from hydro_bridge.bags.writer import code_version
-from hydro_bridge.ros.companion import Companion, RecorderWatch
+from hydro_bridge.ros.companion import Companion, RecorderMonitor
 from hydro_bridge.ros.node import leave_graph
 from hydro_bridge.safety.guard import NOT_OFFERED
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
@@ -29,7 +29,7 @@ from hydro_policy.evaluation.runner import Rest, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.announcements import CompanionWatch, companion_output
 from hydro_policy.nodes.evaluation import compare_on, report_results, required_gain_range
-from hydro_policy.nodes.graph_node import Ending, GraphNode
+from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions, box_mismatch
 from hydro_policy.nodes.plants import commands, guard_range, recorder_arguments
 from hydro_policy.runs.report import write_page
@@ -42,8 +42,8 @@ from hydro_sim.files.pairing import BoxIdentity
 
 TRUTH = "truth.yaml"  # truth of a site's emulated bench; without the file the emulator's default
 EMULATED = "emulator"
-PORT_WITHIN = 60.0  # s, for the emulator's port
-ENDS_WITHIN = 30.0  # s, for a recorder to complete its recording
+PORT_TIMEOUT = 60.0  # s, for the emulator's port
+RECORDER_TIMEOUT = 30.0  # s, for a recorder to complete its recording
 
 
 class Site:
@@ -74,17 +74,17 @@ class Site:
         """Return the folder of a recording."""
         return self.folder / site.RECORDINGS / name
 
-    def run(self, package: str, executable: str, *words: str, loud: bool = True) -> str:
+    def run(self, package: str, executable: str, *words: str, echo: bool = True) -> str:
         """Run an executable to its end, with exclusive use of machine and port; returns its last line of output.
 
-        The output goes into the log, and to the terminal if `loud`. Raises GateError: its exit status is not 0.
+        The output goes into the log, and to the terminal if `echo`. Raises GateError: its exit status is not 0.
         """
         self._disconnect()
         self._log.write(f"$ ros2 run {package} {executable} {' '.join(words)}\n")
 
         def take(line: str) -> None:
             self._log.write(line)
-            if loud:
+            if echo:
                 print_above_progress(line.rstrip("\n"))
 
         with Companion(package, executable, words, output=take) as running:
@@ -104,7 +104,7 @@ class Site:
         words = ["--link", self._port, "--bench", str(self.bench)]
         words += ["--truth", str(truth)] if truth.is_file() else []
         self._emulator = self._stack.enter_context(Companion("hydro_sim", "emulator", words, output=self._log.write))
-        end = time.monotonic() + PORT_WITHIN
+        end = time.monotonic() + PORT_TIMEOUT
         while not port.exists():
             if not self._emulator.running or time.monotonic() > end:
                 reason = self._emulator.last_line.removeprefix("error: ")
@@ -115,8 +115,8 @@ class Site:
     def record_rest(self, name: str, seconds: float) -> None:
         """Record `seconds` s of the bench at rest as recordings/NAME."""
         with self._recorded(name, required_gain_range([])) as (node, recorder):
-            watch = node.supervisor(recorder, rearm=False, filtered=False)
-            if not node.run_session(Rest(seconds, watch), lambda: None):
+            supervisor = node.supervisor(recorder, rearm=False, filtered=False)
+            if not node.run_session(Rest(seconds, supervisor), lambda: None):
                 raise KeyboardInterrupt
 
     def compare(
@@ -139,8 +139,8 @@ class Site:
                 node.listen_for_enter(self._typed)
             filtered = tuple(words) != NO_FILTER
             needed = (corrections_requirement(lambda: node.corrected),) if filtered else ()
-            watch = node.supervisor(recorder, *needed, rearm=self._rearm, filtered=filtered)
-            results = compare_on(node, controllers, watch, settings=settings, learned=learned)
+            supervisor = node.supervisor(recorder, *needed, rearm=self._rearm, filtered=filtered)
+            results = compare_on(node, controllers, supervisor, settings=settings, learned=learned)
             if results is None or not results.finished:
                 raise KeyboardInterrupt
         gains = "{:g} {:g}".format(*self.record.base_gains)
@@ -155,16 +155,16 @@ class Site:
 
     @contextmanager
     def _recorded(
-        self, name: str, reach: GainRange, words: Sequence[str] = NO_FILTER, policies: Sequence[Path] = ()
+        self, name: str, gain_range: GainRange, words: Sequence[str] = NO_FILTER, policies: Sequence[Path] = ()
     ) -> Iterator[tuple[GraphNode, Requirement]]:
         """Record to `name`: yields node and recorder's requirement; disarms the plant before the recording ends.
 
-        The node commands the plant behind a bridge with the filter `words`, for the range of gains `reach`.
+        The node commands the plant behind a bridge with the filter `words`, for the range of gains `gain_range`.
         """
         options = PlantOptions(
             plant="bench", port=self._port, bench=self.bench, filter=tuple(words), policies=tuple(policies)
         )
-        serves = commands(options, reach, self.folder)
+        serves = commands(options, gain_range, self.folder)
         if self._node is None or serves != self._serves:
             self.free_port()
             node = GraphNode("commission")
@@ -180,17 +180,17 @@ class Site:
             node.box_fault = partial(box_mismatch, BoxIdentity.of_file(self.bench, base))
             if not node.wait_for_plant(law=True) or node.box is None:
                 raise KeyboardInterrupt
-            node.override = GainOverride(guard_range(reach), node.override.report, node.box.base_gains)
+            node.override = GainOverride(guard_range(gain_range), node.override.report, node.box.base_gains)
             if options.filter != NO_FILTER:
                 node.listen_to_corrections()
             self._node, self._serves = node, serves
         node, folder = self._node, self.recording(name)
         shutil.rmtree(folder, ignore_errors=True)
-        with Ending() as stack:
+        with CleanupStack() as stack:
             arguments = ["--realtime", *recorder_arguments(options, folder)]
             output = companion_output(node.announcer.write_log)
             recorder = Companion("hydro_bridge", "recorder", arguments, output=output)
-            stack.callback(recorder.stop, ENDS_WITHIN)
+            stack.callback(recorder.stop, RECORDER_TIMEOUT)
             node.companions = CompanionWatch([*self._running, recorder])
             stack.callback(node.disarm)
-            yield node, RecorderWatch(node, folder, recorder).requirement
+            yield node, RecorderMonitor(node, folder, recorder).requirement

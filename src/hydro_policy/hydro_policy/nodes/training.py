@@ -16,8 +16,8 @@ import numpy as np
 
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
+from hydro_core.bench_scales import rescale
 from hydro_core.cli.console import UserError, writable_folder
-from hydro_core.size import rescale
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.gain_search import coarse_grid
 from hydro_policy.evaluation.runner import Phase, TrialRunner
@@ -25,7 +25,7 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.learner_process.learner import write_run
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluation import compare_on, conditions, remove_rejected, report_results
-from hydro_policy.nodes.graph_node import Ending, GraphNode
+from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.parameters import declare_settings, keep_overridden
 from hydro_policy.nodes.plant_options import (
     NO_FILTER,
@@ -42,7 +42,7 @@ from hydro_policy.nodes.plants import describe_policy, guard_range, requested_fi
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs import report as curves
-from hydro_policy.runs.digest import circumstances, run_digest
+from hydro_policy.runs.digest import platform_description, run_digest
 from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
 from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
 from hydro_policy.sac.policy import Policy
@@ -52,7 +52,7 @@ from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_policy.training_plan import Progress, TrainingPlan, training
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
+from hydro_sim.files.pairing import BoxIdentity, Provenance, mismatch, raise_if_mismatched
 from hydro_sim.model.bench import NOMINAL
 
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
@@ -117,11 +117,11 @@ def prepare(
         remedy = "go on with it on its own box, or begin one here"
         raise_if_mismatched(mismatch(f"the run {run.path.name}", settings.made, box, remedy))
     kp, ki = box.base_gains or (None, None)
-    settings = replace(settings, made=MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral))
+    settings = replace(settings, made=Provenance(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral))
     made = not run.path.exists()
     if new:
         run.create()
-        begin_checkpoint(run, settings, start)
+        write_initial_checkpoint(run, settings, start)
     run.save_settings(
         settings, plant_options_as_yaml(options)
     )  # last: a folder without it is not a run, and its name is free
@@ -148,7 +148,7 @@ def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpo
         raise ValueError(f"{run.latest / 'trainer.json'} is damaged: {error}") from error
 
 
-def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: InitialAgent | None) -> None:
+def write_initial_checkpoint(run: RunDirectory, settings: TrainingSettings, start: InitialAgent | None) -> None:
     """Write the first checkpoint: the initial agent, and an empty replay buffer."""
     agent = start.agent if start else dump(Sac(OBSERVATIONS, ACTIONS, settings.sac))
     nothing = ReplayBuffer(OBSERVATIONS, ACTIONS, settings.sac.batch_size + 128)
@@ -214,7 +214,7 @@ LEFT_OUT = (
 def train(options: argparse.Namespace) -> int:
     """Run a training: prepare, train, evaluate; at any end disarm, write a checkpoint, stop companions, in order."""
     began = time.monotonic()
-    with Ending() as stack:
+    with CleanupStack() as stack:
         node = GraphNode("trainer")
         stack.callback(leave_graph, node)
         run, settings, checkpoint, start, made = prepare(options, node)
@@ -253,13 +253,15 @@ def train(options: argparse.Namespace) -> int:
         state = (checkpoint.trainer or None) if checkpoint else None
         best = (run.best / AGENT).read_bytes() if checkpoint and (run.best / AGENT).is_file() else None
         plan = TrainingPlan(settings, learner, node, state=state, best=best, record=record)
-        watch = node.supervisor(plant_supervisor.learner_requirement(lambda: learner.ready), rearm=may_rearm(options))
-        session = training(plan, watch)
+        supervisor = node.supervisor(
+            plant_supervisor.learner_requirement(lambda: learner.ready), rearm=may_rearm(options)
+        )
+        session = training(plan, supervisor)
         node.listen_to_corrections()
         node.enable_step_publishing()
         stack.callback(lambda: learner.stop(plan.state()))
         stack.callback(node.disarm)
-        finished, results = drive(options, node, session, start)
+        finished, results = train_and_evaluate(options, node, session, start)
         if finished:  # a stopped run hands nothing over
             node.successor = options.hand_over or ""
         timings = {"jitter": node.timing.jitter, "inference": plan.explorer.inference, "response": node.timing.response}
@@ -270,7 +272,7 @@ def train(options: argparse.Namespace) -> int:
     digest = ""
     if finished and node.paced:
         digest = run_digest(run.policy, run.recordings, results.scores if results else ())
-        record.add("digest", run_digest=digest, circumstances=circumstances())
+        record.add("digest", run_digest=digest, circumstances=platform_description())
     record.flush()
     try:
         curves.draw_curve(record, run.learning_curve)
@@ -280,14 +282,14 @@ def train(options: argparse.Namespace) -> int:
     curves.write_page(run, f"Training {run.path.name}", notes, found)
     print_files(run, plant.recording, finished, options, time.monotonic() - began)
     if digest:
-        print(f"\nThe same seed gives the same digest {circumstances()}:\nrun digest: {digest}")
+        print(f"\nThe same seed gives the same digest {platform_description()}:\nrun digest: {digest}")
     if plan.abort_reason:
         print(f"Training was given up: {plan.abort_reason}; {run.record} has what happened.", file=sys.stderr)
         return 1
     return 0 if finished else 130
 
 
-def drive(
+def train_and_evaluate(
     options: argparse.Namespace, node: GraphNode, session: TrialRunner[TrainingPlan], start: InitialAgent | None
 ) -> tuple[bool, TrialRunner[Comparison] | None]:
     """Train, then evaluate if requested; returns whether both were completed, and the evaluation's runner or None."""
@@ -298,8 +300,8 @@ def drive(
         return False, None
     with closing(TrainingProgress(node, session)) as bar:
         finished = plan.trained or node.run_session(session, bar.tick)
-    inference = plan.explorer.inference.sentence()
-    node.report(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; inference took {inference}")
+    inference = plan.explorer.inference.summary()
+    node.report(f"gains at 100 Hz: jitter {node.timing.jitter.summary()}; inference took {inference}")
     if plan.progress.exams and not plan.improved:
         node.report(curves.NONE_BETTER)
     if not finished or plan.abort_reason or not options.evaluate:
@@ -310,14 +312,14 @@ def drive(
             node.warn(warning)
         readiness.check(time.monotonic())
         time.sleep(0.05)
-    plan.start()
+    plan.accept_initial_agent()
     bar.phase = lambda: Phase.EVALUATING
     grid = coarse_grid(plan.settings.task.gains, plan.settings.base_gains) if rearm else None
     if not rearm:
         node.report(LEFT_OUT)
     force = node.size.force
     results = compare_on(
-        node, paper_controllers(plan, start), node.supervisor(rearm=rearm, after=session.watch), rearm=rearm,
+        node, paper_controllers(plan, start), node.supervisor(rearm=rearm, after=session.supervisor), rearm=rearm,
         settings=EvaluationSettings(amplitude=force), grid=grid, searched=replace(SEARCHED, amplitude=force),
         compensated=rearm, cell=cell, learned=cell is None, record=plan.record,
     )  # fmt: skip

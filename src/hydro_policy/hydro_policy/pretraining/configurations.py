@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydro_core.size import Size, rescale
+from hydro_core.bench_scales import BenchScales, rescale
 from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
@@ -19,7 +19,9 @@ WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, t
 CONFIGURATIONS = ("paper", "wide")
 
 
-def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE, size: Size = NOMINAL) -> TrainingSettings:
+def configuration(
+    name: str, seed: int = 0, base: tuple[float, float] = BASE, size: BenchScales = NOMINAL
+) -> TrainingSettings:
     """Return the training settings of one of `CONFIGURATIONS`, 160 episodes, for a bench of this size.
 
     The range of total gains is independent of the box's base gains.

@@ -20,11 +20,11 @@ from tqdm import tqdm
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section
 from hydro_bridge.viewer.runs import refresh_index
+from hydro_core.bench_scales import rescale
 from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_options, progress, refuse_changed_options
 from hydro_core.files.atomic import write_atomic
-from hydro_core.process import endings
+from hydro_core.process import termination
 from hydro_core.settings import SettingsError, from_mapping, read_yaml
-from hydro_core.size import rescale
 from hydro_policy.envs.environment import Transitions
 from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.pretraining.configurations import configuration
@@ -57,7 +57,7 @@ def pretrain(options: argparse.Namespace) -> int:
         training=settings, benches=source.benches, randomisation=randomisation, filter=source.filter,
         box=source.box_config(), evaluation=EvaluationSettings(amplitude=settings.task.size.force),
     )  # fmt: skip
-    pretraining = Pretraining(simulation, source.simulated(), source.believed())
+    pretraining = Pretraining(simulation, source.simulated(), source.box_bench())
     if not options.resume:
         run.create().save_settings(settings)
         write_atomic(run.path / SOURCE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
@@ -70,7 +70,7 @@ def pretrain(options: argparse.Namespace) -> int:
     except KeyboardInterrupt as interruption:
         again = f"go on with: pretrain --resume {run.path}"
         print(f"interrupted after {pretraining.episode} episodes; {again}", file=sys.stderr)
-        return endings.exit_status(interruption)
+        return termination.exit_status(interruption)
     finally:
         if pretraining.history:
             told = {"seed": settings.seed, "best score": pretraining.best_score, "code_version": code_version()}
@@ -100,9 +100,9 @@ def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, S
     given = {name: getattr(options, name) for name in ("episodes", "updates_per_step")}
     numbers = {name: value for name, value in given.items() if value is not None}
     box = source.box_config()
-    settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki), source.believed().size)
+    settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki), source.box_bench().size)
     settings = replace(
-        settings, made=source.made_for(), sac=replace(settings.sac, **sac), task=replace(settings.task, **task),
+        settings, made=source.provenance(), sac=replace(settings.sac, **sac), task=replace(settings.task, **task),
         **numbers,
     )  # fmt: skip
     rows = min(settings.episodes * settings.task.steps_per_episode, REPLAY_MAX)
@@ -112,7 +112,7 @@ def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, S
 def resumed_settings(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
     """Return the settings of a resumed run; raises UserError if `words` change any of them but --episodes."""
     source = load_simulation_setup(run.path)
-    settings = replace(run.load_settings(), made=source.made_for())
+    settings = replace(run.load_settings(), made=source.provenance())
     begun = {
         **asdict(source), "configuration": FIXED_ON_RESUME, "hidden": settings.sac.hidden_size,
         "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
@@ -142,17 +142,17 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
     due, scalars, asked = 0.0, Scalars(run.path), list[int]()
 
     def ask(number: int, frame: object) -> None:
-        endings.detach_closed_terminal()
+        termination.detach_closed_terminal()
         asked.append(number)
 
     def each_step(transitions: Transitions) -> None:
         if asked:  # polled between steps: an exception raised anywhere could be dropped in a finalizer
-            raise endings.Terminated(asked[-1])
+            raise termination.Terminated(asked[-1])
         bar.update(len(transitions.reward))
 
-    endings.install_handlers(ask)
+    termination.install_handlers(ask)
     while not pretraining.finished:
-        entry = pretraining.round(each_step)
+        entry = pretraining.run_round(each_step)
         scalars.add("pretraining", entry)
         if pretraining.finished or time.monotonic() > due:
             best = pretraining.best or dump(pretraining.sac)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pretraining: Soft Actor-Critic on a fleet of simulated benches, deterministic by seed, resumable between rounds.
+"""Pretraining: Soft Actor-Critic on vectorised simulated benches, deterministic by seed, resumable between rounds.
 
 ::
 
-    round     one episode on every bench of the fleet, all from rest, references as in `trainer`
+    round     one episode on every bench, all from rest, references as in `trainer`
     step      all benches act, ten samples pass, transitions are stored, the pending updates are made
     after     examination of the mean action on four sines of 300 N, for the learning curve and the best policy;
               with drawn benches also on eight held-out ones
@@ -25,8 +25,8 @@ from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
 from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.environment import Environment, Episodes, Transitions
-from hydro_policy.envs.vector_env import VectorBench, fleet_filter
-from hydro_policy.envs.vector_runs import Chooser
+from hydro_policy.envs.vector_env import VectorBench, vector_filter
+from hydro_policy.envs.vector_runs import VectorController
 from hydro_policy.runs.run_directory import Checkpoint, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, dump, restore
@@ -56,7 +56,7 @@ class PretrainSettings:
     examined: Annotated[int, quantity("-", 0, 256)] = 8
     """Drawn benches that a policy is examined on besides the known one, if benches are drawn."""
     filter: FilterName = "none"
-    """The filter between policy and box: none, learned (`fleet_filter`)."""
+    """The filter between policy and box: none, learned (`vector_filter`)."""
     box: BoxConfig = field(default_factory=BoxConfig)
     """Base gains, limits and form of the integral of the boxes."""
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
@@ -66,17 +66,17 @@ class PretrainSettings:
 
 
 class Pretraining:
-    """Pretraining of a policy on simulated benches: fleet, learner, replay buffer and results.
+    """Pretraining of a policy on vectorised simulated benches: learner, replay buffer and results.
 
-    `settings`: see `PretrainSettings`. `source`: simulated bench. `believed`: bench assumed by the box.
+    `settings`: see `PretrainSettings`. `source`: simulated bench. `box_bench`: bench assumed by the box.
     """
 
-    def __init__(self, settings: PretrainSettings, source: Bench, believed: Bench) -> None:
-        self.settings, self._believed = settings, believed
-        self._episodes = Episodes(source=source, believed=believed, randomisation=settings.randomisation)
+    def __init__(self, settings: PretrainSettings, source: Bench, box_bench: Bench) -> None:
+        self.settings, self._box_bench = settings, box_bench
+        self._episodes = Episodes(source=source, box_bench=box_bench, randomisation=settings.randomisation)
         training = settings.training
-        self.fleet = self._fleet(settings.benches)
-        self.environment = Environment(self.fleet, training.task)
+        self.vector_bench = self._make_vector_bench(settings.benches)
+        self.environment = Environment(self.vector_bench, training.task)
         self.sac = Sac(OBSERVATIONS, ACTIONS, training.sac)
         self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
         self.policy = Policy(training.sac, training.task.size)
@@ -101,25 +101,25 @@ class Pretraining:
         """Whether all episodes are done."""
         return self.episode >= self.settings.training.episodes
 
-    def round(self, each_step: Callable[[Transitions], object] = lambda transitions: None) -> dict[str, Any]:
+    def run_round(self, each_step: Callable[[Transitions], object] = lambda transitions: None) -> dict[str, Any]:
         """Run one episode on every bench; returns the new entry of `history`."""
         training = self.settings.training
-        count = min(len(self.fleet), training.episodes - self.episode)
-        numbers = range(self.episode, self.episode + len(self.fleet))
+        count = min(len(self.vector_bench), training.episodes - self.episode)
+        numbers = range(self.episode, self.episode + len(self.vector_bench))
         references = [
             self._episodes.install(
-                self.fleet, index, events.reference(training.task, number, training.seed), number, training.seed
+                self.vector_bench, index, events.reference(training.task, number, training.seed), number, training.seed
             )
             for index, number in enumerate(numbers)
         ]
         seeds = [events.stream_seed(training.seed, number, events.NOISE) for number in numbers]
-        observation = self.environment.begin(references, seeds)
-        returns, trips = np.zeros(len(self.fleet)), 0
+        observation = self.environment.reset(references, seeds)
+        returns, trips = np.zeros(len(self.vector_bench)), 0
         for _ in range(training.task.steps_per_episode):
             transitions = self.environment.step(self.policy.act(observation, self.rng))
             observation = self.environment.observation
             self.replay.extend(transitions.rows(count))
-            due = training.updates_due(self.replay.produced) - self.sac.updates
+            due = training.updates_due(self.replay.total_appended) - self.sac.updates
             if due > 0:
                 self.sac.learn(self.replay, due)
                 self.policy.load_flat(self.sac.actor_parameters())
@@ -148,7 +148,9 @@ class Pretraining:
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
         """Evaluate the policy's mean action; adds an entry to `history`, and updates the best agent."""
-        rmse = self._rmse(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains), self._examined)
+        rmse = self._rmse(
+            vector_runs.VectorPolicyController(self.policy, self.settings.training.task.gains), self._examined
+        )
         ratio = np.where(np.isnan(rmse), TRIPPED, rmse / self._reference)
         score = float(ratio.mean())
         if score < self.best_score:
@@ -162,7 +164,7 @@ class Pretraining:
             }
         )  # fmt: skip
 
-    def _draw_examined(self, fixed: Chooser, randomisation: Randomisation) -> None:
+    def _draw_examined(self, fixed: VectorController, randomisation: Randomisation) -> None:
         """Draw the held-out benches of the examinations, only ones on which the reference gains do not trip."""
         wanted, seed = self.settings.examined, self.settings.training.seed
         for number in range(round(wanted / COMPLETION_SHARE_MIN)):
@@ -180,18 +182,20 @@ class Pretraining:
                 f"of {tries} drawn benches too few bear the fixed gains {REFERENCE_GAINS} to be examined on"
             )
 
-    def _rmse(self, choose: Chooser, benches: Sequence[RandomisedBench | None]) -> FloatArray:
+    def _rmse(self, controller: VectorController, benches: Sequence[RandomisedBench | None]) -> FloatArray:
         """Return the RMSE [N] on each bench and case, NaN where the box tripped; None: the known bench."""
         evaluation = self.settings.evaluation
-        fleet, played = self._fleet(len(benches) * len(evaluation.cases)), list(evaluation.cases) * len(benches)
+        played = list(evaluation.cases) * len(benches)
+        vector_bench = self._make_vector_bench(len(played))
         for index, case in enumerate(played):
             bench = benches[index // len(evaluation.cases)]
             if bench is not None:
-                fleet.replace(index, self._believed, bench.plant, bench.gain_delay, bench.dead_time)
-                played[index] = replace(case, signal=bench.within_reach(case.signal))
-        return vector_runs.rmse(fleet, played, choose, evaluation).reshape(len(benches), len(evaluation.cases))
+                vector_bench.replace(index, self._box_bench, bench.plant, bench.gain_delay, bench.dead_time)
+                played[index] = replace(case, signal=bench.limit_amplitude(case.signal))
+        rmse = vector_runs.rmse(vector_bench, played, controller, evaluation)
+        return rmse.reshape(len(benches), len(evaluation.cases))
 
-    def _fleet(self, count: int) -> VectorBench:
-        filters = fleet_filter(self.settings.filter, self._believed, count)
+    def _make_vector_bench(self, count: int) -> VectorBench:
+        filters = vector_filter(self.settings.filter, self._box_bench, count)
         plants = [self._episodes.plant() for _ in range(count)]
-        return VectorBench([self._believed] * count, plants, self.settings.box, filters)
+        return VectorBench([self._box_bench] * count, plants, self.settings.box, filters)

@@ -53,7 +53,7 @@ def run_digest(policy: Path, recordings: Iterable[Path], rows: Sequence[Score]) 
     return content.hexdigest()
 
 
-def circumstances() -> str:
+def platform_description() -> str:
     """Return the processor and the versions on which a digest may depend, as a sentence."""
     cpu = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):

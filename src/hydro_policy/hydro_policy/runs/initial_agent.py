@@ -8,13 +8,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hydro_core.size import Size, rescale
+from hydro_core.bench_scales import BenchScales, rescale
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.sac import Sac, dump, restore, settings_of
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange
-from hydro_sim.files.pairing import MadeFor, read_provenance
+from hydro_sim.files.pairing import Provenance, read_provenance
 from hydro_sim.model.bench import NOMINAL
 
 AGENT = "learner.safetensors"
@@ -35,8 +35,8 @@ class InitialAgent:
     reward: dict[str, Any]
     """Reward that the agent was trained on, fields of `TaskSettings`: its critics are valid for no other."""
     source: Path
-    made: MadeFor | None = None  # box that it was made for; None: not recorded in its files
-    size: Size = NOMINAL  # of the bench that its reward is for
+    made: Provenance | None = None  # box that it was made for; None: not recorded in its files
+    size: BenchScales = NOMINAL  # of the bench that its reward is for
 
     def adapt_settings(self, settings: TrainingSettings) -> TrainingSettings:
         """Return the settings with this agent's network size, range of gains and reward.

@@ -23,7 +23,7 @@ _TOLD = ("start", "uncovered", "stop", "override", "end")
 
 def sections(record: RunRecord, curve: Path) -> list[Section]:
     """Return the sections of a training's page; `curve` is the picture of `draw_curve`."""
-    episodes, exams, stops = (record.of(kind) for kind in ("episode", "exam", "stop"))
+    episodes, exams, stops = (record.events_of(kind) for kind in ("episode", "exam", "stop"))
     last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
     summary = f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}."
     if exams and episodes and not any(exam["best"] and exam["episode"] > 0 for exam in exams):
@@ -64,7 +64,7 @@ def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections
 
 def draw_curve(record: RunRecord, path: Path) -> None:
     """Draw return and force RMSE of episodes, scores of examinations and rollbacks; draws nothing without data."""
-    episodes, exams = record.of("episode"), record.of("exam")
+    episodes, exams = record.events_of("episode"), record.events_of("exam")
     if not episodes and not exams:
         return
     learnt = [event for event in episodes if event.get(_LOSSES[0]) is not None]

@@ -42,7 +42,7 @@ from hydro_policy.sac.settings import SacSettings, present_names
 from hydro_policy.supervision.monitor import MonitorSettings
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import BASE, TaskSettings
-from hydro_sim.files.pairing import MadeFor
+from hydro_sim.files.pairing import Provenance
 
 if TYPE_CHECKING:
     from hydro_policy.sac.sac import ReplayBuffer
@@ -67,7 +67,7 @@ class TrainingSettings:
     task: TaskSettings = field(default_factory=TaskSettings)
     exam: ExamSettings = field(default_factory=ExamSettings)
     monitor: MonitorSettings = field(default_factory=MonitorSettings)
-    made: MadeFor | None = None
+    made: Provenance | None = None
     """Which box its policies are for: what `--resume` is held to, and what goes into every file; None: not known."""
 
     def updates_due(self, transitions: int) -> int:
@@ -222,11 +222,11 @@ class RunRecord:
         path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
         write_atomic(path, encode_json({"events": events}))
 
-    def of(self, kind: str) -> list[dict[str, Any]]:
+    def events_of(self, kind: str) -> list[dict[str, Any]]:
         """Return all events of a kind."""
         return [event for event in self.events if event["kind"] == kind]
 
-    def unfinished(self, kind: str) -> list[dict[str, Any]]:
+    def events_of_interrupted(self, kind: str) -> list[dict[str, Any]]:
         """Return the events of a kind of an interrupted comparison: those since the last training or complete end."""
         events = self.events
         over = (n + 1 for n, one in enumerate(events) if one["kind"] in _TRAINED or one.get("complete"))

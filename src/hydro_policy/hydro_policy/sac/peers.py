@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from hydro_core.bench_scales import BenchScales
 from hydro_core.signals import FloatArray
-from hydro_core.size import Size
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
@@ -33,7 +33,7 @@ TOLERANCE = 1e-4
 Act = Callable[[FloatArray], Any]
 
 
-def policy_of(learner: Any, size: Size) -> Policy:
+def policy_of(learner: Any, size: BenchScales) -> Policy:
     """Convert a model of stable-baselines3 or an agent of skrl to a deployable policy.
 
     A normalising wrapper's clipping of observations, many deviations from their mean, is left out.

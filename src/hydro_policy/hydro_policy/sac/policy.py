@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from hydro_core.bench_scales import BenchScales
 from hydro_core.files.tensors import check_shapes
 from hydro_core.settings import check
 from hydro_core.signals import FloatArray
-from hydro_core.size import Size
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTIONS, OBSERVATION_NAMES, OBSERVATIONS, GainRange, normalization
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import MadeFor
+from hydro_sim.files.pairing import Provenance
 from hydro_sim.model.bench import NOMINAL
 
 
@@ -31,7 +31,7 @@ class Policy:
     `sac`: units of the hidden layers, bounds of log sigma. `size`: size of the bench, which scales the observations.
     """
 
-    def __init__(self, sac: SacSettings, size: Size = NOMINAL) -> None:
+    def __init__(self, sac: SacSettings, size: BenchScales = NOMINAL) -> None:
         self.size = size
         self.sizes = (OBSERVATIONS, sac.hidden_size, sac.hidden_size, 2 * ACTIONS)
         self.log_std_bounds = sac.log_std_min, sac.log_std_max
@@ -74,7 +74,7 @@ class Policy:
         return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape)), np.tanh(mean)
 
     def save(
-        self, path: Path, gains: GainRange, notes: dict[str, object] | None = None, made: MadeFor | None = None
+        self, path: Path, gains: GainRange, notes: dict[str, object] | None = None, made: Provenance | None = None
     ) -> None:
         """Write policy.safetensors, with `notes` (run, episodes, updates) and provenance `made` in its header."""
         center, scale = normalization(self.size)
@@ -104,22 +104,22 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
     tensors, header = weights.load(path)
     try:
         seen, (low, high) = header["observation"], header["log_std_bounds"]
-        size = Size(**seen["size"]) if "size" in seen else NOMINAL
+        size = BenchScales(**seen["size"]) if "size" in seen else NOMINAL
         check(size)
         center, scale = normalization(size)
         known = OBSERVATION_NAMES, center.tolist(), scale.tolist()
         if (tuple(seen["names"]), seen["center"], seen["scale"]) != known:
             raise ValueError(f"it was trained on another observation: {', '.join(seen['names'])}")
         sac = SacSettings(hidden_size=int(header["architecture"]["sizes"][1]), log_std_min=low, log_std_max=high)
-        reach = GainRange(**header["gains"])
+        gain_range = GainRange(**header["gains"])
         check(sac)
-        check(reach)
+        check(gain_range)
         policy = Policy(sac, size)
         for name, arrays in (("weight", policy.weights), ("bias", policy.biases)):
             check_shapes(tensors, {f"{name}_{k}": array.shape for k, array in enumerate(arrays)})
             for k, array in enumerate(arrays):
                 array[:] = tensors[f"{name}_{k}"]
-        return policy, reach, header["notes"]
+        return policy, gain_range, header["notes"]
     except (KeyError, IndexError, TypeError, AttributeError) as error:
         raise ValueError(f"{path} is not a policy, or damaged: its header lacks {error}") from error
     except ValueError as error:

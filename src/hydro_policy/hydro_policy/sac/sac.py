@@ -70,12 +70,12 @@ class ReplayBuffer:
         return _COUNTER_BYTES + 4 * capacity * (2 * observations + actions + 2)
 
     @property
-    def produced(self) -> int:
+    def total_appended(self) -> int:
         """Number of transitions ever appended."""
         return int(self._counter[0])
 
     def __len__(self) -> int:
-        return min(self.produced, len(self.rows))
+        return min(self.total_appended, len(self.rows))
 
     def extend(self, rows: NDArray[np.float32]) -> None:
         """Append rows [n, width] in order, overwriting the oldest. Only one process may do this.
@@ -85,20 +85,20 @@ class ReplayBuffer:
         if not np.isfinite(rows).all():
             raise ValueError("a transition holds a value that is not finite")
         kept = rows[-len(self.rows) :]
-        first = self.produced + len(rows) - len(kept)
+        first = self.total_appended + len(rows) - len(kept)
         self.rows[(first + np.arange(len(kept))) % len(self.rows)] = kept
         self._counter[0] = first + len(kept)  # after the rows: a reader that sees the count finds them complete
 
     def draw(self, shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.int64]:
         """Draw indices in `rows` of stored transitions, uniformly, with replacement."""
-        produced, capacity = self.produced, len(self.rows)
+        produced, capacity = self.total_appended, len(self.rows)
         if produced < capacity:
             return rng.integers(produced, size=shape)
         return (produced - 1 - rng.integers(capacity - _MARGIN, size=shape)) % capacity
 
     def snapshot(self) -> tuple[NDArray[np.float32], int]:
-        """Return a copy of all stored rows, oldest first, and `produced` at that moment."""
-        produced = self.produced
+        """Return a copy of all stored rows, oldest first, and `total_appended` at that moment."""
+        produced = self.total_appended
         if produced < len(self.rows):
             return self.rows[:produced].copy(), produced
         return np.roll(self.rows, -(produced % len(self.rows)), axis=0), produced
@@ -113,7 +113,7 @@ class ReplayBuffer:
 
 # ---------------------------------------------------------------------------------------------------------- networks
 
-Places = NDArray[np.int64]
+Indices = NDArray[np.int64]
 """Indices into a flat vector."""
 
 
@@ -123,7 +123,7 @@ def round_up_to_four(count):
     return (count + 3) // 4 * 4
 
 
-Layer = tuple[Places, Places]
+Layer = tuple[Indices, Indices]
 """Indices of a layer's weights [member, fan_in, fan_out] and biases [member, fan_out] in the flat vector."""
 
 
@@ -161,7 +161,7 @@ class Network(NamedTuple):
     b3: Floats
 
 
-class Pass(NamedTuple):
+class Activations(NamedTuple):
     """Activations h1, h2, y of one network, and the loss's gradients g1, g2, gy by them, in the layout of `dense`."""
 
     h1: Floats
@@ -186,18 +186,18 @@ def network(flat, inputs, hidden, outputs):
 
 
 @njit
-def twins(flat, inputs, hidden):
+def critic_networks(flat, inputs, hidden):
     """Return both critics, as views of their flat vector; their single output is padded to four."""
     half = len(flat) // 2
     return network(flat[:half], inputs, hidden, 4), network(flat[half:], inputs, hidden, 4)
 
 
 @njit
-def empty_pass(net):
+def empty_activations(net):
     """Return zero activations and gradients for a network and the largest batch."""
     hidden, outputs = net.w3.shape
     kind = net.w1.dtype
-    return Pass(
+    return Activations(
         np.zeros(hidden * ROW, kind), np.zeros(hidden * ROW, kind), np.zeros(outputs * ROW, kind),
         np.zeros(hidden * ROW, kind), np.zeros(hidden * ROW, kind), np.zeros(outputs * ROW, kind),
     )  # fmt: skip
@@ -272,35 +272,36 @@ class Constants(NamedTuple):
 
 
 @njit
-def learn(agent, c, steps, rows, places, noise, losses):
-    """Perform one update per row of `places`, the batches as indices into the buffer's `rows`, shape (updates, batch).
+def learn(agent, c, steps, rows, indices, noise, losses):
+    """Perform one update per row of `indices`: the batches, as rows of the buffer's `rows`, shape (updates, batch).
 
     `noise`: standard normal, shape (updates, 2, batch, actions), first for the targets, then for the actor.
     `steps`: optimizer steps before this call. `losses`: output, losses of critics, actor and temperature before each
     update, shape (updates, 3).
     """
-    n, m, batch, kind = c.observations, c.actions, places.shape[1], agent.targets.dtype
+    n, m, batch, kind = c.observations, c.actions, indices.shape[1], agent.targets.dtype
     zero, one, two, share = kind.type(0.0), kind.type(1.0), kind.type(2.0), kind.type(1.0 / batch)
     first_action = round_up_to_four(n)  # row of the inputs
     inputs, hidden = first_action + round_up_to_four(m), round_up_to_four(c.hidden)
     actor = network(agent.actor.parameters, first_action, hidden, round_up_to_four(2 * m))
     actor_gradient = network(agent.actor.gradient, first_action, hidden, round_up_to_four(2 * m))
-    q, q_gradient = twins(agent.critics.parameters, inputs, hidden), twins(agent.critics.gradient, inputs, hidden)
-    target = twins(agent.targets, inputs, hidden)
-    of_actor, of_q = empty_pass(actor), (empty_pass(q[0]), empty_pass(q[1]))
+    q = critic_networks(agent.critics.parameters, inputs, hidden)
+    q_gradient = critic_networks(agent.critics.gradient, inputs, hidden)
+    target = critic_networks(agent.targets, inputs, hidden)
+    of_actor, of_q = empty_activations(actor), (empty_activations(q[0]), empty_activations(q[1]))
     now, following = np.zeros(inputs * ROW, kind), np.zeros(inputs * ROW, kind)  # [o, a] and [o', a'] as columns
     slope = np.zeros(round_up_to_four(m) * ROW, kind), np.zeros(round_up_to_four(m) * ROW, kind)
     reward, going_on = np.empty(batch, kind), np.empty(batch, kind)
     y, log_pi = np.empty(batch, kind), np.empty(batch, kind)
     deviation, inside = np.empty((m, batch), kind), np.empty((m, batch), kind)
 
-    for update in range(len(places)):
+    for update in range(len(indices)):
         step = steps + update + 1
         alpha = math.exp(agent.entropy.parameters[0])
 
         # a batch of transitions (o, o', a, r, d)
         for k in range(batch):
-            row = rows[places[update, k]]
+            row = rows[indices[update, k]]
             for i in range(n):
                 now[i * ROW + k], following[i * ROW + k] = row[i], row[n + i]
             for j in range(m):
@@ -433,8 +434,8 @@ class Sac:
         actor, of_actor = layers(1, (observations,), settings.hidden_size, 2 * actions)
         critics, of_critics = layers(2, (observations, actions), settings.hidden_size, 1)
         self.layers = {"actor": of_actor, "critics": of_critics}
-        self.places = {
-            name: np.concatenate([places.ravel() for layer in found for places in layer])
+        self.parameter_indices = {
+            name: np.concatenate([indices.ravel() for layer in found for indices in layer])
             for name, found in self.layers.items()
         }
         """Indices of each network's parameters in its padded vector, in the order of files."""
@@ -453,8 +454,8 @@ class Sac:
         for found, optimizer in ((of_actor, self.agent.actor), (of_critics, self.agent.critics)):
             for layer in found:
                 bound = 1.0 / math.sqrt(layer[0].shape[1])
-                for places in layer:
-                    optimizer.parameters[places] = rng.uniform(-bound, bound, places.shape)
+                for indices in layer:
+                    optimizer.parameters[indices] = rng.uniform(-bound, bound, indices.shape)
         self.agent.targets[:] = self.agent.critics.parameters
         self.agent.entropy.parameters[:] = math.log(settings.initial_entropy_coefficient)
         s, kind = settings, np.dtype(dtype).type
@@ -486,14 +487,14 @@ class Sac:
 
     def actor_parameters(self) -> FloatArray:
         """Return a copy of the actor's flat parameters, float64, for `Policy.load_flat`."""
-        return np.asarray(self.agent.actor.parameters[self.places["actor"]], np.float64)
+        return np.asarray(self.agent.actor.parameters[self.parameter_indices["actor"]], np.float64)
 
     def draw(self, replay: ReplayBuffer, updates: int) -> tuple[NDArray[np.int64], Floats]:
         """Draw the batches and the noise of the next updates (`learn`)."""
         rng = np.random.default_rng((self.settings.seed, self.updates))
-        places = replay.draw((updates, self.settings.batch_size), rng)
+        indices = replay.draw((updates, self.settings.batch_size), rng)
         shape = (updates, 2, self.settings.batch_size, self._constants.actions)
-        return places, rng.standard_normal(shape, self.agent.targets.dtype)
+        return indices, rng.standard_normal(shape, self.agent.targets.dtype)
 
     def learn(self, replay: ReplayBuffer, updates: int) -> None:
         """Update critics, actor, temperature and targets, `updates` times, in one compiled call."""
@@ -517,7 +518,7 @@ def dump(sac: Sac) -> bytes:
     Each network and each moment is one flat tensor without padding; counters and settings are JSON under the header key
     "hydro".
     """
-    tensors = {key: vector[places] for key, vector, places in _vectors(sac)}
+    tensors = {key: vector[indices] for key, vector, indices in _vectors(sac)}
     counters = {"updates": sac.updates, **{f"{name}.steps": sac.steps for name in _ADAMS}}
     return bytes(save(tensors, {"hydro": json.dumps({"counters": counters, "settings": asdict(sac.settings)})}))
 
@@ -528,9 +529,9 @@ def restore(sac: Sac, blob: bytes) -> None:
     Raises ValueError: the bytes are not a dump, are of networks of another shape, or hold invalid numbers.
     """
     tensors, header = _opened(blob)
-    check_shapes(tensors, {key: vector[places].shape for key, vector, places in _vectors(sac)})
-    for key, vector, places in _vectors(sac):
-        vector[places] = tensors[key]
+    check_shapes(tensors, {key: vector[indices].shape for key, vector, indices in _vectors(sac)})
+    for key, vector, indices in _vectors(sac):
+        vector[indices] = tensors[key]
     sac.state[:2] = header["counters"]["updates"], header["counters"]["actor.steps"]
 
 
@@ -548,11 +549,11 @@ def settings_of(blob: bytes) -> SacSettings:
 
 def _vectors(sac: Sac) -> list[tuple[str, Floats, Any]]:
     """Return the name in a file of each vector, the vector, and where in it the numbers of the file are."""
-    places = {**sac.places, "entropy": slice(None)}
+    indices = {**sac.parameter_indices, "entropy": slice(None)}
     kept = [
-        (f"{name}.{key}", getattr(getattr(sac.agent, name), key), places[name]) for name in _ADAMS for key in _VECTORS
+        (f"{name}.{key}", getattr(getattr(sac.agent, name), key), indices[name]) for name in _ADAMS for key in _VECTORS
     ]
-    return [*kept, ("target_critics", sac.agent.targets, places["critics"])]
+    return [*kept, ("target_critics", sac.agent.targets, indices["critics"])]
 
 
 def _opened(blob: bytes) -> tuple[dict[str, Any], dict[str, Any]]:

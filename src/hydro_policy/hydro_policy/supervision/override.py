@@ -18,7 +18,7 @@ from hydro_policy.task.mdp import BASE, GainRange
 class GainOverride:
     """Manual override of the gains, with the range that may be requested."""
 
-    reach: GainRange = field(default_factory=GainRange)
+    gain_range: GainRange = field(default_factory=GainRange)
     """Range of gain changes that may be requested: that of the plant's guard."""
     report: Callable[[str], None] = lambda _: None  # takes a sentence for each change
     base: tuple[float, float] = BASE
@@ -26,16 +26,16 @@ class GainOverride:
     _held: tuple[float, float] | None = None  # (delta_kp, delta_ki)
     _until: float = math.inf  # s
 
-    def hold(self, proportional: float, integral: float, seconds: float, now: float) -> str:
+    def start(self, proportional: float, integral: float, seconds: float, now: float) -> str:
         """Override the gains by totals K_p [1/s], K_i [1/s^2] for `seconds` (0: until released); returns a report.
 
         Raises ValueError: gains or `seconds` are not finite or out of range; the state is unchanged.
         """
-        base, reach = self.base, self.reach
+        base, gain_range = self.base, self.gain_range
         change = (proportional - base[0], integral - base[1])
         if not (math.isfinite(seconds) and seconds >= 0.0):
             raise ValueError(f"an override lasts 0 (until told otherwise) or more seconds, not {seconds:g}")
-        ends = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
+        ends = (gain_range.delta_kp_min, gain_range.delta_kp_max), (gain_range.delta_ki_min, gain_range.delta_ki_max)
         if not all(low <= one <= high for one, (low, high) in zip(change, ends, strict=True)):  # NaN is outside
             kp, ki = (f"within [{own + low:g}, {own + high:g}]" for own, (low, high) in zip(base, ends, strict=True))
             raise ValueError(f"({proportional:g}, {integral:g}) cannot be held here: K_p {kp}, K_i {ki}")

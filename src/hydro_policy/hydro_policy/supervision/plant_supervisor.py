@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the plant in all sessions: presence, requirements, arming, calm; and the sessions' outputs.
+"""Supervision of the plant in all sessions: presence, requirements, arming, recovery; and the sessions' outputs.
 
 no state for 100 ms      lost: disarming is requested, so that a reconnected plant is not armed
 requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`); if found armed: disarmed
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box reports ARMED; else a person is asked
-tripped at once          more than `TRIALS` times in a row within `CALM` of arming: the bench is unstable under base
-                         gains, and is not armed again
+tripped at once          more than `TRIPS_MAX` times in a row within `RECOVERY_TIME` of arming: the bench is unstable
+                         under base gains, and is not armed again
 armed and idle           no controller has acted for `IDLE`: disarmed, and armed again as above. Base gains wind up the
                          law's integral against dry friction, and the next gains would make the current jump
 MISMATCH                 the filter's model is not this bench's: nothing is armed or started until the filter decides
                          again, and a run in progress continues under `FALLBACK`
-stopped                  a second of calm, armed, base gains, no reference, before the next run, whose score would
+stopped                  a second of recovery, armed, base gains, no reference, before the next run, whose score would
                          otherwise include the stopped run's transient. If that needs no person, the plant is then also
                          disarmed and armed again
 """
@@ -27,22 +27,22 @@ from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import FAULTS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
-COMPILES = "loading takes some seconds, and a minute more after a change without `make setup`"
-HOW_TO_GET_A_FILTER = f"{COMPILES}; if none runs, start one with `ros2 run hydro_filter filter`"
-HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
+COMPILE_HINT = "loading takes some seconds, and a minute more after a change without `make setup`"
+FILTER_HINT = f"{COMPILE_HINT}; if none runs, start one with `ros2 run hydro_filter filter`"
+PLANT_HINT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
 NO_FILTER = "the filter does not answer: base gains are in force where the plant's guard requires it, the default"
 
 
 def plant_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that samples arrive."""
     missing = "no samples on /hydro/state for 600 s: there is nothing to act on"
-    return Requirement(name="the plant", ready=ready, hint=HOW_TO_GET_A_PLANT, within=600.0, missing=missing)
+    return Requirement(name="the plant", ready=ready, hint=PLANT_HINT, timeout=600.0, timeout_message=missing)
 
 
 def corrections_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the filter's corrections reach the plant, which else continues at base gains."""
     return Requirement(
-        name="the filter", ready=ready, hint=HOW_TO_GET_A_FILTER, within=90.0, missing=NO_FILTER, essential=False
+        name="the filter", ready=ready, hint=FILTER_HINT, timeout=90.0, timeout_message=NO_FILTER, essential=False
     )
 
 
@@ -50,7 +50,7 @@ def learner_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the learner is compiled and has published weights."""
     missing = "the learner is not ready after 300 s: nothing would learn, and nothing was armed for it"
     return Requirement(
-        name="the learner", ready=ready, hint=COMPILES, within=300.0, missing=missing, by_wall_clock=True
+        name="the learner", ready=ready, hint=COMPILE_HINT, timeout=300.0, timeout_message=missing, by_wall_clock=True
     )
 
 
@@ -58,41 +58,43 @@ FALLBACK = (UNFILTERED_LIMITS.delta_kp_max, UNFILTERED_LIMITS.delta_ki_max)
 """Gain changes (K_p, K_i) while the filter reports MISMATCH: the upper end of the range that the guard then passes, the
 paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
 
-CALM = 1.0  # s, armed, between a stop and the next run
+RECOVERY_TIME = 1.0  # s, armed, between a stop and the next run
 
-TRIALS = 3
-"""Trips in a row within `CALM` of arming that end the trials under a force law; more of them end the session."""
+TRIPS_MAX = 3
+"""Trips in a row within `RECOVERY_TIME` of arming that end the trials under a force law; more end the session."""
 BASE_GAINS_UNSTABLE = (
-    f"the box tripped {TRIALS} times within {CALM:g} s of arming: its base gains do not hold this bench"
+    f"the box tripped {TRIPS_MAX} times within {RECOVERY_TIME:g} s of arming: its base gains do not hold this bench"
 )
 
 IDLE = 2.0  # longest time armed without a controller before one starts, s (measurements in decision 0056)
 
-LOST_AFTER = 0.1  # s without a sample
+SAMPLE_TIMEOUT = 0.1  # s without a sample
 
-UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law starts again"
+SAMPLES_LOST = "no samples came while it was armed: it is disarmed, so that the force law starts again"
 MISMATCH = (
     "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
     f"range, under the compensated law its base gains; nothing is learned or begun; {RECOMMISSION_HINT}"
 )
-FITS = "the filter's model fits again: going on"
-UNWATCHED = "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
-HEARD_WITHIN = 1.0
+MODEL_FITS = "the filter's model fits again: going on"
+MODEL_UNCHECKED = (
+    "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
+)
+CORRECTION_TIMEOUT = 1.0
 """Timeout [s] for corrections of a bypassed filter, all of which the plant flags as stale."""
-CALM_AGAIN = "calm again: disarmed and armed again, so that the force law starts again"
+RECOVERED = "calm again: disarmed and armed again, so that the force law starts again"
 
 
 SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
 RETRY = 1.0  # s between arming or disarming requests
 REMINDER = 30.0  # s between requests to arm a plant that a person disarmed
-HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
+ARM_HINT = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
 
 
 class Outputs(Protocol):
     """Outputs of a session to the graph; gains in [1/s] and [1/s^2]. No call blocks."""
 
-    def reference(self, signal: ReferenceSignal) -> None:
+    def publish_reference(self, signal: ReferenceSignal) -> None:
         """Publish the reference force."""
 
     def arm(self, arm: bool) -> None:
@@ -101,14 +103,14 @@ class Outputs(Protocol):
     def report(self, sentence: str, warning: bool = False) -> None:
         """Report a sentence to the user."""
 
-    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+    def publish_gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """Publish the gain changes of policy step number `step`."""
 
-    def command_law(self, command: LawCommand, step: int) -> None:
+    def publish_law(self, command: LawCommand, step: int) -> None:
         """Publish the force law to run; without such a message a plant runs the paper's law."""
 
     def publish_step(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """Publish a policy step (`PolicyStep.msg`) after its gains. `step`: number of the step, as given to `gains`.
+        """Publish a policy step (`PolicyStep.msg`) after its gains. `step`: its number, as given to `publish_gains`.
 
         `mean`: gain changes of the mean action, [1/s] and [1/s^2]. `reward`: of the previous step; NaN: none.
         `weights`: digest of the policy's weights.
@@ -138,22 +140,22 @@ class PlantSupervisor:
         samples = plant_requirement(lambda: not self.lost)
         answers = corrections_requirement(
             lambda: self.mismatched or not self._flags & Flag.FILTER_STALE
-            or (self._status == CorrectionStatus.BYPASSED and self._silent < HEARD_WITHIN)
+            or (self._status == CorrectionStatus.BYPASSED and self._silent < CORRECTION_TIMEOUT)
         )  # fmt: skip
         unfit = f"its model is not this bench's: {RECOMMISSION_HINT}"
         fitting = Requirement(
-            name="a filter that fits", ready=lambda: not self.mismatched, hint=unfit, within=300.0,
-            missing=f"the filter says MISMATCH for 300 s: {unfit}",
+            name="a filter that fits", ready=lambda: not self.mismatched, hint=unfit, timeout=300.0,
+            timeout_message=f"the filter says MISMATCH for 300 s: {unfit}",
         )  # fmt: skip
         needed = (samples, *requirements, *((answers, fitting) if filtered else ()))  # answers: after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.report(sentence, warning=True))
-        self.trips = 0  # trips in a row within `CALM` of arming, except those without commands
+        self.trips = 0  # trips in a row within `RECOVERY_TIME` of arming, except those without commands
         self._flags = int(Flag.FILTER_STALE)
         self._seen = -math.inf  # time of the last sample, s; -inf: lost
         self._armed_at = -math.inf
         self._last_action = -math.inf  # time of the last action of a controller, or of arming
         self._block_reason = TOO_EARLY  # initially: it has been armed for an unknown time
-        self._calm_until: float | None = None  # math.inf: requested, but not armed yet
+        self._recovery_until: float | None = None  # math.inf: requested, but not armed yet
         self._arm_after = math.inf  # time to arm after a disarm
         self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm
         self._not_before = -math.inf  # time of the next request while a person keeps the plant disarmed
@@ -198,27 +200,27 @@ class PlantSupervisor:
             wanted = self.readiness.complete or now - self._asked <= RETRY
             self._last_action, self._block_reason = now, "" if wanted else TOO_EARLY
             self._armed_at = now
-        if self.armed and flags & Flag.ARMED and now - self._armed_at >= CALM:
+        if self.armed and flags & Flag.ARMED and now - self._armed_at >= RECOVERY_TIME:
             self.trips = 0
         if self.armed and flags & Flag.TRIPPED and flags & FAULTS and not self.override.active:
             self.trips += 1
         self._seen, self._flags = now, flags
-        if self._calm_until is not None:
-            self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
-            if now >= self._calm_until:
-                self._calm_until = None
-                self._block_reason = CALM_AGAIN if self._alone else self._block_reason
+        if self._recovery_until is not None:
+            self._recovery_until = min(self._recovery_until, now + RECOVERY_TIME) if flags & Flag.ARMED else math.inf
+            if now >= self._recovery_until:
+                self._recovery_until = None
+                self._block_reason = RECOVERED if self._alone else self._block_reason
 
     def on_correction(self, status: int) -> None:
         """Process the status of the filter's correction; reports a change of MISMATCH."""
         before, self._status, self._heard = self._status, status, True
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
-            after = UNWATCHED if status == CorrectionStatus.BYPASSED else FITS
+            after = MODEL_UNCHECKED if status == CorrectionStatus.BYPASSED else MODEL_FITS
             self.outputs.report(MISMATCH if self.mismatched else after, warning=self.mismatched)
 
-    def may_begin(self, now: float) -> bool:
-        """Return whether a trial may start: armed, all requirements met, no calm in progress, no blocking reason."""
-        return self.armed and self.readiness.complete and not self.calming and not self.blocking_reason(now)
+    def may_start(self, now: float) -> bool:
+        """Return whether a trial may start: armed, all requirements met, no recovery, no blocking reason."""
+        return self.armed and self.readiness.complete and not self.recovering and not self.blocking_reason(now)
 
     def note_action(self, now: float) -> None:
         """Note that a controller has chosen gains at time `now` [s]."""
@@ -236,43 +238,43 @@ class PlantSupervisor:
         self._block_reason = self._block_reason or why
 
     @property
-    def calming(self) -> bool:
-        """Whether the calm after a stop is in progress, under base gains."""
-        return self._calm_until is not None
+    def recovering(self) -> bool:
+        """Whether the recovery after a stop is in progress, under base gains."""
+        return self._recovery_until is not None
 
-    def calm(self) -> None:
-        """Start the calm after a stop: `CALM` s armed without a reference before the next run."""
-        self._calm_until = math.inf
-        self.outputs.reference(ReferenceSignal())
+    def start_recovery(self) -> None:
+        """Start the recovery after a stop: `RECOVERY_TIME` s armed without a reference before the next run."""
+        self._recovery_until = math.inf
+        self.outputs.publish_reference(ReferenceSignal())
 
-    def take_over(self, before: PlantSupervisor) -> None:
-        """Take over the plant from a previous session's supervisor, with its idle time, blocking reason and calm."""
+    def continue_from(self, before: PlantSupervisor) -> None:
+        """Continue from a previous session's supervisor of this plant: idle time, blocking reason and recovery."""
         self._last_action, self._block_reason = before._last_action, before._block_reason
-        if before.calming:
-            self.calm()
+        if before.recovering:
+            self.start_recovery()
 
     def on_tick(self, now: float) -> None:
         """Detect a loss of the plant and request arming; call some twenty times a second.
 
         Raises NotReadyError: a requirement for arming was not met in time, or the bench is unstable under base gains.
         """
-        if self.trips > TRIALS:
+        if self.trips > TRIPS_MAX:
             raise NotReadyError(f"{BASE_GAINS_UNSTABLE}; nothing is armed again")
         self._silent = 0.0 if self._heard else self._silent + max(now - self._ticked, 0.0)
         self._heard, self._ticked = False, now
-        if not self.lost and now - self._seen > LOST_AFTER:
-            self._seen, self._block_reason = -math.inf, UNSEEN
+        if not self.lost and now - self._seen > SAMPLE_TIMEOUT:
+            self._seen, self._block_reason = -math.inf, SAMPLES_LOST
             self._flags = int(Flag.FILTER_STALE)
             self.outputs.arm(False)
         self.readiness.check(now)
         if self.armed or self.lost:
             self._arm_after, self._asked, self._not_before, self._prompted = math.inf, -math.inf, -math.inf, ""
-            why = self.blocking_reason(now) if self.armed and not (self.calming or self.override.active) else ""
+            why = self.blocking_reason(now) if self.armed and not (self.recovering or self.override.active) else ""
             if why and now - self._lowered > RETRY:
                 if self._lowered == -math.inf:
                     self.outputs.report(why, warning=True)
                 self._lowered = now
-                self.outputs.reference(ReferenceSignal())
+                self.outputs.publish_reference(ReferenceSignal())
                 self.outputs.arm(False)
         else:
             self._lowered = -math.inf
@@ -287,7 +289,7 @@ class PlantSupervisor:
         condition, hint = self.condition, ""
         waits = not (self.armed or self.lost or self._alone) and self.readiness.complete and now - self._asked > RETRY
         if waits and condition != self._prompted:  # once in each condition
-            self._prompted, hint = condition, f": {HOW_TO_ARM}"
+            self._prompted, hint = condition, f": {ARM_HINT}"
         if hint or self._told not in (None, condition):
             self.outputs.report(f"plant: {condition}{hint}", warning=not self.armed)
         self._told = condition

@@ -27,14 +27,14 @@ class Case:
 
     name: str  # name for tables: `2 Hz`, `multisine`, `steps`
     signal: ReferenceSignal
-    pieces: tuple[ReferenceSignal, ...] = ()
+    segments: tuple[ReferenceSignal, ...] = ()
     """Signals that follow `signal`, one every 0.3 s: a recorded reference (`task.recorded`), played to its end."""
 
     def signal_due(self, before: int, now: int) -> ReferenceSignal | None:
         """Return the signal to send at sample `now` of a run; None: none. `before`: the previous sample's number."""
-        number = now // recorded.SAMPLES
-        due = before // recorded.SAMPLES < number and 0 < number <= len(self.pieces)
-        return self.pieces[number - 1] if due else None
+        number = now // recorded.SEGMENT_SAMPLES
+        due = before // recorded.SEGMENT_SAMPLES < number and 0 < number <= len(self.segments)
+        return self.segments[number - 1] if due else None
 
 
 FAST = {5.0: 1.0 / 3.0, 10.0: 1.0 / 6.0}
@@ -89,14 +89,14 @@ class EvaluationSettings:
             signals.append((f"{frequency:g} Hz, {force:g} N", Waveform.SINE, force, frequency))
         cases = [Case(name, ReferenceSignal(waveform=w, amplitude=a, frequency=f)) for name, w, a, f in signals]
         for file in self.recorded:
-            first, *others = recorded.pieces(Path(file), self.amplitude)
+            first, *others = recorded.segments(Path(file), self.amplitude)
             cases.append(Case(Path(file).stem, first, tuple(others)))
         return tuple(cases)
 
     def measured_time(self, case: Case) -> float:
         """Return the measured time [s]: whole periods; of a recorded reference its length without `settle`."""
-        if case.pieces:
-            return max(FADE_TIME * (len(case.pieces) + 1) - self.settle, self.measure)
+        if case.segments:
+            return max(FADE_TIME * (len(case.segments) + 1) - self.settle, self.measure)
         frequency = case.signal.frequency
         return max(math.ceil(self.measure * frequency - 1e-9), self.periods) / frequency
 
@@ -191,12 +191,15 @@ class Trace:
     states: StateArray  # shape (n,)
 
 
-def score(trace: Trace, repeat: int, held: int = 0, felt: FloatArray | None = None) -> Score:
-    """Compute the score of a completed run; `felt` is the force on the specimen [N], shape (n,), if it is known."""
+def score(trace: Trace, repeat: int, held: int = 0, specimen_force: FloatArray | None = None) -> Score:
+    """Compute the score of a completed run; `specimen_force`: force on the specimen [N], shape (n,), if it is known."""
     states = trace.states
     error = states["reference_force"] - states["load_force"]
     steps = np.diff(states["sequence"].astype(np.int64))
     current_rate = np.diff(states["valve_current"]) / (steps * SAMPLE_PERIOD)
+    true_rmse = math.nan
+    if specimen_force is not None:
+        true_rmse = float(np.sqrt(np.mean((states["reference_force"] - specimen_force) ** 2)))
     return Score(
         controller=trace.controller,
         case=trace.case,
@@ -204,7 +207,7 @@ def score(trace: Trace, repeat: int, held: int = 0, felt: FloatArray | None = No
         repeat=repeat,
         rmse=float(np.sqrt(np.mean(error**2))),
         reference_rms=float(np.sqrt(np.mean(states["reference_force"] ** 2))),
-        true_rmse=math.nan if felt is None else float(np.sqrt(np.mean((states["reference_force"] - felt) ** 2))),
+        true_rmse=true_rmse,
         peak=float(np.abs(error).max()),
         chatter=float(np.sqrt(np.mean(current_rate**2))),
         proportional_gain=float(states["proportional_gain"].mean()),

@@ -23,10 +23,10 @@ from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 
-SECONDS = 20.0  # longest part of a record that is played [s]: the one with the largest RMS
+DURATION_MAX = 20.0  # longest part of a record that is played [s]: the one with the largest RMS
 BANDWIDTH = 3.0  # cut-off frequency [Hz] of the low-pass, second order forwards and backwards
 FREQUENCIES = np.arange(0.5, 10.01, 0.25)  # candidate frequencies of a sine [Hz]
-SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)  # samples between two pieces
+SEGMENT_SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)  # samples from one segment to the next
 
 
 def read(path: Path) -> tuple[FloatArray, FloatArray]:
@@ -62,7 +62,7 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 @cache
-def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
+def segments(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     """Return the signals to send one after the other, `FADE_TIME` apart, for a record scaled to a peak `amplitude` [N].
 
     Offset plus amplitude of a signal is at most twice that. Raises SettingsError: as `read`, or the record is shorter
@@ -72,10 +72,10 @@ def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
 
     time, value = read(path)
     value = np.interp(np.arange(time[0], time[-1], SAMPLE_PERIOD), time, value)
-    if len(value) < 3 * SAMPLES:
+    if len(value) < 3 * SEGMENT_SAMPLES:
         raise SettingsError(f"{path} is shorter than {3 * FADE_TIME:.1f} s")
     smooth = sosfiltfilt(butter(2, BANDWIDTH, fs=1.0 / SAMPLE_PERIOD, output="sos"), value - value.mean())
-    length = min(len(smooth), round(SECONDS / SAMPLE_PERIOD))
+    length = min(len(smooth), round(DURATION_MAX / SAMPLE_PERIOD))
     energy = np.concatenate(([0.0], np.cumsum(smooth**2)))
     first = int(np.argmax(energy[length:] - energy[: len(energy) - length]))
     part = smooth[first : first + length]
@@ -83,16 +83,16 @@ def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     if largest == 0.0:
         raise SettingsError(f"{path} holds nothing but one value")
     record = amplitude / largest * part
-    since, fade = SAMPLE_PERIOD * np.arange(2 * SAMPLES), np.arange(SAMPLES) / SAMPLES
+    since, fade = SAMPLE_PERIOD * np.arange(2 * SEGMENT_SAMPLES), np.arange(SEGMENT_SAMPLES) / SEGMENT_SAMPLES
     rising = fade**2 * (3.0 - 2.0 * fade)
     weight = np.concatenate((rising, 1.0 - rising))
     angles = 2.0 * np.pi * np.outer(FREQUENCIES, since)
     bases = np.stack((np.ones_like(angles), np.sin(angles), np.cos(angles)), axis=-1)
     inverses = np.linalg.pinv(bases * weight[:, np.newaxis], rcond=0.03)
-    made, leaving = list[ReferenceSignal](), np.zeros(SAMPLES)
-    for start in range(0, len(record) - 2 * SAMPLES + 1, SAMPLES):
-        target = weight * record[start : start + 2 * SAMPLES]
-        target[:SAMPLES] = record[start : start + SAMPLES] - (1.0 - rising) * leaving
+    made, leaving = list[ReferenceSignal](), np.zeros(SEGMENT_SAMPLES)
+    for start in range(0, len(record) - 2 * SEGMENT_SAMPLES + 1, SEGMENT_SAMPLES):
+        target = weight * record[start : start + 2 * SEGMENT_SAMPLES]
+        target[:SEGMENT_SAMPLES] = record[start : start + SEGMENT_SAMPLES] - (1.0 - rising) * leaving
         found = inverses @ target
         played = np.einsum("fsn,fn->fs", bases, found)
         size = np.abs(found[:, 0]) + np.hypot(found[:, 1], found[:, 2])
@@ -105,5 +105,5 @@ def pieces(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
                 frequency=float(FREQUENCIES[best]), phase=math.atan2(cosine, sine),
             )
         )  # fmt: skip
-        leaving = played[best, SAMPLES:]
+        leaving = played[best, SEGMENT_SAMPLES:]
     return tuple(made)

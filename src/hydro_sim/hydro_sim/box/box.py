@@ -25,9 +25,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
+from hydro_core.bench_scales import rescale
 from hydro_core.settings import SettingsError, check, quantity
 from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
-from hydro_core.size import rescale
 from hydro_sim.box import firmware
 from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records, signal_record
 from hydro_sim.model import equations, hydraulics
@@ -143,7 +143,7 @@ class BoxConfig:
 
 
 def _law(law: BoxLaw) -> tuple[Any, ...]:
-    low, safe, high, rate = map(tuple, law.shaping)
+    low, safe, high, rate = map(tuple, law.shaping_limits)
     return (*(getattr(law, name) for name in GAIN_FIELDS), law.reference_max, safe, low, high, rate)
 
 
@@ -252,4 +252,5 @@ def fill_command(record: Records, command: Command) -> None:
     reference = signal_record(command.reference)
     gains = (command.delta_kp, command.delta_ki, command.delta_u)
     shaping = (*command.coefficients, command.velocity_compensation, command.valve_gain_scale)
-    record[0] = (0, command.corrects, command.arm, command.filter_fresh, 0, *gains, reference, command.law, shaping)
+    flags = command.arm, command.filter_fresh, 0
+    record[0] = (0, command.corrected_sequence, *flags, *gains, reference, command.law, shaping)

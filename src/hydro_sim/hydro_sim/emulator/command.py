@@ -13,7 +13,7 @@ from typing import get_args
 
 from hydro_bridge.plant_clock import parse_pace, reject_speed_option
 from hydro_core.cli.console import bounded_number, command, writable_file, writable_folder
-from hydro_core.process import endings
+from hydro_core.process import termination
 from hydro_core.settings import SettingsError
 from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.box.firmware import Precision
@@ -106,10 +106,10 @@ def _serve(options: argparse.Namespace) -> None:
     stop: list[int] = []
 
     def request_stop(number: int, _: FrameType | None) -> None:
-        endings.detach_closed_terminal()
+        termination.detach_closed_terminal()
         stop.append(number)
 
-    endings.install_handlers(request_stop)
+    termination.install_handlers(request_stop)
     told = "each sample waits for its host" if pace is None else f"{pace:g} times real time"
     told = f"1 kHz, {request_realtime()}" if pace == 1.0 else told
     print(f"port {terminal.path}, {told}: ros2 run hydro_bridge bridge --port {terminal.path}", flush=True)
@@ -121,9 +121,9 @@ def _serve(options: argparse.Namespace) -> None:
             control.close()
         if options.load_force:
             options.load_force.unlink(missing_ok=True)
-    pacer, samples = running.pacer, running.samples
+    timer, samples = running.timer, running.samples
     late = (
-        f", {pacer.late} late by more than 1 ms (worst {1e3 * pacer.lateness.longest:.2f} ms, {pacer.skipped:.1f} s "
+        f", {timer.late} late by more than 1 ms (worst {1e3 * timer.lateness.longest:.2f} ms, {timer.skipped:.1f} s "
         "skipped)" if pace is not None else ""
     )  # fmt: skip
     print(f"{samples} samples{late}, {running.cpu / max(samples * 1e-3, 1e-3):.3f} s of CPU per second")

@@ -13,9 +13,9 @@ import numpy as np
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter
+from hydro_core.bench_scales import rescale
 from hydro_core.settings import from_mapping
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
-from hydro_core.size import rescale
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from hydro_core.process.realtime import Pacer, disable_timer_slack, limit_run_time
+from hydro_core.process.realtime import PeriodicTimer, disable_timer_slack, limit_run_time
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.line.faults import FAULT_NAMES, LinkFaults
@@ -114,7 +114,8 @@ class RealtimeEmulator:
     ) -> None:  # fmt: skip
         self.machine, self.link, self.control, self.load_force = machine, link, control, load_force
         self.link.waits = None if pace == 1.0 else pace is None
-        self.pacer, self.samples, self.cpu = Pacer(SAMPLE_PERIOD / (pace or 1.0)), 0, 0.0  # statistics; s of CPU
+        self.timer = PeriodicTimer(SAMPLE_PERIOD / (pace or 1.0))
+        self.samples, self.cpu = 0, 0.0  # statistics; s of CPU
         self._waits, self._deserted = pace is None, False
         self._sent_us = 0
 
@@ -125,13 +126,13 @@ class RealtimeEmulator:
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
         try:
             opened = math.inf
-            while self._waits and not self.link.host.greetings and not stopped():
+            while self._waits and not self.link.host.hellos and not stopped():
                 opened = min(opened, time.monotonic()) if self.link.open else math.inf
                 if time.monotonic() - opened > _GREETED_WITHIN:  # a host that does not greet
                     break
                 self._obey(0.0)
                 self.link.receive(0.0, _PATIENCE)
-            self.pacer.restart()
+            self.timer.restart()
             while (count is None or self.samples < count) and not stopped():
                 now = self.samples * SAMPLE_PERIOD
                 if self.samples % _CONTROL_EVERY == 0:
@@ -146,9 +147,9 @@ class RealtimeEmulator:
                 self._sent_us = round(1e6 * float(sample["time"]))
                 self.samples += 1
                 if self._waits and self._answered(stopped):
-                    self.pacer.restart()
+                    self.timer.restart()
                 else:
-                    self.pacer.wait()
+                    self.timer.wait()
         finally:
             gc.enable()
         self.cpu = time.process_time() - cpu
@@ -156,24 +157,24 @@ class RealtimeEmulator:
     def _answered(self, stopped: Callable[[], bool]) -> bool:
         """Wait for the host's answer to the last sample; False: there is no host that answers samples."""
         link, host, now = self.link, self.link.host, self.samples * SAMPLE_PERIOD
-        greetings, greeted, began = host.greetings, host.fresh, time.monotonic()
+        hellos, greeted, began = host.hellos, host.fresh, time.monotonic()
         while not stopped():
             if not link.open:
                 return False
-            if host.time_us == self._sent_us and host.follows:
+            if host.time_us == self._sent_us and host.lock_step:
                 self._deserted = False
                 return True
-            if host.greetings > greetings and not greeted:
+            if host.hellos > hellos and not greeted:
                 return True
-            if host.greetings > greetings:  # greeted again before the answer came, which is in the last sample's frames
-                greetings = host.greetings
+            if host.hellos > hellos:  # greeted again before the answer came, which is in the last sample's frames
+                hellos = host.hellos
                 link.resend(now)
-            if self._deserted or not host.follows:
+            if self._deserted or not host.lock_step:
                 return False
             waited = time.monotonic() - began
             if link.faulty and waited > _LOST_AFTER:
                 return True
-            if time.monotonic() - max(began, host.heard) > SILENCE_MAX:
+            if time.monotonic() - max(began, host.last_frame_time) > SILENCE_MAX:
                 self._deserted = True
                 print(
                     f"no answer of the host for {SILENCE_MAX:g} s: going on in real time until it is back", flush=True

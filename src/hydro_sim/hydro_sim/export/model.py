@@ -58,9 +58,9 @@ class ExportedModel:
         kinds = {catalogue.label(entry): catalogue.parse_entry(entry)[0].effect for entry in self.bench.terms}
         found = [
             label for label, kind in kinds.items()
-            if not (kind.acts_in("flow") or all(one.integrated for one in kind.states))
+            if not (kind.acts_in("continuous_rates") or all(one.integrated for one in kind.states))
         ]  # fmt: skip
-        return [*found, *([DEAD_TIME.partition(".")[0]] if self.model.structure.past else [])]
+        return [*found, *([DEAD_TIME.partition(".")[0]] if self.model.structure.past_currents else [])]
 
     def c_source(self) -> str:
         """Return the model's C99 source."""
@@ -131,7 +131,8 @@ class ExportedModel:
         names = unique_names(
             f"bench.{one.name}" if i < len(numbers) else one.name for i, one in enumerate(self.model.parameters)
         )
-        room = max(self.model.structure.past - 2, 0) * SAMPLE_PERIOD - catalogue.total_delay(self.bench.effects)
+        longest = max(self.model.structure.past_currents - 2, 0) * SAMPLE_PERIOD
+        room = longest - catalogue.total_delay(self.bench.effects)
         for i, (one, value) in enumerate(zip(self.model.parameters, self.model.values.tolist(), strict=True)):
             listed.append({
                 "name": names[i], "unit": one.unit, "value": value,

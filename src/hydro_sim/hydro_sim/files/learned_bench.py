@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
+from hydro_sim.files.pairing import BoxIdentity, Provenance, mismatch, raise_if_mismatched
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
@@ -59,8 +59,8 @@ def box_mismatch(path: str | Path | None, box: BoxIdentity, remedy: str) -> str:
     """Return an error message if the shipped bench, if used, is for another box; empty if not, and for other files."""
     if path is not None and Path(path) != shipped_bench():
         return ""
-    made = MadeFor(box=Bench.nominal().digest)
-    return mismatch(f"the model {shipped_bench().name}", made, box, remedy)
+    provenance = Provenance(box=Bench.nominal().digest)
+    return mismatch(f"the model {shipped_bench().name}", provenance, box, remedy)
 
 
 def require_match(path: str | Path | None, box: BoxIdentity, remedy: str) -> None:

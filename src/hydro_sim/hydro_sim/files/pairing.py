@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairing of learned files with boxes: the bench file and gains that a file was made for, and mismatches.
 
-Metric, policy and agent carry a `MadeFor` in their header, entry `made_for` of the JSON `hydro`::
+Metric, policy and agent carry a `Provenance` in their header, entry `made_for` of the JSON `hydro`::
 
     box        digest of the bench.yaml that the box's force law assumed, not of the simulated bench
     model      digest of the learned bench that a metric or a policy was made on; empty: none was used
@@ -25,8 +25,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from hydro_bridge.safety.box_info import BoxDescription
+from hydro_core.bench_scales import BenchScales
 from hydro_core.errors import UserError
-from hydro_core.size import Size
 from hydro_sim.model.bench import Bench
 
 HEADER_KEY = "made_for"
@@ -38,7 +38,7 @@ class PairingError(UserError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MadeFor:
+class Provenance:
     """Provenance of a file: the box, and the learned bench, that it was made for."""
 
     box: str
@@ -66,7 +66,7 @@ class BoxIdentity:
     base_gains: tuple[float, float] | None = None
     """K_p [1/s], K_i [1/s^2]; None: unknown."""
     integral: str = ""
-    size: Size | None = None
+    size: BenchScales | None = None
     """Size of its bench; None: unknown."""
 
     @classmethod
@@ -80,7 +80,7 @@ class BoxIdentity:
     def of_box(cls, box: BoxDescription) -> BoxIdentity:
         """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
-        size, integral = Size.of_known_bench(yaml.safe_load(box.bench)), box.info.integral
+        size, integral = BenchScales.of_known_bench(yaml.safe_load(box.bench)), box.info.integral
         return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=integral, size=size)
 
     @property
@@ -89,32 +89,36 @@ class BoxIdentity:
         return f"{self.digest} ({self.source})"
 
 
-def parse_provenance(header: Mapping[str, Any]) -> MadeFor | None:
+def parse_provenance(header: Mapping[str, Any]) -> Provenance | None:
     """Return the provenance in a file's header; None if it is missing or unreadable."""
     try:
-        return MadeFor(**header[HEADER_KEY])
+        return Provenance(**header[HEADER_KEY])
     except (KeyError, TypeError):
         return None
 
 
-def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *, model: str | None = None) -> str:
+def mismatch(
+    thing: str, provenance: Provenance | None, box: BoxIdentity, remedy: str, *, model: str | None = None
+) -> str:
     """Return an error message with remedy if `thing` was made for another box; empty if it matches.
 
-    `thing`: object to be paired, by kind and file: "the metric own.safetensors". `made`: its provenance. `box`:
+    `thing`: object to be paired, by kind and file: "the metric own.safetensors". `provenance`: of `thing`. `box`:
     identity of the box, whose unknown parts are not compared. `remedy`: instruction that ends the message. `model`:
     digest of the learned bench that is used with it; None: none is used.
     """
-    if made is None:
+    if provenance is None:
         return f"{thing} does not say which bench it was made for: {remedy}"
-    if box.digest and made.box != box.digest and not made.any_bench:
-        return f"{thing} was made for bench {made.box}, the box believes {box.description}: {remedy}"
-    if model is not None and made.model != model:
-        return f"{thing} was made for model {made.model or 'none'}, it is to be used with model {model}: {remedy}"
-    for name, mine, theirs in zip(("K_p", "K_i"), (made.base_kp, made.base_ki), box.base_gains or (), strict=False):
+    if box.digest and provenance.box != box.digest and not provenance.any_bench:
+        return f"{thing} was made for bench {provenance.box}, the box believes {box.description}: {remedy}"
+    if model is not None and provenance.model != model:
+        return f"{thing} was made for model {provenance.model or 'none'}, it is to be used with model {model}: {remedy}"
+    for name, mine, theirs in zip(
+        ("K_p", "K_i"), (provenance.base_kp, provenance.base_ki), box.base_gains or (), strict=False
+    ):
         if mine is not None and not isclose(mine, theirs, rel_tol=1e-6, abs_tol=1e-9):
             return f"{thing} was made for a box with base {name} {mine:g}, this one has {theirs:g}: {remedy}"
-    if box.integral and made.integral and box.integral != made.integral:
-        return f"{thing} was made for the {made.integral} integral, the box runs the {box.integral} one: {remedy}"
+    if box.integral and provenance.integral and box.integral != provenance.integral:
+        return f"{thing} was made for the {provenance.integral} integral, the box runs the {box.integral} one: {remedy}"
     return ""
 
 
@@ -137,7 +141,7 @@ def header_of(blob: bytes) -> dict[str, Any]:
         raise ValueError("its header has no readable entry 'hydro'") from error
 
 
-def read_provenance(path: Path) -> MadeFor | None:
+def read_provenance(path: Path) -> Provenance | None:
     """Return the provenance of a file; None if it has none or is of another project."""
     try:
         return parse_provenance(header_of(path.read_bytes()))
@@ -145,14 +149,14 @@ def read_provenance(path: Path) -> MadeFor | None:
         return None
 
 
-def with_provenance(blob: bytes, made: MadeFor | None) -> bytes:
+def with_provenance(blob: bytes, provenance: Provenance | None) -> bytes:
     """Return a safetensors blob with its provenance replaced; None: removed.
 
     Raises ValueError: see `header_of`, or the file is incomplete.
     """
     header = {key: value for key, value in header_of(blob).items() if key != HEADER_KEY}
-    if made is not None:
-        header[HEADER_KEY] = asdict(made)
+    if provenance is not None:
+        header[HEADER_KEY] = asdict(provenance)
     try:
         tensors = load(blob)
     except SafetensorError as error:

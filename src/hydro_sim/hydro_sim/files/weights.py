@@ -19,7 +19,7 @@ from safetensors.numpy import save as serialize
 
 from hydro_core.files.atomic import write_atomic
 from hydro_core.files.tensors import InvalidTensorError, check_finite
-from hydro_sim.files.pairing import HEADER_KEY, MadeFor
+from hydro_sim.files.pairing import HEADER_KEY, Provenance
 
 FORMAT = 1
 Tensors = dict[str, npt.NDArray[Any]]
@@ -29,10 +29,10 @@ class WeightsError(ValueError):
     """Invalid weights file; the message is one sentence."""
 
 
-def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
+def save(path: str | Path, tensors: Tensors, header: dict[str, Any], provenance: Provenance | None = None) -> None:
     """Write tensors, header and provenance; create missing folders."""
-    if made is not None:
-        header = {**header, HEADER_KEY: asdict(made)}
+    if provenance is not None:
+        header = {**header, HEADER_KEY: asdict(provenance)}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})

@@ -37,7 +37,7 @@ MODEL_ERROR_SCHEDULE = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """Scale of the model error that the filter assumes, by round."""
 ITERATIONS = 5
 """Largest number of iterations in a round."""
-FINAL_TRUSTS = (0.03, 0.3, 3.0)
+FINAL_MODEL_ERRORS = (0.03, 0.3, 3.0)
 """Scales of the model error for validation, of which the one with the lowest prediction error is chosen."""
 DELAY_BOUND_MIN, DELAY_FACTOR = 5e-3, 2.0
 """Upper bound of a dead time: its smallest value [s], and its factor on the bench file's dead time."""
@@ -108,18 +108,18 @@ def learn(
     if not bench.terms:
         bench = replace(bench, load_cell_bandwidth=None, effects=COMMON_EFFECTS)
     exact = Sensitivities(BenchModel(with_longer_dead_times(bench), substeps=SUBSTEPS))
-    coordinates, noise = Coordinates(bench, exact.model), bench_states.estimate_noise(data.training)
+    parametrisation, noise = Parametrisation(bench, exact.model), bench_states.estimate_noise(data.training)
     places = [(i, begin) for i, run in enumerate(data.training) for begin in _window_begins(run, HORIZON)]
     if len(places) < 2:
         raise ValueError("the recordings have no room for predictions: record more")
     picked = np.random.default_rng(seed).choice(len(places), min(count, len(places)), replace=False)
     begins = ([places[j][1] for j in picked if places[j][0] == i] for i in range(len(data.training)))
     chosen = [np.sort(one).astype(np.int64) for one in begins]  # of each run, in rising order, without overlap
-    q, weights, best = coordinates.coordinates(coordinates.values), noise, np.inf
+    q, weights, best = parametrisation.coordinates(parametrisation.values), noise, np.inf
     found, matrix = q, np.eye(len(q))  # of the round that predicts best
-    for number, trust in enumerate(MODEL_ERROR_SCHEDULE, 1):
-        follower = StateEstimator(exact, coordinates.parameters(q), weights, trust)
-        fit = WindowFit(follower, coordinates, q, data.training, chosen)
+    for number, model_error in enumerate(MODEL_ERROR_SCHEDULE, 1):
+        estimator = StateEstimator(exact, parametrisation.parameters(q), weights, model_error)
+        fit = WindowFit(estimator, parametrisation, q, data.training, chosen)
         for _ in range(ITERATIONS):
             if not fit.iterate():
                 break
@@ -128,21 +128,23 @@ def learn(
         report(f"round {number} of {len(MODEL_ERROR_SCHEDULE)}: error over noise {np.round(residual / noise, 3)}")
         if (error := float(np.mean(np.log(residual / noise)))) < best:
             best, found, matrix = error, q, fit.normal_equations()[0]
-    theta, deviation = coordinates.parameters(found), np.sqrt(np.diag(np.linalg.inv(matrix)))
-    value, low, high = (coordinates.free_parameters(found + side * QUANTILE * deviation) for side in (0.0, -1.0, 1.0))
+    theta, deviation = parametrisation.parameters(found), np.sqrt(np.diag(np.linalg.inv(matrix)))
+    value, low, high = (
+        parametrisation.free_parameters(found + side * QUANTILE * deviation) for side in (0.0, -1.0, 1.0)
+    )
     parameters = [
         IdentifiedParameter(
             name=exact.model.parameters[index].name, unit=exact.model.parameters[index].unit,
-            before=float(coordinates.values[index]), value=float(value[i]), low=float(low[i]), high=float(high[i]),
+            before=float(parametrisation.values[index]), value=float(value[i]), low=float(low[i]), high=float(high[i]),
             informed=bool(deviation[i] < 0.5 * PRIOR_WIDTH),
         )
-        for i, index in enumerate(coordinates.free)
+        for i, index in enumerate(parametrisation.free)
     ]  # fmt: skip
     rmse, _ = best_prediction_rmse(exact, theta, noise, data.validation)
     return Result(bench=with_parameters(bench, theta), parameters=parameters, noise=noise, rmse=rmse)
 
 
-class Coordinates:
+class Parametrisation:
     """Parametrisation of a bench's model by scaled or logarithmic coordinates q of its free parameters.
 
     Free are the parameters of effects and closures except the bounds of a closure's table.
@@ -159,7 +161,7 @@ class Coordinates:
         ]  # fmt: skip
         chosen = [parameters[i] for i in self.free]
         delays = max(sum(one.name == DEAD_TIME for one in parameters), 1)
-        longest = max(model.structure.past - 2, 0) * SAMPLE_PERIOD / delays
+        longest = max(model.structure.past_currents - 2, 0) * SAMPLE_PERIOD / delays
         self.low = np.array([one.low for one in chosen])
         self.high = np.array([longest if one.name == DEAD_TIME else one.high for one in chosen])
         self.scale = np.array([one.scale for one in chosen])
@@ -185,32 +187,33 @@ class Coordinates:
 class WindowFit:
     """Least squares of parameters and initial states on windows of H samples, by Levenberg-Marquardt.
 
-    The unknowns are q, shape (free,), and s, shape (n, held): deviations of the windows' initial states from the
-    filter's estimates, in its standard deviations. `follower`: that filter, whose noise weights the readings. `q`:
+    The unknowns are q, shape (free,), and s, shape (n, estimated): deviations of the windows' initial states from the
+    filter's estimates, in its standard deviations. `estimator`: that filter, whose noise weights the readings. `q`:
     initial value. `chosen`: first sample of each window, by run.
     """
 
     def __init__(
-        self, follower: StateEstimator, coordinates: Coordinates, q: FloatArray, runs: list[Run], chosen: list[Indices]
-    ) -> None:
-        self.follower, self.exact, self.coordinates = follower, follower.exact, coordinates
-        self.first, self.q, self.damping = coordinates.coordinates(coordinates.values), q, 1e-2
+        self, estimator: StateEstimator, parametrisation: Parametrisation, q: FloatArray, runs: list[Run],
+        chosen: list[Indices],
+    ) -> None:  # fmt: skip
+        self.estimator, self.exact, self.parametrisation = estimator, estimator.exact, parametrisation
+        self.first, self.q, self.damping = parametrisation.coordinates(parametrisation.values), q, 1e-2
         pairs, steps = list(zip(runs, chosen, strict=True)), np.arange(HORIZON)
-        starts = [follower.initial_states(run, samples) for run, samples in pairs]
+        starts = [estimator.initial_states(run, samples) for run, samples in pairs]
         self.starts, self.roots = map(np.concatenate, zip(*starts, strict=True))
         self.currents = np.concatenate([run.u[at[:, None] + steps] for run, at in pairs])
         self.targets = np.concatenate([run.readings[at[:, None] + steps + 1] for run, at in pairs])
-        self.s: FloatArray = np.zeros((len(self.starts), self.exact.held))
+        self.s: FloatArray = np.zeros((len(self.starts), self.exact.estimated))
 
     def iterate(self) -> bool:
         """Run one iteration; return whether the cost still falls."""
         matrix, gradient, eliminated = self.normal_equations()
         cost = self.cost(self.q, self.s)
-        reach = np.where(self.coordinates.logarithm, 1.0, np.maximum(np.abs(self.q), 1.0))
+        reach = np.where(self.parametrisation.logarithm, 1.0, np.maximum(np.abs(self.q), 1.0))
         while self.damping < 1e8:
             damped = matrix + self.damping * np.diag(np.diag(matrix))
             change = np.clip(-np.linalg.solve(damped, gradient), -reach, reach)
-            q = self.coordinates.coordinates(self.coordinates.parameters(self.q + change))
+            q = self.parametrisation.coordinates(self.parametrisation.parameters(self.q + change))
             moves = -(eliminated[:, :, -1] + eliminated[:, :, :-1] @ (q - self.q))
             s = self.s + np.clip(moves, -INITIAL_STATE_STEP_MAX, INITIAL_STATE_STEP_MAX)
             better = self.cost(q, s)
@@ -222,43 +225,43 @@ class WindowFit:
 
     def predictions(self, q: FloatArray, s: FloatArray) -> list[FloatArray]:
         """Return the readings of each window, shape (H, 5)."""
-        k, _ = self.exact.coefficients(self.coordinates.parameters(q))
+        k, _ = self.exact.coefficients(self.parametrisation.parameters(q))
         return [self.exact.model.rollout(k, self._start(i, one), self.currents[i]) for i, one in enumerate(s)]
 
     def cost(self, q: FloatArray, s: FloatArray) -> float:
         """Return the mean squared normalized error with priors; infinite if a prediction is not finite."""
         total = float(np.sum(s * s) + np.sum(((q - self.first) / PRIOR_WIDTH) ** 2))
         for z, target in zip(self.predictions(q, s), self.targets, strict=True):
-            total += float(np.sum(((z - target) / self.follower.noise) ** 2))
+            total += float(np.sum(((z - target) / self.estimator.noise) ** 2))
         return total / self.targets.size if np.isfinite(total) else np.inf
 
     def normal_equations(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return Gauss-Newton matrix and gradient in q with initial states eliminated, and the elimination's blocks.
 
-        Shapes (free, free), (free,), and of A_i^-1 (B_i, a_i) (n, held, free + 1).
+        Shapes (free, free), (free,), and of A_i^-1 (B_i, a_i) (n, estimated, free + 1).
         """
-        theta = self.coordinates.parameters(self.q)
+        theta = self.parametrisation.parameters(self.q)
         k, dk = self.exact.coefficients(theta)
-        slopes = np.where(self.coordinates.logarithm, theta[self.coordinates.free], self.coordinates.scale)
-        by_q = dk[:, self.coordinates.free] * slopes
-        held, count, noise = self.exact.held, len(self.q), self.follower.noise
-        eliminated = np.empty((len(self.s), held, count + 1))
+        slopes = np.where(self.parametrisation.logarithm, theta[self.parametrisation.free], self.parametrisation.scale)
+        by_q = dk[:, self.parametrisation.free] * slopes
+        estimated, count, noise = self.exact.estimated, len(self.q), self.estimator.noise
+        eliminated = np.empty((len(self.s), estimated, count + 1))
         matrix = np.eye(count) / PRIOR_WIDTH**2
         gradient = (self.q - self.first) / PRIOR_WIDTH**2
         for i, s in enumerate(self.s):
             z, dz, _ = self.exact.window(k, self._start(i, s), self.currents[i], self.roots[i], by_q)
             error = ((z - self.targets[i]) / noise).ravel()
             rows = (dz / noise[:, None]).reshape(len(error), -1)
-            by_s, by_parameters = rows[:, :held], rows[:, held:]
+            by_s, by_parameters = rows[:, :estimated], rows[:, estimated:]
             b, a = by_s.T @ by_parameters, by_s.T @ error + s
-            eliminated[i] = np.linalg.solve(by_s.T @ by_s + np.eye(held), np.column_stack([b, a]))
+            eliminated[i] = np.linalg.solve(by_s.T @ by_s + np.eye(estimated), np.column_stack([b, a]))
             matrix += by_parameters.T @ by_parameters - b.T @ eliminated[i, :, :-1]
             gradient = gradient + by_parameters.T @ error - b.T @ eliminated[i, :, -1]
         return matrix, gradient, eliminated
 
     def _start(self, i: int, s: FloatArray) -> FloatArray:
         y: FloatArray = self.starts[i].copy()
-        y[: self.exact.held] += self.roots[i] @ s
+        y[: self.exact.estimated] += self.roots[i] @ s
         return y
 
 
@@ -269,18 +272,18 @@ def _window_begins(run: Run, stride: int) -> Sequence[int]:
 def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
 ) -> tuple[FloatArray, StateEstimator]:
-    """Return the lowest RMSE of 70-sample predictions, shape (5,), over `FINAL_TRUSTS`, and the filter with it."""
+    """Return the lowest RMSE of 70-sample predictions over `FINAL_MODEL_ERRORS`, shape (5,), and its filter."""
     found: list[tuple[FloatArray, StateEstimator]] = []
-    for trust in FINAL_TRUSTS:
-        follower = StateEstimator(exact, theta, noise, trust)
+    for model_error in FINAL_MODEL_ERRORS:
+        estimator = StateEstimator(exact, theta, noise, model_error)
         squares, windows = np.zeros(len(READINGS)), 0
         for run in runs:
-            states, readings = follower.states(run), run.readings
+            states, readings = estimator.states(run), run.readings
             for begin in _window_begins(run, HORIZON // 2):
-                z = exact.model.rollout(follower.k, states[begin].copy(), run.u[begin : begin + HORIZON])
+                z = exact.model.rollout(estimator.k, states[begin].copy(), run.u[begin : begin + HORIZON])
                 squares += np.mean((z - readings[begin + 1 : begin + HORIZON + 1]) ** 2, axis=0)
                 windows += 1
-        found.append((np.sqrt(squares / max(windows, 1)), follower))
+        found.append((np.sqrt(squares / max(windows, 1)), estimator))
     return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
 
 

@@ -12,8 +12,8 @@ Derivatives are forward: any number of directions is propagated with the states,
 integration step, which come from the model's symbols. With p directions a sample costs its partial derivatives once,
 and a multiplication for each of them and each direction.
 
-Past currents (of a dead time) are known exactly: directions and covariances leave them out. `held` is the number of the
-other states.
+Past currents (of a dead time) are known exactly: directions and covariances leave them out. `estimated` is the number
+of the other states.
 
 `StateEstimator` runs the filter on a recorded run. Its estimate at the begin of a window is the initial state's first
 guess, and its covariance gives the directions of the estimate's error: columns of `root`, each one standard deviation.
@@ -40,7 +40,7 @@ Indices = npt.NDArray[np.int64]
 SERIES_ORDER = 6
 """Order of the differences by which noise is estimated: they reduce motion below 100 Hz to a thirtieth."""
 MODEL_ERROR_PRESSURE, MODEL_ERROR_VELOCITY, MODEL_ERROR_HIDDEN = 6e-6, 2.5e-4, 1e-4
-"""Model error per sample at a trust of 1, standard deviations: of the supply pressure, of the stroke per
+"""Model error per sample at a scale of 1, standard deviations: of the supply pressure, of the stroke per
 second, and of a hidden state's typical size."""
 
 
@@ -49,7 +49,7 @@ class Sensitivities:
 
     def __init__(self, model: BenchModel) -> None:
         self.model = model
-        self.held = len(model.states) - model.structure.past
+        self.estimated = len(model.states) - model.structure.past_currents
         self._code = library(model.structure, "sensitivities")
 
     def coefficients(self, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -72,14 +72,14 @@ class Sensitivities:
         """Return the readings of a prediction, shape (n, 5), their derivatives, shape (n, 5, p), and the final states.
 
         `k`, `y`, `currents`: coefficients, initial states (not changed), and currents [A], shape (n,). `dy`,
-        `dk`: directions: of the held initial states, shape (held, a), and of the coefficients, shape (m, b). p
-        = a + b, in this order.
+        `dk`: directions: of the estimated initial states, shape (estimated, a), and of the coefficients, shape (m, b).
+        p = a + b, in this order.
         """
         first, y = dy.shape[1], y.copy()
-        directions = np.zeros((self.held + len(k), first + dk.shape[1]))
-        directions[: self.held, :first], directions[self.held :, first:] = dy, dk
+        directions = np.zeros((self.estimated + len(k), first + dk.shape[1]))
+        directions[: self.estimated, :first], directions[self.estimated :, first:] = dy, dk
         n, p = len(currents), directions.shape[1]
-        z, dz, workspace = np.empty((n, len(READINGS))), np.empty((n, len(READINGS), p)), np.empty((self.held, p))
+        z, dz, workspace = np.empty((n, len(READINGS))), np.empty((n, len(READINGS), p)), np.empty((self.estimated, p))
         self._code.bench_sensitivities(
             to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)), ctypes.c_long(n),
             to_c(currents, (n,)), ctypes.c_long(p), to_c(directions), to_c(z), to_c(dz), to_c(workspace),
@@ -92,17 +92,18 @@ class Sensitivities:
     ) -> FloatArray:  # fmt: skip
         """Return filtered states, shape (n, states).
 
-        `y`, `covariance`: states, and covariance of their error, shape (held, held); both are updated in place.
+        `y`, `covariance`: states, and covariance of their error, shape (estimated, estimated); updated in place.
         `currents`, `readings`: currents [A], shape (n,), and the readings after each, shape (n, 5). `q`: process noise,
-        the variance added to each held state per sample, shape (held,). `r`: variance of the readings' noise,
+        the variance added to each estimated state per sample, shape (estimated,). `r`: variance of the readings' noise,
         shape (5,).
         """
-        n, held = len(currents), self.held
-        states, workspace = np.empty((n, len(self.model.states))), np.empty((2 * held + len(k), held))
+        n, estimated = len(currents), self.estimated
+        states, workspace = np.empty((n, len(self.model.states))), np.empty((2 * estimated + len(k), estimated))
         self._code.bench_follow(
             to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)),
-            to_c(covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, len(READINGS))),
-            to_c(q, (held,)), to_c(r, (len(READINGS),)), to_c(states), to_c(workspace),
+            to_c(covariance, (estimated, estimated)), ctypes.c_long(n), to_c(currents, (n,)),
+            to_c(readings, (n, len(READINGS))), to_c(q, (estimated,)), to_c(r, (len(READINGS),)), to_c(states),
+            to_c(workspace),
         )  # fmt: skip
         return states
 
@@ -118,18 +119,18 @@ def estimate_noise(runs: list[Run]) -> FloatArray:
 class StateEstimator:
     """Extended Kalman filter of a bench model with parameters `theta`.
 
-    `noise`: standard deviation of the readings, shape (5,). `trust`: scale of the model error, in `MODEL_ERROR_*`.
+    `noise`: standard deviation of the readings, shape (5,). `model_error`: its scale, in `MODEL_ERROR_*`.
     """
 
-    def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, trust: float) -> None:
+    def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, model_error: float) -> None:
         self.exact, self.theta, self.noise = exact, theta, noise
         self.k, _ = exact.coefficients(theta)
-        self.scales = np.array([one.scale for one in exact.model.states])[: exact.held]
+        self.scales = np.array([one.scale for one in exact.model.states])[: exact.estimated]
         deviation = MODEL_ERROR_HIDDEN * self.scales
         deviation[:TEXTBOOK] = 0.0
         deviation[:2] = MODEL_ERROR_PRESSURE * exact.model.bench.supply_pressure
         deviation[3] = MODEL_ERROR_VELOCITY * exact.model.bench.stroke
-        self.q = (trust * deviation) ** 2
+        self.q = (model_error * deviation) ** 2
 
     def states(self, run: Run) -> FloatArray:
         """Return the states at every sample of a run, shape (n, states)."""
@@ -141,7 +142,7 @@ class StateEstimator:
     def initial_states(self, run: Run, samples: Indices) -> tuple[FloatArray, FloatArray]:
         """Return initial states of windows that begin at `samples` of a run, in ascending order.
 
-        States, shape (n, states), and square roots of their covariances, shape (n, held, held).
+        States, shape (n, states), and square roots of their covariances, shape (n, estimated, estimated).
         """
         (y, covariance), at, readings, scales = self._begin(run), 0, run.readings, self.scales
         states, roots = np.empty((len(samples), len(y))), np.empty((len(samples), len(scales), len(scales)))

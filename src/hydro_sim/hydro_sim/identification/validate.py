@@ -138,8 +138,8 @@ class BenchPrediction(ModelPrediction):
 
     def __init__(self, bench: Bench, runs: list[Run]) -> None:
         model, noise = BenchModel(bench, substeps=SUBSTEPS), estimate_noise(runs)
-        left, follower = best_prediction_rmse(Sensitivities(model), model.values, noise, runs)
-        super().__init__(model, follower.k, follower.states)
+        left, estimator = best_prediction_rmse(Sensitivities(model), model.values, noise, runs)
+        super().__init__(model, estimator.k, estimator.states)
         self.quality = Quality.of((left / noise).tolist())
 
 

@@ -62,7 +62,7 @@ class Functions:
     read: SX
     rates: SX
     """y' of the textbook's states and the integrated hidden ones."""
-    past: int
+    past_currents: int
     """Number of past currents at the end of y."""
     rest: SX
     """The textbook's states of a bench at rest (`equations.rest_state`)."""
@@ -78,21 +78,21 @@ class Functions:
 class Assembly:
     """Assembly of a model from its bench's parameters and effects.
 
-    `numbers`: names of the bench's parameters, with the range of each. `effects`: in the order of the bench file.
-    `ideal_cell`: whether the load cell is ideal. `past`: past currents that are kept for dead times; 0: none.
+    `ranges`: range of each of the bench's parameters, by name. `effects`: in the order of the bench file.
+    `ideal_cell`: whether the load cell is ideal. `past_currents`: number of past currents, for dead times.
     `substeps`: integration steps per sample.
     """
 
     def __init__(
-        self, numbers: Mapping[str, tuple[float, float]], effects: Sequence[Effect], *, ideal_cell: bool, past: int,
-        substeps: int,
+        self, ranges: Mapping[str, tuple[float, float]], effects: Sequence[Effect], *, ideal_cell: bool,
+        past_currents: int, substeps: int,
     ) -> None:  # fmt: skip
-        self.effects, self.past, self.step = effects, past, SAMPLE_PERIOD / substeps
+        self.effects, self.past_currents, self.step = effects, past_currents, SAMPLE_PERIOD / substeps
         self._symbols: list[SX] = []
         self._expressions: list[SX] = []
-        self.theta: dict[str, SX] = {name: SX.sym(name) for name in numbers}
-        self.numbers = SimpleNamespace(**self.theta)
-        self.at = EffectContext(self.numbers, self.step, self.hoist, partial(rates.dry_level, effects))
+        self.theta: dict[str, SX] = {name: SX.sym(name) for name in ranges}
+        self.bench = SimpleNamespace(**self.theta)
+        self.at = EffectContext(self.bench, self.step, self.hoist, partial(rates.dry_level, effects))
         for index, effect in enumerate(effects):
             effect.at = self.at
             for one in effect.parameters:
@@ -101,7 +101,9 @@ class Assembly:
                 setattr(effect, one.name, self.theta[name])
         self.hidden = [(effect, one) for effect in effects for one in effect.states]
         self.integrated = [i for i, (_, one) in enumerate(self.hidden) if one.integrated]
-        self.commanding = sorted((one for one in effects if one.acts_in("command")), key=lambda effect: effect.late)
+        self.commanding = sorted(
+            (one for one in effects if one.acts_in("command")), key=lambda effect: effect.acts_at_edges
+        )
         bristles = any(effect.id == "friction_presliding" for effect in effects)
         self.holds = not bristles and any(effect.acts_in("dry_level") for effect in effects)
         """Whether dry friction can hold the mass: with bristles it deflects instead."""
@@ -109,23 +111,23 @@ class Assembly:
         self.sliding: Callable[[Symbol], Symbol] = (
             (lambda velocity: np.sign(velocity) * self.level(velocity)) if self.holds else _nothing
         )
-        n = self.numbers
+        n = self.bench
         for effect in effects:  # corrections of the bench file's parameters
             before = dict(vars(n))
             effect.correct(n)
-            for name, (low, high) in numbers.items():
+            for name, (low, high) in ranges.items():
                 if getattr(n, name) is not before[name] and getattr(n, name) is not None:
                     setattr(n, name, self.hoist(eq.clip(getattr(n, name), low, high)))
         ideal = ideal_cell or n.load_cell_bandwidth is None
         n.load_cell_omega = None if ideal else self.hoist(2.0 * pi * n.load_cell_bandwidth)
         drop, n.mobility = n.valve_nominal_pressure_drop, self.hoist(1.0 / n.moving_mass)
         n.valve_gain = self.hoist(n.valve_nominal_flow / (n.valve_nominal_current * np.sqrt(0.5 * drop)))
-        self.y = SX.sym("y", len(TEXTBOOK) + len(self.hidden) + past)
+        self.y = SX.sym("y", len(TEXTBOOK) + len(self.hidden) + past_currents)
         self.current, self.share = SX.sym("u"), SX.sym("share")
 
     def functions(self) -> Functions:
         """Return all functions of the model."""
-        y, at, first = self.y, self.at, self.y.numel() - self.past
+        y, at, first = self.y, self.at, self.y.numel() - self.past_currents
         # begin, enter
         self._bind([0.0] * len(self.hidden))
         signals, spool = self._truth(y), 0.0
@@ -136,8 +138,8 @@ class Assembly:
         for effect in self.effects:
             started = effect.next if effect.acts_in("command") else effect.begin(signals)
             values += [started.get(one.name, 0.0) for one in effect.states]
-        begin = vertcat(y[: len(TEXTBOOK)], *values, SX.zeros(self.past))
-        enter = vertcat(y[:first], self.current, y[first:-1]) if self.past else y
+        begin = vertcat(y[: len(TEXTBOOK)], *values, SX.zeros(self.past_currents))
+        enter = vertcat(y[:first], self.current, y[first:-1]) if self.past_currents else y
         # read
         self._bind(casadi.vertsplit(y[len(TEXTBOOK) : first]) if self.hidden else [])
         signals, at.acceleration = self._truth(y), self._acceleration(y)
@@ -151,14 +153,14 @@ class Assembly:
         slide, motion = self._motion()
         start, edges = self._start()
         slopes: Any = vertcat(*self._rates(start, edges, self.sliding))
-        step, rest = self._step(start, edges), SX(vertcat(*eq.rest_state(self.numbers)))
+        step, rest = self._step(start, edges), SX(vertcat(*eq.rest_state(self.bench)))
         symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
         theta = vertcat(*self.theta.values())
         return Functions(
             theta=theta, k=vertcat(theta, symbols), y=y, current=self.current, share=self.share,
             once=vertcat(theta, expressions), begin=begin, enter=enter, step=step, read=SX(vertcat(*signals.values())),
-            rates=slopes, past=self.past, rest=rest, slide=slide, dry_friction=self.holds,
-            ideal_cell=self.numbers.load_cell_omega is None, motion=motion,
+            rates=slopes, past_currents=self.past_currents, rest=rest, slide=slide, dry_friction=self.holds,
+            ideal_cell=self.bench.load_cell_omega is None, motion=motion,
         )  # fmt: skip
 
     def hoist(self, expression: Symbol) -> Symbol:
@@ -182,26 +184,26 @@ class Assembly:
 
     def _delayed(self) -> Symbol:
         """Mean current [A] over the step, the dead times earlier: each past sample by its share of the step."""
-        if not self.past:
+        if not self.past_currents:
             return self.current
         together = sum(effect.time for effect in self.effects if effect.id == "transport_delay")
         begin = self.share - self.hoist(together / SAMPLE_PERIOD)
-        width, first, mean = self.step / SAMPLE_PERIOD, self.y.numel() - self.past, 0.0
-        for age in range(self.past):
+        width, first, mean = self.step / SAMPLE_PERIOD, self.y.numel() - self.past_currents, 0.0
+        for age in range(self.past_currents):
             covered = np.fmin(begin + width, 1.0 - age) - np.fmax(begin, -age)
             mean = mean + self.y[first + age] * np.fmax(covered, 0.0)
         return mean / width
 
     def _edges(self, spool: Symbol) -> rates.Edges:
         """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back, at the spool's position [A]."""
-        gain = self.numbers.valve_gain
+        gain = self.bench.valve_gain
         out, back = gain * np.fmax(spool, 0.0), gain * np.fmax(-spool, 0.0)
         for effect in self.effects:
             out, back = effect.openings(out, back, spool)
         return out, back
 
     def _truth(self, y: Any) -> dict[str, Symbol]:
-        values = eq.hydraulic_force(self.numbers, y[0], y[1]), y[4], y[0], y[1], y[2]
+        values = eq.hydraulic_force(self.bench, y[0], y[1]), y[4], y[0], y[1], y[2]
         return dict(zip(READINGS, values, strict=True))
 
     def _acceleration(self, y: SX) -> Symbol:
@@ -213,9 +215,9 @@ class Assembly:
     def _cell_force(self, y: Sequence[Symbol]) -> Symbol:
         """f_l [N] on an ideal load cell: the load's force in this state, and no state of its own."""
         self.at.velocity = y[3]
-        force = rates.load_force(self.numbers, self.effects, y[2])
+        force = rates.load_force(self.bench, self.effects, y[2])
         if any(effect.acts_in("inertia") for effect in self.effects):
-            force = force + rates.dragged_mass(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
+            force = force + rates.added_mass(self.effects, y[2]) * self._acceleration(SX(vertcat(*y[:6])))
         return force
 
     def _motion(self) -> tuple[SX, SX]:
@@ -224,28 +226,28 @@ class Assembly:
         flowing: dict[tuple[int, str], Symbol] = {}
 
         def flow(effect: Effect, signal: Symbol) -> Symbol:
-            passed, slopes = effect.flow(signal)
+            passed, slopes = effect.continuous_rates(signal)
             flowing.update({(id(effect), name): slope for name, slope in slopes.items()})
             return passed
 
         spool = self._delayed()
         for effect in self.commanding:
-            spool = flow(effect, spool) if effect.acts_in("flow") else effect.command(spool)
+            spool = flow(effect, spool) if effect.acts_in("continuous_rates") else effect.command(spool)
         self.at.spool = spool
         edges, slide = self._edges(spool), SX.sym("slide")
         free = self._rates(start, edges, _nothing)
-        mass = self.numbers.moving_mass + rates.dragged_mass(self.effects, start[2])
-        holding, load = mass * free[3], rates.load_force(self.numbers, self.effects, start[2])
+        mass = self.bench.moving_mass + rates.added_mass(self.effects, start[2])
+        holding, load = mass * free[3], rates.load_force(self.bench, self.effects, start[2])
         level, speed = self.level, np.fmax(np.abs(start[3]), rates.STANDSTILL)
         against = eq.choose(slide == 0.0, holding, slide * level(slide * speed))
         slopes = self._rates(start, edges, lambda velocity: against) if self.holds else free
         signals = self._truth(start)
         for effect in self.effects:
-            if effect.acts_in("flow") and effect.acts_in("filter_signal"):
+            if effect.acts_in("continuous_rates") and effect.acts_in("filter_signal"):
                 signals[effect.sensor] = flow(effect, signals[effect.sensor])
         integrated = dict(zip(self.integrated, slopes[len(TEXTBOOK) :], strict=True))
         hidden = [integrated.get(i, flowing.get((id(effect), one.name))) for i, (effect, one) in enumerate(self.hidden)]
-        steps = self.past or any(slope is None for slope in hidden)
+        steps = self.past_currents or any(slope is None for slope in hidden)
         turned = level(rates.STANDSTILL), level(-rates.STANDSTILL)
         now = level(eq.choose(start[3] >= 0.0, speed, -speed))
         forces = (holding, *turned, holding + load, now, self._cell_force(start))
@@ -266,11 +268,11 @@ class Assembly:
         """Start of a step: integrated states, and the edges at the spool's mean position over it."""
         self.hidden_now = [self.y[len(TEXTBOOK) + i] for i in range(len(self.hidden))]
         self._bind(self.hidden_now)
-        self.at.began = self.y[2]
+        self.at.initial_position = self.y[2]
         for effect in self.effects:
             effect.next = {}
         states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
-        if self.numbers.load_cell_omega is None:
+        if self.bench.load_cell_omega is None:
             states[4] = self._cell_force(states)
         spool = self._delayed()
         for effect in self.commanding:
@@ -283,10 +285,10 @@ class Assembly:
         first = self._rates(start, edges, _nothing)
         dry: Callable[[Symbol], Symbol] = _nothing
         if self.holds:
-            dragged = rates.dragged_mass(self.effects, start[2])
-            mass = self.numbers.moving_mass + dragged
+            dragged = rates.added_mass(self.effects, start[2])
+            mass = self.bench.moving_mass + dragged
             dry, at_end = rates.stick_slip_friction(self.level, mass, start[3], first[3], self.step)
-            mobility = self.numbers.mobility if isinstance(dragged, float) else 1.0 / mass
+            mobility = self.bench.mobility if isinstance(dragged, float) else 1.0 / mass
             first[3] = first[3] - dry(start[3]) * mobility
         slopes, weights = [first], (1.0, 2.0, 2.0, 1.0)
         for reach in (0.5 * self.step, 0.5 * self.step, self.step):
@@ -300,7 +302,7 @@ class Assembly:
         for effect in self.effects:
             effect.advance_states(end[2], end[3])
         late = list(end)
-        if self.numbers.load_cell_omega is None:
+        if self.bench.load_cell_omega is None:
             hidden = list(self.hidden_now)
             self._bind([effect.next.get(one.name, old) for (effect, one), old in zip(self.hidden, hidden, strict=True)])
             late[4] = self._cell_force(end)
@@ -314,7 +316,8 @@ class Assembly:
         ]
         for i, value in zip(self.integrated, end[6:], strict=True):
             remembered[i] = value
-        return vertcat(*late[:6], *remembered, self.y[self.y.numel() - self.past :] if self.past else SX(0, 1))
+        past = self.y[self.y.numel() - self.past_currents :] if self.past_currents else SX(0, 1)
+        return vertcat(*late[:6], *remembered, past)
 
 
 def _nothing(velocity: Symbol) -> Symbol:

@@ -18,9 +18,9 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
+from hydro_core.bench_scales import BenchScales
 from hydro_core.files import bench_digest
 from hydro_core.settings import Setting, check, describe, from_mapping, quantity, read_yaml
-from hydro_core.size import Size
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.quality import Quality
 
@@ -96,9 +96,9 @@ class Bench:
         return self.valve_nominal_flow / (self.valve_nominal_current * sqrt(self.valve_nominal_pressure_drop / 2.0))
 
     @property
-    def size(self) -> Size:
+    def size(self) -> BenchScales:
         """Scales of its forces, pressures, lengths and currents."""
-        return Size.of_bench(vars(self))
+        return BenchScales.of_bench(vars(self))
 
     @property
     def terms(self) -> tuple[Mapping[str, Any], ...]:
@@ -113,7 +113,7 @@ class Bench:
         """
         if self.learned is None or self.learned.get("bench") != self.digest:
             return ""
-        return Quality.from_mapping(self.learned).unfit
+        return Quality.from_mapping(self.learned).rejection_reason
 
     @classmethod
     def nominal(cls) -> Bench:
@@ -182,7 +182,7 @@ class Bench:
         n = SimpleNamespace(**{name: getattr(self, name) for name in ranges})
         for effect in self.effects:
             (kind, values), before = catalogue.parse_entry(effect), dict(vars(n))
-            kind.bound(dict(zip((one.name for one in kind.parameters), values, strict=True))).correct(n)
+            kind.bind(dict(zip((one.name for one in kind.parameters), values, strict=True))).correct(n)
             for name, (low, high) in ranges.items():
                 value = getattr(n, name)
                 if value is not None and value != before[name]:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 SUBSTEPS = 20
 """Integration steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""
-PASTS = (0, 4, 8, 16, 32, 64)
+PAST_CURRENT_COUNTS = (0, 4, 8, 16, 32, 64)
 """Possible numbers of past currents of a model; it has the smallest that its dead time needs."""
 DEAD_TIME = f"{valve.TransportDelay.id}.time"
 """Name of a dead time among the parameters; a model's past currents limit its value."""
@@ -69,7 +69,7 @@ class BenchModel:
         """The parameters' values in the bench file."""
         labels, delay = tuple(catalogue.label(effect) for effect in bench.terms), catalogue.total_delay(bench.effects)
         needed = ceil(delay / SAMPLE_PERIOD) + 2 if delay > 0.0 else 0
-        past = next(past for past in PASTS if past >= needed)
+        past = next(count for count in PAST_CURRENT_COUNTS if count >= needed)
         self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
         """Equal for all benches with the same effects in order."""
         current = HiddenState(name="", unit="A", scale=1e-2, integrated=False)
@@ -84,7 +84,7 @@ class BenchModel:
     def begin(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return coefficients k, and states y and readings z at rest with relaxed spring and p_a + p_b = p_s."""
         delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME]
-        if sum(delays) > max(self.structure.past - 2, 0) * SAMPLE_PERIOD:
+        if sum(delays) > max(self.structure.past_currents - 2, 0) * SAMPLE_PERIOD:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
         k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(len(READINGS))
         y[:TEXTBOOK] = hydraulics.rest_state(self.bench.constants()[0])
@@ -137,7 +137,7 @@ class Structure:
 
     labels: tuple[str, ...]
     ideal_cell: bool
-    past: int
+    past_currents: int
     substeps: int
 
 
@@ -174,8 +174,9 @@ def _assembled(structure: Structure) -> Functions:
 
     effects = [catalogue.KINDS[label].make() for label in structure.labels]
     made = Assembly(
-        Bench.ranges(), effects, ideal_cell=structure.ideal_cell, past=structure.past, substeps=structure.substeps
-    )
+        Bench.ranges(), effects, ideal_cell=structure.ideal_cell, past_currents=structure.past_currents,
+        substeps=structure.substeps,
+    )  # fmt: skip
     return made.functions()
 
 

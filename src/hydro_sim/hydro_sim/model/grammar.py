@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hydro_sim.model.laws import Law, MemoryElement, Number, with_reversal_velocity
+from hydro_sim.model.laws import Law, MemoryElement, ShapeParameter, with_reversal_velocity
 from hydro_sim.model.tables import FACTORS, SIGNALS, Factor, Table
 
 _NOTICED = {"motion": ("N", 5.0), "load": ("N", 5.0), "pressure": ("m3/s", 3e-7), "pressure_a": ("m3/s", 3e-7),
@@ -68,8 +68,8 @@ class Shape:
     """Power of the argument in the formula."""
     words: str
     """Description; {s}: the argument's name."""
-    numbers: tuple[str, ...] = ()
-    """Shape parameters besides the coefficient: see `_number`."""
+    shape_parameters: tuple[str, ...] = ()
+    """Shape parameters besides the coefficient: see `_shape_parameter`."""
 
 
 SHAPES = {
@@ -125,16 +125,16 @@ class Curve:
     laws: tuple[Law, ...]
 
 
-def _number(name: str, variable: str) -> Number:
+def _shape_parameter(name: str, variable: str) -> ShapeParameter:
     """A threshold or centre, within its signal's recorded range, or a level or width of its typical size."""
     unit, scale = _ARGUMENTS[variable].unit, _ARGUMENTS[variable].scale
     sizes = tuple(share * scale for share in (0.2, 0.5, 1.0, 2.0, 5.0))
     if name == "size":
         size = {"velocity": "speed", "current": "opening"}.get(variable, variable)
-        return Number("threshold", unit, sizes, size)
+        return ShapeParameter("threshold", unit, sizes, size)
     if name in ("threshold", "centre"):
-        return Number(name, unit, sizes, variable)
-    return Number(name, unit, sizes[:4] if name == "width" else sizes)
+        return ShapeParameter(name, unit, sizes, variable)
+    return ShapeParameter(name, unit, sizes[:4] if name == "width" else sizes)
 
 
 def _law(equation: str, noun: str, what: str, variable: str, adjective: str, factor: Factor | None, where: str) -> Law:
@@ -154,7 +154,7 @@ def _law(equation: str, noun: str, what: str, variable: str, adjective: str, fac
         formula=f"({factor.formula}) * ({formula})" if factor else formula,
         typical=size / ((factor.scale if factor else 1.0) * argument.scale**shape.degree),
         sentence=f"{what} {shape.words.format(s=argument.words)}{hint}.", where=where,
-        numbers=tuple(_number(one, variable) for one in shape.numbers),
+        shape_parameters=tuple(_shape_parameter(one, variable) for one in shape.shape_parameters),
         uses=frozenset(uses | set(factor.uses.split() if factor else ())),
         degree=shape.degree + (factor.degree if factor else 0.0),
     )  # fmt: skip
@@ -238,7 +238,7 @@ CURVES: tuple[Curve, ...] = (
 
 # --- terms with memory, of the valve's edges, and of sensors by other signals -----------------------------------------
 
-_LAG = Number("time", "s", (0.03, 0.1, 0.3, 1.0, 3.0))
+_LAG = ShapeParameter("time", "s", (0.03, 0.1, 0.3, 1.0, 3.0))
 
 
 def _slow(
@@ -258,7 +258,7 @@ def _slow(
         sentence=f"{what} that settles slowly {name} of a recording: typical of what warms.".replace(
             " of a recording", " of a recording" if by is None else ""),
         memory_element=MemoryElement("slow", over),
-        numbers=(Number("time", "s", (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)),), where=where,
+        shape_parameters=(ShapeParameter("time", "s", (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)),), where=where,
         uses=frozenset(f"{uses} {driver}".split()), degree=(factor.degree if factor else 0.0) + (1.0 if by else 0.0),
     )  # fmt: skip
 
@@ -268,8 +268,8 @@ def _creeping(equation: str, name: str, what: str, variable: str, coefficient: f
     argument = _ARGUMENTS[variable]
     return Law(equation=equation, form=name, unit=divide_units(_NOTICED[equation][0], argument.unit),
                text=f"({argument.text} - w), w' = ({argument.text} - w) / time", formula=f"{argument.formula} - w",
-               typical=coefficient, sentence=what, memory_element=MemoryElement("lag", variable), numbers=(_LAG,),
-               uses=frozenset({variable}), degree=1.0)  # fmt: skip
+               typical=coefficient, sentence=what, memory_element=MemoryElement("lag", variable),
+               shape_parameters=(_LAG,), uses=frozenset({variable}), degree=1.0)  # fmt: skip
 
 
 def _hysteresis(equation: str, name: str, what: str, signal: str, coefficient: float, paths: Sequence[float],
@@ -282,8 +282,8 @@ def _hysteresis(equation: str, name: str, what: str, signal: str, coefficient: f
     return Law(equation=equation, form=name, unit=unit, text=f"w, w' = {moved} / path", formula="w",
                typical=coefficient, sentence=f"{what} follows another path back than forth: typical of what rubs, has "
                "play or stays magnetic.", memory_element=MemoryElement("path", signal),
-               numbers=(Number("path", argument.unit, tuple(paths)),), where=where, uses=frozenset(uses),
-               degree=1.0)  # fmt: skip
+               shape_parameters=(ShapeParameter("path", argument.unit, tuple(paths)),), where=where,
+               uses=frozenset(uses), degree=1.0)  # fmt: skip
 
 
 _MEMORY: tuple[Law, ...] = (
@@ -295,7 +295,8 @@ _MEMORY: tuple[Law, ...] = (
       for chamber in "ab"),
     Law("actuation", "late share", "-", "(w - u), w' = (u - w) / time", "w - u", 0.1,
         "A share of the opening that comes late: typical of eddies in a torque motor's iron, or of a spool that "
-        "creeps; 1: all of it.", MemoryElement("lag", "current"), (Number("time", "s", (0.01, 0.03, 0.1, 0.3, 1.0)),),
+        "creeps; 1: all of it.", MemoryElement("lag", "current"),
+        (ShapeParameter("time", "s", (0.01, 0.03, 0.1, 0.3, 1.0)),),
         uses=frozenset({"current"}), degree=1.0),
     _hysteresis("load", "hysteresis", "The load", "position", 5.0, (3e-4, 1e-3, 3e-3, 1e-2)),
     _hysteresis("actuation", "hysteresis", "The opening of the valve", "current", 2e-4, (1e-4, 3e-4, 1e-3, 3e-3)),
@@ -326,13 +327,14 @@ _OTHER: tuple[Law, ...] = (
     Law("load", "inertia", "kg", "x''", "a", 1.0, "A mass that the load drags along.", uses=frozenset({"acceleration"}),
         degree=1.0),
     Law("actuation", "throttled flow", "-", "q (1 - 1 / sqrt(1 + resistance K^2))",
-        "1.0 - 1.0 / sqrt(1.0 + resistance * opened * opened)", 1.0, "Flow through a throttle behind or before the "
+        "1.0 - 1.0 / sqrt(1.0 + resistance * conductance * conductance)", 1.0,
+        "Flow through a throttle behind or before the "
         "edges, whose pressure drop grows with q^2: typical of a clogged filter or a narrow line; 1: all of it.",
-        None, (Number("resistance", "Pa s2/m6", (1e14, 5e14, 2e15, 1e16)),), "edges", _EDGE, 3.0),
+        None, (ShapeParameter("resistance", "Pa s2/m6", (1e14, 5e14, 2e15, 1e16)),), "edges", _EDGE, 3.0),
     Law("actuation", "laminar edges", "-", "q (1 - sqrt(|dp| / (|dp| + transition)))",
         "1.0 - sqrt((abs(drop) + laminar) / (abs(drop) + laminar + transition))", 1.0,
         "Edges that pass less at small pressure drops: typical of flow that is laminar below and turbulent above; "
-        "1: all of it.", None, (Number("transition", "Pa", (1e5, 3e5, 1e6, 3e6)),), "edges", _EDGE, 1.0),
+        "1: all of it.", None, (ShapeParameter("transition", "Pa", (1e5, 3e5, 1e6, 3e6)),), "edges", _EDGE, 1.0),
     Law("actuation", "flow force", "1/Pa", "q |dp|", "abs(drop)", 1e-9, "Edges that pass less the larger the pressure "
         "drop: typical of flow forces that close the spool, or of oil that cavitates.", None, (), "edges", _EDGE, 2.5),
     *(_law("actuation", f"null by {variable}", "The valve's null moves", variable, "", None, "across")
@@ -348,10 +350,10 @@ _OTHER: tuple[Law, ...] = (
 MEMORY_LAWS: tuple[Law, ...] = (*_MEMORY, *_OTHER)
 """Laws with memory or of several signals."""
 LAWS: tuple[Law, ...] = (*(law for curve in CURVES for law in curve.laws), *MEMORY_LAWS)
-ROUNDED = tuple(with_reversal_velocity(law) for law in LAWS if law.depends_on_direction)
+LAWS_WITH_REVERSAL_VELOCITY = tuple(with_reversal_velocity(law) for law in LAWS if law.depends_on_direction)
 """Laws that depend on the sign of the velocity, with the reversal velocity as a parameter."""
 TABLES = tuple(curve.table for curve in CURVES)
-_EVERY: tuple[Law | Table, ...] = (*LAWS, *ROUNDED, *TABLES)
+_EVERY: tuple[Law | Table, ...] = (*LAWS, *LAWS_WITH_REVERSAL_VELOCITY, *TABLES)
 FORMS: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
 """Laws and tables by equation and form."""
 

@@ -51,21 +51,21 @@ class Signals:
     """f_h."""
     drop: Symbol = 0.0
     """Pressure drop [Pa] across an edge of the valve."""
-    both: Symbol = 0.0
+    total_drop: Symbol = 0.0
     """Pressure drop [Pa] across that edge and the other one that is open at the same time."""
-    opened: Symbol = 0.0
+    conductance: Symbol = 0.0
     """Conductance [m3/s/sqrt(Pa)] of that edge."""
-    feeds: Symbol = 0.0
+    is_supply_edge: Symbol = 0.0
     """1 at an edge to the supply, 0 at one to the tank."""
     memory: Symbol = 0.0
     """State `w` of the law."""
-    number: Symbol = 0.0
+    shape_1: Symbol = 0.0
     """First of the law's shape parameters, such as its threshold."""
-    second: Symbol = 0.0
+    shape_2: Symbol = 0.0
     """Second of the law's shape parameters."""
     acceleration: Symbol = 0.0
     """x''."""
-    turn: Symbol = SIGN_VELOCITY
+    reversal_velocity: Symbol = SIGN_VELOCITY
     """Velocity [m/s] over which the direction of motion reverses."""
 
     def replace(self, **changes: Symbol) -> Signals:
@@ -77,7 +77,7 @@ class Signals:
     @property
     def direction(self) -> Symbol:
         """Smoothed sign of the velocity, -1 to 1."""
-        return np.tanh(self.velocity / self.turn)
+        return np.tanh(self.velocity / self.reversal_velocity)
 
     @property
     def pressure_difference(self) -> Symbol:
@@ -106,15 +106,16 @@ BOUND_MAX = 1e9
 
 
 @dataclass(frozen=True)
-class Number:
+class ShapeParameter:
     """A shape parameter of a law, apart from its amplitude."""
 
     name: str
     unit: str
-    probes: tuple[float, ...]
+    start_values: tuple[float, ...]
     """Start values of a search, ascending."""
-    over: str = ""
-    """Signal in whose recorded range a threshold lies, with start values at its quantiles; empty: start at `probes`."""
+    threshold_signal: str = ""
+    """Signal in whose recorded range a threshold lies, with start values at its quantiles; empty: start at
+    `start_values`."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,8 @@ _SIGNALS = {
     "x": "at.position", "v": "at.velocity", "a": "at.acceleration", "u": "at.current", "f": "at.force",
     "w": "at.memory",
     "p_a": "at.pressure_a", "p_b": "at.pressure_b", "across": "at.pressure_difference", "sign_v": "at.direction",
-    "turn": "at.turn", "drop": "at.drop", "both": "at.both", "opened": "at.opened", "feeds": "at.feeds",
+    "turn": "at.reversal_velocity", "drop": "at.drop", "total_drop": "at.total_drop", "conductance": "at.conductance",
+    "is_supply_edge": "at.is_supply_edge",
     "K": "n.valve_gain", "L": "n.stroke", "x_rest": "n.spring_rest_position", "A_p": "n.piston_area",
     "alpha": "n.area_ratio", "p_s": "n.supply_pressure", "p_t": "n.tank_pressure", "laminar": repr(TRANSITION_DROP),
     "one": "(1.0 + 0.0 * (at.position + at.pressure_a + at.pressure_b + at.current + at.force))",
@@ -160,7 +162,7 @@ class Law:
     sentence: str
     """Usual physical meaning of such a term."""
     memory_element: MemoryElement | None = None
-    numbers: tuple[Number, ...] = ()
+    shape_parameters: tuple[ShapeParameter, ...] = ()
     """Shape parameters."""
     where: str = ""
     """Channel of a sensor; for the valve `edges`, `across`, or empty for a shift of the spool."""
@@ -192,26 +194,26 @@ class Law:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its parameters."""
-        return ("coefficient", *(number.name for number in self.numbers))
+        return ("coefficient", *(one.name for one in self.shape_parameters))
 
     @cached_property
     def shape(self) -> Any:
         """Formula as a function of `Signals` and the bench's parameters."""
-        places = zip((one.name for one in self.numbers), ("at.number", "at.second"), strict=False)
+        places = zip((one.name for one in self.shape_parameters), ("at.shape_1", "at.shape_2"), strict=False)
         names = {**_SIGNALS, **{name: place for name, place in places if name != "turn"}}
         python = re.sub(r"[A-Za-z_]\w*", lambda found: names.get(found[0], found[0]), self.formula)
         return eval(f"lambda at, n: {python}", _FUNCTIONS)
 
-    def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
+    def value(self, at: Signals, n: Any, parameters: Sequence[Symbol]) -> Symbol:
         """Return the value of the term, in the unit of its equation."""
-        further = dict(zip(self.names, numbers, strict=True))
+        further = dict(zip(self.names, parameters, strict=True))
         if "turn" in further:
-            at = at.replace(turn=further.pop("turn"))
-        _, number, second = (*further.values(), 0.0, 0.0)[:3]
-        return numbers[0] * self.shape(at.replace(number=number, second=second), n)
+            at = at.replace(reversal_velocity=further.pop("turn"))
+        _, shape_1, shape_2 = (*further.values(), 0.0, 0.0)[:3]
+        return parameters[0] * self.shape(at.replace(shape_1=shape_1, shape_2=shape_2), n)
 
 
-REVERSAL_VELOCITY = Number("turn", "m/s", (SIGN_VELOCITY,))
+REVERSAL_VELOCITY = ShapeParameter("turn", "m/s", (SIGN_VELOCITY,))
 """Shape parameter of laws that reverse: the velocity over which they do."""
 REVERSING = "reversing over turn"
 """Text of laws with that parameter."""
@@ -220,7 +222,9 @@ REVERSING = "reversing over turn"
 def with_reversal_velocity(law: Law) -> Law:
     """Return the law with the reversal velocity [m/s] as an additional shape parameter."""
     text = f"{law.text}, {REVERSING}"
-    return replace(law, form=f"{law.form}, {REVERSING}", text=text, numbers=(*law.numbers, REVERSAL_VELOCITY))
+    return replace(
+        law, form=f"{law.form}, {REVERSING}", text=text, shape_parameters=(*law.shape_parameters, REVERSAL_VELOCITY)
+    )
 
 
 def edge_losses(
@@ -236,8 +240,9 @@ def edge_losses(
     side = Signals(pressure_a=pressures[0], pressure_b=pressures[1], current=out - back)
     over_out, over_back = drops_out[0] + drops_out[1], drops_back[0] + drops_back[1]
 
-    def lost(opened: Symbol, drop: Symbol, both: Symbol, feeds: float) -> Symbol:
-        return share(side.replace(drop=drop, both=both, opened=opened, feeds=feeds)) * orifice(opened, drop)
+    def lost(conductance: Symbol, drop: Symbol, total_drop: Symbol, is_supply_edge: float) -> Symbol:
+        at = side.replace(drop=drop, total_drop=total_drop, conductance=conductance, is_supply_edge=is_supply_edge)
+        return share(at) * orifice(conductance, drop)
 
     lost_a = lost(out, drops_out[0], over_out, 1.0) - lost(back, drops_back[0], over_back, 0.0)
     return lost_a, lost(back, drops_back[1], over_back, 1.0) - lost(out, drops_out[1], over_out, 0.0)

@@ -53,10 +53,10 @@ def cached_library(name: str, source: Callable[[], str]) -> ctypes.CDLL:
             if found := _loaded(file):
                 return found
             with tempfile.TemporaryDirectory(dir=file.parent) as place:
-                made = Path(place) / "model.so"
-                compile_c(source(), made)
-                made.with_suffix(".c").replace(file.with_suffix(".c"))
-                made.replace(file)
+                library = Path(place) / "model.so"
+                compile_c(source(), library)
+                library.with_suffix(".c").replace(file.with_suffix(".c"))
+                library.replace(file)
     except OSError as error:
         where = f"{file.parent} ({error.strerror})"
         raise ValueError(f"compiled models cannot be kept in {where}: set NUMBA_CACHE_DIR to a folder") from error
@@ -73,14 +73,14 @@ def _loaded(file: Path) -> ctypes.CDLL | None:
         return None
 
 
-def compile_c(source: str, made: Path, flags: Sequence[str] = FLAGS) -> None:
-    """Write C source next to the library `made`, and compile it. Raises ValueError: no C compiler, or it fails."""
+def compile_c(source: str, library: Path, flags: Sequence[str] = FLAGS) -> None:
+    """Write C source next to `library`, and compile it. Raises ValueError: no C compiler, or it fails."""
     compiler = shlex.split(os.environ.get("CC", "")) or [*filter(shutil.which, ("cc", "gcc", "clang"))][:1]
     if not compiler or shutil.which(compiler[0]) is None:
         raise ValueError("no C compiler found for the model of this bench: `apt install gcc`")
-    text = made.with_suffix(".c")
+    text = library.with_suffix(".c")
     text.write_text(source, encoding="utf-8")
-    words = [*compiler, *flags, str(text), "-o", str(made), "-lm"]
+    words = [*compiler, *flags, str(text), "-o", str(library), "-lm"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     if done.returncode:
         first = next((line for line in done.stderr.splitlines() if "error" in line), "no message")

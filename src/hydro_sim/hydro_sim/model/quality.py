@@ -62,7 +62,7 @@ class Quality:
         return {"samples": HORIZON, **left, "worst_reading": self.worst_reading}
 
     @property
-    def unfit(self) -> str:
+    def rejection_reason(self) -> str:
         """Error message if the predictions are too poor to rely on; empty otherwise."""
         if not self.over_noise <= RATIO_MAX:
             left = f"{self.over_noise:.3g} times the noise, more than {RATIO_MAX:g}"
@@ -79,8 +79,8 @@ class Quality:
         """Return a sentence on the prediction error and whether it is acceptable."""
         left = f"{self.over_noise:.2f} times the noise, {self.worst:.2f} times of {self.worst_reading}"
         told = f"{HORIZON}-sample predictions leave {left}"
-        if self.unfit:
-            return f"{told}; NOT fit for the filter: {self.unfit}"
+        if self.rejection_reason:
+            return f"{told}; NOT fit for the filter: {self.rejection_reason}"
         if self.worst > GOOD_RATIO:
             return f"{told}; more than {GOOD_RATIO:g} times hints at an effect that the file does not name"
         return told

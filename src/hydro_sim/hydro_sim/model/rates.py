@@ -37,7 +37,7 @@ def load_force(n: Any, effects: Sequence[Effect], position: Symbol) -> Symbol:
     return force
 
 
-def dragged_mass(effects: Sequence[Effect], position: Symbol) -> Symbol:
+def added_mass(effects: Sequence[Effect], position: Symbol) -> Symbol:
     """Return the mass [kg] moved with the load at a piston position [m]; 0.0 without such an effect."""
     dragging = [effect for effect in effects if effect.acts_in("inertia")]
     return sum(effect.inertia(position) for effect in dragging) if dragging else 0.0
@@ -50,7 +50,7 @@ def textbook_rates(
 
     `at`: context of the effects, to which this writes the state.
     """
-    n, (p_a, p_b, position, velocity, shown, shown_rate) = at.numbers, y[:6]
+    n, (p_a, p_b, position, velocity, shown, shown_rate) = at.bench, y[:6]
     at.position, at.velocity, at.pressures, at.load_force = position, velocity, (p_a, p_b), shown
     # the valve
     (out, back), supply = edges, n.supply_pressure
@@ -79,7 +79,7 @@ def textbook_rates(
     against = n.viscous_friction * velocity + eq.stop_force(n, position, velocity) + dry(velocity)
     for effect in effects:
         against = against + effect.opposing_force(position, velocity)
-    dragged = dragged_mass(effects, position)
+    dragged = added_mass(effects, position)
     driving = eq.hydraulic_force(n, p_a, p_b) - against - force
     acceleration = driving * n.mobility if isinstance(dragged, float) else driving / (n.moving_mass + dragged)
     force = force + dragged * acceleration

@@ -20,9 +20,9 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
+from hydro_core.bench_scales import BenchScales, rescale
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_core.size import Size, rescale
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import NOMINAL
 from hydro_sim.model.equations import READINGS
@@ -56,7 +56,7 @@ class Sensors:
         check(self)
 
     @classmethod
-    def of_size(cls, size: Size) -> Sensors:
+    def of_size(cls, size: BenchScales) -> Sensors:
         """Return the default sensors, scaled to a bench of this size."""
         return rescale(cls(), NOMINAL, size)
 

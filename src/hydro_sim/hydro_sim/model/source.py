@@ -43,7 +43,7 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
             ("step_partials", at, [("out", model.step), ("partials", step.nz[:])]),
             ("read_partials", at[:2], [("z", model.read), ("partials", read.nz[:])]),
         ]
-        head += f"#define HELD {model.y.numel() - model.past}\n"
+        head += f"#define HELD {model.y.numel() - model.past_currents}\n"
         for name, matrix in (("ONCE", once), ("STEP", step), ("READ", read)):
             rows, columns = matrix.sparsity().get_triplet()
             head += f"#define {name}_PARTIALS {len(rows)}\n"
@@ -135,7 +135,7 @@ def _tangents(model: Functions) -> list[tuple[str, Named, Named]]:
 
 def _partial(outcome: SX, model: Functions) -> SX:
     """d outcome/d(y, k): rows of past currents, which nothing changes, and columns by them left out."""
-    held = model.y.numel() - model.past
+    held = model.y.numel() - model.past_currents
     jacobian = casadi.horzcat(casadi.jacobian(outcome, model.y)[:, :held], casadi.jacobian(outcome, model.k))
     return casadi.sparsify(jacobian[:held, :] if outcome.numel() == model.y.numel() else jacobian)
 

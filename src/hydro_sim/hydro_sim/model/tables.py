@@ -92,9 +92,9 @@ class Table:
         """Return the value of the table's variable."""
         return getattr(at, self.variable)
 
-    def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
+    def value(self, at: Signals, n: Any, parameters: Sequence[Symbol]) -> Symbol:
         """Return the value of the term, in the unit of its equation."""
-        low, high, *values = numbers
+        low, high, *values = parameters
         along = 1.0 + clip((self.variable_value(at) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
         total: Symbol = 0.0
         for k, value in enumerate(values):  # times a cubic B-spline, by the distance in knots from its peak

@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge.nodes.plant_node import Corrector, PlantNode, mode
-from hydro_bridge.plant_clock import Pace, PaceSettings, reject_speed_option
+from hydro_bridge.nodes.plant_node import Corrector, PlantNode, arming_state
+from hydro_bridge.plant_clock import LockStep, LockStepSettings, reject_speed_option
 from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import describe_box
@@ -45,19 +45,19 @@ class SimulatedPlant(Simulation):
     """Labels of the simulated effects."""
 
     def status(self) -> Status:
-        """Return the status for /diagnostics; see `hydro_bridge.safety.plant_side.PlantInterface`."""
+        """Return the status for /diagnostics; see `hydro_bridge.safety.plant_interface.PlantInterface`."""
         speed = self.samples * SAMPLE_PERIOD / max(time.monotonic() - self.began, SAMPLE_PERIOD)
         values = {
             "samples": self.samples,
             "simulated seconds per second": speed,
-            "late samples": self.pacer.late,
-            "lateness": self.pacer.lateness.sentence(),
-            "left out [s]": self.pacer.skipped,
-            "each sample waits for": self.pace.peers if self.paced else f"nobody: {self.settings.pace}",
+            "late samples": self.timer.late,
+            "lateness": self.timer.lateness.summary(),
+            "left out [s]": self.timer.skipped,
+            "each sample waits for": self.lock_step.peer_names if self.paced else f"nobody: {self.settings.pace}",
             "effects": self.effects or "none",
             "refused by the box": self._box.refused[0],
         }
-        return Status(message=f"{mode(self.flags)}, {speed:.2f} times real time", values=values)
+        return Status(message=f"{arming_state(self.flags)}, {speed:.2f} times real time", values=values)
 
 
 class SimNode(PlantNode):
@@ -80,8 +80,8 @@ class SimNode(PlantNode):
         what = f"its effects: {effects}" if effects else "without an effect beyond its numbers"
         log = self.get_logger().info
         log(f"simulates {settings.model or settings.bench or 'the shipped learned bench'}, {what}")
-        pace = Pace(declare_parameters(self, PaceSettings(), "pace."), log)
-        self.simulation = SimulatedPlant(box, plant, guard, settings, self._publish, log, pace)
+        lock_step = LockStep(declare_parameters(self, LockStepSettings(), "pace."), log)
+        self.simulation = SimulatedPlant(box, plant, guard, settings, self._publish, log, lock_step)
         self.simulation.effects = effects
         self.connect(self.simulation)
         info = box_info(believed, config, SIMULATED_BOX)

@@ -2,8 +2,8 @@
 """Simulation of box and plant at a pace, without ROS: the core of the sim node.
 
 One thread runs `run`, a sample at a time: poll the guard, tick the box, hand over the sample, step the plant, wait.
-Other threads set the guard's commands (under `lock`), `arm`, and report answers to `pace`. The bridge's `Link` is its
-counterpart.
+Other threads set the guard's commands (under `lock`), `arm`, and report answers to `lock_step`. The bridge's `Link` is
+its counterpart.
 
 ======== ==========================================================================================================
 pace     when the next sample follows, and the clock on which commands age
@@ -23,11 +23,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-from hydro_bridge.plant_clock import Pace, parse_pace
+from hydro_bridge.plant_clock import LockStep, parse_pace
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.safety.plant_side import PlantInterface
+from hydro_bridge.safety.plant_interface import PlantInterface
 from hydro_bridge.serial.protocol import LawState
-from hydro_core.process.realtime import Pacer, disable_timer_slack
+from hydro_core.process.realtime import PeriodicTimer, disable_timer_slack
 from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state
@@ -63,18 +63,18 @@ class Simulation(PlantInterface):
 
     `box`, `plant`: the parts; `run` alone touches them. `settings`: pace and seed. `on_state`: called in the thread of
     `run` with each sample's stamp [ns], ROS time in real time, else the simulation's own, and with its record as a
-    tuple in the order of STATE_DTYPE. `guard`, `log`, `pace`: see `PlantInterface`.
+    tuple in the order of STATE_DTYPE. `guard`, `log`, `lock_step`: see `PlantInterface`.
     """
 
     def __init__(
         self, box: Box, plant: Plant, guard: CommandGuard, settings: SimSettings,
-        on_state: Callable[[int, tuple[Any, ...]], None], log: Callable[[str], None], pace: Pace | None = None,
+        on_state: Callable[[int, tuple[Any, ...]], None], log: Callable[[str], None], lock_step: LockStep | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(guard, log, pace=pace)
+        super().__init__(guard, log, lock_step=lock_step)
         self.settings, self._answered = settings, threading.Event()
-        self.pace.go_on = self._answered.set
+        self.lock_step.on_release = self._answered.set
         self._factor = parse_pace(settings.pace)
-        self.pacer = Pacer(SAMPLE_PERIOD / (self._factor or 1.0))
+        self.timer = PeriodicTimer(SAMPLE_PERIOD / (self._factor or 1.0))
         self._box, self._plant, self._on_state = box, plant, on_state
         self._stopping = threading.Event()
         self.began = time.monotonic()
@@ -104,9 +104,9 @@ class Simulation(PlantInterface):
         disable_timer_slack()
         measurement = self.warm_up()
         if self.paced:
-            self.pace.wait_for_peers()
+            self.lock_step.wait_for_peers()
         self.began = time.monotonic()
-        self.pacer.restart()
+        self.timer.restart()
         while not self._stopping.is_set():
             now = self.samples * SAMPLE_PERIOD
             with self.lock:
@@ -115,37 +115,37 @@ class Simulation(PlantInterface):
             sample = self._box.tick(measurement, now)
             stamp = self.samples * round(1e9 * SAMPLE_PERIOD)
             if self.real_time:
-                stamp = self._ros_time(self.pacer.deadline_ns)  # without the jitter of waking up
+                stamp = self._ros_time(self.timer.deadline_ns)  # without the jitter of waking up
             fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
             if not self.real_time:
                 fields = (*fields[:-1], fields[-1] | Flag.PACED)
             with self.lock:
-                self.guard.note_sample(fields[1], fields[_NOMINAL])
+                self.guard.add_sample(fields[1], fields[_NOMINAL])
             if fields[-1] & ~self.flags & Flag.TRIPPED:
                 self._log(f"tripped: {flag_names(fields[-1])}")
-            self._show(fields[-1])
+            self._update_flags(fields[-1])
             publish = partial(self._on_state, stamp, fields)
             if self.paced:
                 self._answered.clear()
-                self.pace.begin_sample(fields[1], publish)
+                self.lock_step.begin_sample(fields[1], publish)
             publish()
             measurement = self._plant.step(fields[10])
             if self.paced:
                 while not self._answered.is_set():
-                    self._answered.wait(self.pace.poll())
+                    self._answered.wait(self.lock_step.poll())
             else:
-                self.pacer.wait()
+                self.timer.wait()
             self.samples += 1
 
     def stop(self) -> None:
         """End `run`."""
         self._stopping.set()
-        self.pace.close()
+        self.lock_step.close()
 
-    def send(self, corrects: int | None = None) -> None:
+    def send(self, corrected: int | None = None) -> None:
         """Release the pending sample for a command without a correction; others apply with the next sample."""
-        if corrects is None:
-            self.pace.release()
+        if corrected is None:
+            self.lock_step.release()
 
     def warm_up(self) -> FloatArray:
         """Compile all kernels before deadlines begin; return the first measurement. Repeated calls cost nothing."""

@@ -34,7 +34,7 @@ _ELEMENT = re.compile(r"(?:sequence<)?(\w+/\w+)(?:\[\d+\]|(?:, \d+)?>)?")
 _LONG = (bytes, bytearray, str)
 
 
-def interface(name: str, kind: str) -> type[Any]:
+def interface_class(name: str, kind: str) -> type[Any]:
     """Return the class of an interface type such as `std_srvs/srv/SetBool`; the name may omit `kind` (msg or srv).
 
     Raises UserError: there is no type of that name.
@@ -68,7 +68,7 @@ def set_fields(message: Any, values: Mapping[str, Any]) -> None:
     def made(type_name: str, value: Any) -> Any:
         if not isinstance(value, Mapping):
             raise TypeError
-        nested = interface(type_name, "msg")(check_fields=True)
+        nested = interface_class(type_name, "msg")(check_fields=True)
         set_fields(nested, value)
         return nested
 
@@ -107,12 +107,12 @@ def temporary_node() -> Iterator[Node]:
             node.destroy_node()
 
 
-def wait_for(condition: Callable[[], object], sentence: str, patience: float = DISCOVERY_TIMEOUT) -> None:
-    """Wait until `condition` holds; raises UserError with `sentence` after `patience` s."""
-    end = time.monotonic() + patience
+def wait_for(condition: Callable[[], object], sentence: str, timeout: float = DISCOVERY_TIMEOUT) -> None:
+    """Wait until `condition` holds; raises UserError with `sentence` after `timeout` s."""
+    end = time.monotonic() + timeout
     while not condition():
         if time.monotonic() > end:
-            raise UserError(f"{sentence} (looked for {patience:g} s)")
+            raise UserError(f"{sentence} (looked for {timeout:g} s)")
         time.sleep(_LOOK)
 
 
@@ -255,9 +255,9 @@ def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Calla
     with temporary_node() as node:
         topic = f"/{topic.removeprefix('/')}"
         wait_for(lambda: topic in dict(node.get_topic_names_and_types()), f"nobody publishes or hears {topic}")
-        kind = interface(dict(node.get_topic_names_and_types())[topic][0], "msg")
+        kind = interface_class(dict(node.get_topic_names_and_types())[topic][0], "msg")
         with suppress(UserError):  # a subscriber may be discovered first: a latched message would be missed for good
-            wait_for(lambda: node.count_publishers(topic), "", patience=_PUBLISHER)
+            wait_for(lambda: node.count_publishers(topic), "", timeout=_PUBLISHER)
         offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]  # all offer this QoS
         reliable = bool(offered) and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
         latched = bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
@@ -271,7 +271,7 @@ def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Calla
 
 
 def _service_call(options: argparse.Namespace) -> None:
-    service, kind, text = f"/{options.service.removeprefix('/')}", interface(options.type, "srv"), options.values
+    service, kind, text = f"/{options.service.removeprefix('/')}", interface_class(options.type, "srv"), options.values
     try:
         values = yaml.safe_load(text) if text.strip() else {}
     except yaml.YAMLError as error:

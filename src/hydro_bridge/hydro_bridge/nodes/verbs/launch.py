@@ -22,7 +22,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_share_
 
 from hydro_bridge.ros.companion import Companion
 from hydro_core.cli.console import UserError
-from hydro_core.process.endings import signals_ignored
+from hydro_core.process.termination import signals_ignored
 
 
 @dataclass

@@ -48,7 +48,7 @@ def stream_seed(seed: int, episode: int, stream: int) -> int:
     return int(np.random.default_rng((seed, episode, stream)).integers(2**62))
 
 
-REACH = 0.8
+AMPLITUDE_SHARE_MAX = 0.8
 """Largest amplitude of a reference, relative to the spring's force at half of the stroke."""
 
 _SPREAD = {
@@ -108,9 +108,11 @@ class RandomisedBench:
     stroke: float
     """Stroke of the piston [m]."""
 
-    def within_reach(self, reference: ReferenceSignal) -> ReferenceSignal:
-        """Return the reference with its amplitude limited to `REACH` times the spring's force at half of the stroke."""
-        return replace(reference, amplitude=min(reference.amplitude, REACH * 0.5 * self.stroke * self.spring))
+    def limit_amplitude(self, reference: ReferenceSignal) -> ReferenceSignal:
+        """Return the reference with at most `AMPLITUDE_SHARE_MAX` times the spring's force at half of the stroke."""
+        return replace(
+            reference, amplitude=min(reference.amplitude, AMPLITUDE_SHARE_MAX * 0.5 * self.stroke * self.spring)
+        )
 
 
 def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedBench:

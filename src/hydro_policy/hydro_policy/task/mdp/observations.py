@@ -7,10 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from hydro_core.bench_scales import BenchScales
 from hydro_core.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray
-from hydro_core.size import Size
 
-_NORMALIZATION: tuple[tuple[str, str, float, float], ...] = (  # name; scale of `Size`; center and reach of normal runs
+# Name; scale of `BenchScales`; center and reach of normal runs.
+_NORMALIZATION: tuple[tuple[str, str, float, float], ...] = (
     ("hydraulic_force", "force", 0.0, 1.0),
     ("hydraulic_force_rate", "force", 0.0, 3770.0 / 300.0),  # 1/s: the usual amplitude at 2 Hz
     ("load_force", "force", 0.0, 1.0),
@@ -34,14 +35,14 @@ _PLANT = len(PLANT_FIELDS)
 
 
 @lru_cache
-def normalization(size: Size) -> tuple[FloatArray, FloatArray]:
+def normalization(size: BenchScales) -> tuple[FloatArray, FloatArray]:
     """Return center and scale of the observations on a bench of this size, shape (13,) each."""
     scales = vars(size) | {"": 1.0}
     center = np.array([scales[scale] * share for _, scale, share, _ in _NORMALIZATION])
     return center, np.array([scales[scale] * share for _, scale, _, share in _NORMALIZATION])
 
 
-def observe(sample: FloatArray, previous_action: FloatArray, size: Size) -> FloatArray:
+def observe(sample: FloatArray, previous_action: FloatArray, size: BenchScales) -> FloatArray:
     """Return the normalized observation (eq. obs) o = [x, f_r, f_r', e, previous action], shape (..., 13).
 
     `sample`: in the order of `STATE_FIELDS`, shape (..., 14), SI units. `previous_action`: shape (..., 2), within

@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from hydro_core.bench_scales import BenchScales
 from hydro_core.settings import quantity
-from hydro_core.size import Size
 from hydro_policy.task.mdp.actions import GainRange
 from hydro_sim.model.bench import NOMINAL
 
@@ -40,5 +40,5 @@ class TaskSettings:
     frequency_max: Annotated[float, quantity("Hz", 0.05, 10.0)] = 2.0
     """Highest frequency of a reference."""
     gains: GainRange = field(default_factory=GainRange)
-    size: Size = NOMINAL
+    size: BenchScales = NOMINAL
     """Of the bench: what observations are scaled with."""

@@ -21,20 +21,20 @@ class HostState:
 
     def __init__(self) -> None:
         self._pending = b""
-        self.greetings = 0
+        self.hellos = 0
         """HELLOs since the port was plugged in."""
-        self.heard = 0.0
+        self.last_frame_time = 0.0
         """Time of its last frame, s of the monotonic clock."""
         self.fresh = False
         """Whether no COMMAND has come since the last HELLO."""
         self.time_us: int | None = None
         """Time in its last COMMAND, us; None: none since the last HELLO."""
-        self.follows = False
+        self.lock_step = False
         """Whether its HELLO announced an answer to each STATE: a COMMAND with that sample's time."""
 
     def reset(self) -> None:
         """Reset to no host, as the port was unplugged or closed."""
-        self._pending, self.greetings, self.fresh, self.time_us, self.follows = b"", 0, False, None, False
+        self._pending, self.hellos, self.fresh, self.time_us, self.lock_step = b"", 0, False, None, False
 
     def observe(self, data: bytes) -> None:
         """Update the state by received bytes."""
@@ -48,9 +48,9 @@ class HostState:
             if len(raw) < _HEADER.size + 4 or raw[-4:] != _CRC.pack(crc32(raw[:-4])):
                 continue
             version, kind, _, time_us = _HEADER.unpack_from(raw)
-            self.heard = time.monotonic()
+            self.last_frame_time = time.monotonic()
             if kind == FrameType.HELLO and version == HANDSHAKE:
-                self.greetings, self.fresh, self.time_us = self.greetings + 1, True, None
-                self.follows = raw[_FOLLOWS : _FOLLOWS + 1] == b"\1"
+                self.hellos, self.fresh, self.time_us = self.hellos + 1, True, None
+                self.lock_step = raw[_FOLLOWS : _FOLLOWS + 1] == b"\1"
             elif kind == FrameType.COMMAND:
                 self.fresh, self.time_us = False, time_us

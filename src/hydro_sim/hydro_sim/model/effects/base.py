@@ -6,8 +6,8 @@
     class CoulombFriction(Effect):
         id = "friction_coulomb"
         equations = ("motion",)
-        says = "Dry friction of {force:.3g} N works against the motion at every speed."
-        force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=5e3))
+        sentence_template = "Dry friction of {force:.3g} N works against the motion at every speed."
+        force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest_reported=0.3, high=5e3))
 
         def dry_level(self, level, velocity):
             return level + self.force
@@ -38,9 +38,9 @@ class FitParameter:
     high: float
     neutral: float = 0.0
     """Value at which the effect vanishes (for shape parameters: the usual value)."""
-    probes: tuple[float, ...]
+    start_values: tuple[float, ...]
     """Start values, within the bounds."""
-    smallest: float = 0.0
+    smallest_reported: float = 0.0
     """Distance from `neutral` below which a difference is not reported; 0 for shape parameters."""
     systematic: float = 0.003
     """For a shape parameter: relative error that the residuals' own discretisation may cause."""
@@ -50,7 +50,7 @@ class FitParameter:
     @property
     def span(self) -> float:
         """Typical step of the parameter: largest distance of a start value from `neutral`."""
-        return max(abs(probe - self.neutral) for probe in self.probes) or abs(self.neutral)
+        return max(abs(value - self.neutral) for value in self.start_values) or abs(self.neutral)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +79,7 @@ class HiddenState:
     """Typical size."""
     integrated: bool
     """Whether it has a rate; else it is updated at the end of a step."""
-    starts: str = ""
+    initial_signal: str = ""
     """Signal whose value it has on a bench at rest (a true reading, or `spool` [A]); empty: 0."""
 
 
@@ -91,14 +91,14 @@ def parameter(
     return Parameter(**about, scale=scale, fit=FitParameter(**{**about, **fit}) if fit else None)
 
 
-def fit(*probes: float, smallest: float = 0.0, **more: Any) -> dict[str, Any]:
+def fit(*start_values: float, smallest_reported: float = 0.0, **more: Any) -> dict[str, Any]:
     """Declare how a parameter is fitted (`FitParameter`); bounds and neutral value are the parameter's by default."""
-    return {"probes": probes, "smallest": smallest, **more}
+    return {"start_values": start_values, "smallest_reported": smallest_reported, **more}
 
 
-def hidden(unit: str, *, scale: float, integrated: bool = False, starts: str = "") -> Any:
+def hidden(unit: str, *, scale: float, integrated: bool = False, initial_signal: str = "") -> Any:
     """Declare a hidden state, named by its attribute."""
-    return HiddenState(name="", unit=unit, scale=scale, integrated=integrated, starts=starts)
+    return HiddenState(name="", unit=unit, scale=scale, integrated=integrated, initial_signal=initial_signal)
 
 
 _DISPLAY_UNITS = {
@@ -118,15 +118,15 @@ def display_unit(unit: str) -> tuple[str, float]:
 class EffectContext:
     """Quantities of the model that an effect's terms may use."""
 
-    numbers: Any
-    """The bench's parameters, by their names in bench.yaml, and `valve_gain` (K_v)."""
+    bench: Any
+    """Parameters of the bench, by their names in bench.yaml, and `valve_gain` (K_v)."""
     step: float
     """Length of an integration step [s]."""
-    once: Callable[[Symbol], Symbol]
+    hoist: Callable[[Symbol], Symbol]
     """Marks an expression of parameters alone: it is evaluated when they change, not in every step."""
     dry_level: Callable[[Symbol], Symbol]
     """Dry friction [N] of all effects, at a velocity [m/s]."""
-    began: Symbol = 0.0
+    initial_position: Symbol = 0.0
     """m, piston position at the begin of the present step."""
     position: Symbol = 0.0
     """m, of the piston at the instant whose rates are evaluated."""
@@ -156,18 +156,18 @@ class Effect:
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects that this one requires: without them it has no influence."""
-    scales: ClassVar[str] = ""
+    equivalent_parameter: ClassVar[str] = ""
     """Parameter of the bench file to whose scaling its `ratio` is equivalent; empty if none."""
-    says: str = ""
+    sentence_template: str = ""
     """Template of `sentence`, with the parameters by name in the units of `display_unit`, and the `effect`; `size` of
     the first parameter, and whether that is `more` or less than 0."""
-    shown: ClassVar[Mapping[str, float]] = {}
+    display_factors: ClassVar[Mapping[str, float]] = {}
     """Factors of parameters in the sentence, if not those of `display_unit`."""
     options: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Keys of an entry besides its parameters (chamber, cell, sensor, form), and their possible values."""
     single: ClassVar[bool] = False
     """Whether a bench can have only one."""
-    late: ClassVar[bool] = False
+    acts_at_edges: ClassVar[bool] = False
     """Whether its `command` is applied after all others, in any order of the file: it acts at the edges."""
     depends_on_acceleration: ClassVar[bool] = False
     """Whether its term depends on the piston's acceleration."""
@@ -216,9 +216,11 @@ class Effect:
     def sentence(self, values: Mapping[str, float]) -> str:
         """Return a description of the effect for a person at the bench."""
         factors = {one.name: _IN_SENTENCES.get(one.unit, display_unit(one.unit)[1]) for one in self.parameters}
-        shown = {name: factor * values[name] for name, factor in (factors | dict(self.shown)).items()}
+        shown = {name: factor * values[name] for name, factor in (factors | dict(self.display_factors)).items()}
         first = next(iter(shown.values()))
-        said = self.says.format(effect=self, size=abs(first), more="more" if first > 0.0 else "less", **shown)
+        said = self.sentence_template.format(
+            effect=self, size=abs(first), more="more" if first > 0.0 else "less", **shown
+        )
         return said[0].upper() + said[1:]
 
     # --- terms, on the way from the bench file to the reading -------------------------------------------------------
@@ -228,7 +230,7 @@ class Effect:
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         """Return the hidden states at rest by name, 0 if absent; `signals`: true readings, and `spool` [A]."""
-        return {one.name: signals[one.starts] for one in self.states if one.starts}
+        return {one.name: signals[one.initial_signal] for one in self.states if one.initial_signal}
 
     def command(self, spool: Symbol) -> Symbol:
         """Return the mean position of the spool [A] over a step."""
@@ -270,7 +272,7 @@ class Effect:
         """Return the rates of the integrated hidden states, 1/s; `drawn`: flow [m3/s] from the supply."""
         return {}
 
-    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+    def continuous_rates(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
         """Return output and state rates in continuous time for a command or sensor signal, for external solvers."""
         raise NotImplementedError
 

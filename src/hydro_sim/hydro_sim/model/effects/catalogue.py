@@ -17,7 +17,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from hydro_core.signals import SAMPLE_PERIOD
-from hydro_sim.model.effects import closure, friction, grown, motion, numbers, oil, sensing, valve
+from hydro_sim.model.effects import closure, friction, grown, motion, oil, parameter_corrections, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
 from hydro_sim.model.effects.closure import Closure
 
@@ -45,7 +45,7 @@ class Kind:
         """Create an instance for the assembly of a model."""
         return self.effect(**dict(self.chosen))
 
-    def bound(self, values: Mapping[str, Any], **context: Any) -> Any:
+    def bind(self, values: Mapping[str, Any], **context: Any) -> Any:
         """Create an instance for calls of its terms with numbers: its parameters' values, and fields of `at`."""
         made = object.__new__(self.effect)
         made.__dict__ = {**self._unbound, **values, "next": {}, "at": SimpleNamespace(**context)}
@@ -74,7 +74,8 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
 
 
 _TABLE: tuple[type[Effect], ...] = (
-    *valve.EFFECTS, *oil.EFFECTS, *friction.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS,
+    *valve.EFFECTS, *oil.EFFECTS, *friction.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS,
+    *parameter_corrections.EFFECTS,
 )  # fmt: skip
 _NAMED: tuple[type[Effect], ...] = (*_TABLE, *(closure.effect_class(one) for one in grown.EFFECTS))
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)

@@ -38,13 +38,13 @@ class Closure(Effect):
         if isinstance(law, Law):
             if self.id == Closure.id:
                 return law.sentence
-            further = "".join(f", {one.name} {values[one.name]:.3g} {one.unit}" for one in law.numbers)
+            further = "".join(f", {one.name} {values[one.name]:.3g} {one.unit}" for one in law.shape_parameters)
             return f"{law.sentence} It is {values['coefficient']:.3g} {law.unit} times {law.text}{further}."
         what = f"A coefficient of the {law.factor.name} that follows" if law.factor else "A smooth function of"
         return f"{what} the {law.variable.replace('_', ' ')}, for which no law was found."
 
     def _value(self, at: Signals) -> Symbol:
-        return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
+        return self.law.value(at, self.at.bench, [getattr(self, name) for name in self.law.names])
 
     def _memory_state(self) -> Symbol:
         """State of the memory element at this instant; 0 without one."""
@@ -58,7 +58,7 @@ class Closure(Effect):
         """Input of the memory element at this instant; 1 if that is time."""
         p_a, p_b = self.at.pressures
         loaded = self.law.where == "load_force"
-        force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
+        force = self.at.load_force if loaded else eq.hydraulic_force(self.at.bench, p_a, p_b)
         now = Signals(self.at.position, self.at.velocity, p_a, p_b, self.at.spool, force)
         return 1.0 if self.memory_element.signal == "time" else getattr(now, self.memory_element.signal)
 
@@ -86,7 +86,7 @@ class EdgeClosure(Closure):
     """Closure as a blocked share of the flow through the valve's edges."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        n, spool = self.at.numbers, self.at.spool
+        n, spool = self.at.bench, self.at.spool
         openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
         past = self._memory_state()
         return laws.edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.replace(memory=past)))
@@ -96,7 +96,7 @@ class SpoolShiftClosure(Closure):
     """Closure as a shift of the spool at the edges, by pressures, velocity, position or current."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        n, spool = self.at.numbers, self.at.spool
+        n, spool = self.at.bench, self.at.spool
         at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, spool)
         return laws.spool_shift_losses(n, spool, self._value(at), (pressure_a, pressure_b))
 
@@ -134,7 +134,7 @@ class SensorClosure(Closure):
 class ValveClosure(Closure):
     """Closure as a shift of the spool, by its position."""
 
-    late = True
+    acts_at_edges = True
 
     def command(self, spool: Symbol) -> Symbol:
         return spool + self._value(Signals(current=spool, memory=self._final_memory_state(spool)))
@@ -207,16 +207,23 @@ _FOLLOWED = {"position": ("m", 1e-2), "current": ("A", 1e-3), "opening": ("A", 1
 def closure_class(law: Law | Table) -> type[Closure]:
     """Return the effect class of a law or table."""
     size, element = law.typical, law.memory_element
-    amplitude = parameter(law.unit, -_REACH * size, _REACH * size, scale=size, fit=fit(size, smallest=1e-3 * size))
+    amplitude = parameter(
+        law.unit, -_REACH * size, _REACH * size, scale=size, fit=fit(size, smallest_reported=1e-3 * size)
+    )
     members: dict[str, Any] = dict.fromkeys(law.names, amplitude)
     if isinstance(law, Table):
         over = tables.VARIABLES[law.variable]
         members |= {name: parameter(over, -BOUND_MAX, BOUND_MAX, scale=1.0) for name in ("low", "high")}
     else:
-        for one in law.numbers:  # the recorded velocity is smoothed: a reversal velocity is estimated less precisely
-            middle = one.probes[len(one.probes) // 2]
-            low, high = (-BOUND_MAX, BOUND_MAX) if one.over else (0.1 * one.probes[0], 10.0 * one.probes[-1])
-            fitted = fit(*one.probes, systematic=0.6 if one.name == REVERSAL_VELOCITY.name else 0.01)
+        # the recorded velocity is smoothed: a reversal velocity is estimated less precisely
+        for one in law.shape_parameters:
+            middle = one.start_values[len(one.start_values) // 2]
+            low, high = (
+                (-BOUND_MAX, BOUND_MAX)
+                if one.threshold_signal
+                else (0.1 * one.start_values[0], 10.0 * one.start_values[-1])
+            )
+            fitted = fit(*one.start_values, systematic=0.6 if one.name == REVERSAL_VELOCITY.name else 0.01)
             members[one.name] = parameter(one.unit, low, high, scale=abs(middle), neutral=middle, fit=fitted)
     acts = _ACTING.get(law.where) or _ACTING.get(law.equation, FlowClosure)
     bases: tuple[type[Closure], ...] = (acts,)
@@ -231,10 +238,10 @@ def closure_class(law: Law | Table) -> type[Closure]:
         start = "" if element.kind == "slow" else starts.get(element.signal, element.signal)
         if element.kind == "path":
             bases, members["bent"] = (HysteresisClosure, acts), hidden("-", scale=1.0)
-            members["where"] = hidden(unit, scale=scale, starts=start)
+            members["where"] = hidden(unit, scale=scale, initial_signal=start)
         else:
             bases = SpoolLagClosure if acts is ValveClosure else LagClosure, acts
-            members["past"] = hidden(unit, scale=scale, integrated=acts is not ValveClosure, starts=start)
+            members["past"] = hidden(unit, scale=scale, integrated=acts is not ValveClosure, initial_signal=start)
         members["memory_element"] = element
     members |= {"law": law, "depends_on_acceleration": "acceleration" in law.uses, "__doc__": Closure.__doc__}
     members |= {"options": {"equation": (law.equation,), "form": (law.form,)}}
@@ -256,7 +263,7 @@ class NamedLaw:
 
     id: str
     law: Law
-    """Law with the observed values as its typical coefficient and as probes of its shape parameters."""
+    """Law with the observed values as its typical coefficient and as start values of its shape parameters."""
     bounds: Mapping[str, tuple[float, float]]
     """Lowest and highest value of each parameter, in the law's units."""
 
@@ -268,7 +275,7 @@ class NamedLaw:
     def typical_parameters(self) -> dict[str, float]:
         """Typical values of the parameters, by name."""
         sign = 1.0 if self.bounds["coefficient"][1] > 0.0 else -1.0
-        middles = {number.name: number.probes[len(number.probes) // 2] for number in self.law.numbers}
+        middles = {one.name: one.start_values[len(one.start_values) // 2] for one in self.law.shape_parameters}
         return {"coefficient": sign * self.law.typical, **middles}
 
 
@@ -280,8 +287,8 @@ def effect_class(named: NamedLaw) -> type[Effect]:
     effect.parameters = ()
     for one in acting.parameters:  # within the bounds, and fitted from what was seen
         (low, high), size = named.bounds[one.name], named.typical_parameters[one.name]
-        smallest = _SMALLEST * abs(size) if one.fit and one.fit.smallest > 0.0 else 0.0
-        changes: dict[str, Any] = {"low": low, "high": high, "probes": (size,), "smallest": smallest}
+        smallest = _SMALLEST * abs(size) if one.fit and one.fit.smallest_reported > 0.0 else 0.0
+        changes: dict[str, Any] = {"low": low, "high": high, "start_values": (size,), "smallest_reported": smallest}
         fitted = one.fit and replace(one.fit, **changes, systematic=0.01)
         effect.parameters += (replace(one, low=low, high=high, fit=fitted),)
     return effect

@@ -34,8 +34,8 @@ class FrictionCoulomb(_Friction):
     """Coulomb friction: a constant force against the motion."""
 
     id = "friction_coulomb"
-    says = "Dry friction of {force:.3g} N works against the motion at every speed."
-    force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=FORCE_MAX))
+    sentence_template = "Dry friction of {force:.3g} N works against the motion at every speed."
+    force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest_reported=0.3, high=FORCE_MAX))
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
         return level + self.force
@@ -46,12 +46,12 @@ class FrictionCoulombDirectional(_Friction):
 
     id = "friction_coulomb"
     options = {"form": ("directional",)}
-    says = (
+    sentence_template = (
         "Dry friction works against the motion: {force_positive:.3g} N while extending, {force_negative:.3g} N "
         "while retracting."
     )
-    force_positive = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest=0.3, high=FORCE_MAX))
-    force_negative = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(6.0, smallest=0.3, high=FORCE_MAX))
+    force_positive = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest_reported=0.3, high=FORCE_MAX))
+    force_negative = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(6.0, smallest_reported=0.3, high=FORCE_MAX))
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
         return level + choose(velocity > 0.0, self.force_positive, self.force_negative)
@@ -61,10 +61,10 @@ class FrictionStribeck(_Friction):
     """Additional dry friction near standstill (Armstrong-Helouvry et al. 1994, eq. 5)."""
 
     id = "friction_stribeck"
-    says = (
+    sentence_template = (
         "Near standstill friction rises by {breakaway_force:.3g} N; the rise is gone above about {velocity:.3g} mm/s."
     )
-    breakaway_force = parameter("N", 0.0, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, high=FORCE_MAX))
+    breakaway_force = parameter("N", 0.0, 1e8, scale=5.0, fit=fit(10.0, smallest_reported=0.5, high=FORCE_MAX))
     velocity = parameter("m/s", 1e-4, 10.0, scale=0.01, neutral=0.01, fit=fit(0.006, 0.02, low=2e-3, high=0.06))
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
@@ -72,7 +72,7 @@ class FrictionStribeck(_Friction):
         return level + self.breakaway_force * np.exp(-ratio * ratio)
 
 
-_VISCOUS = fit(30.0, smallest=1.5, low=-DAMPING_MAX, high=DAMPING_MAX)
+_VISCOUS = fit(30.0, smallest_reported=1.5, low=-DAMPING_MAX, high=DAMPING_MAX)
 
 
 class FrictionViscousDirectional(_Friction):
@@ -80,7 +80,7 @@ class FrictionViscousDirectional(_Friction):
 
     id = "friction_viscous"
     options = {"form": ("directional",)}
-    says = (
+    sentence_template = (
         "The viscous friction depends on the direction: against the bench file {coefficient_positive:+.4g} N s/m while "
         "extending and {coefficient_negative:+.4g} N s/m while retracting."
     )
@@ -90,7 +90,7 @@ class FrictionViscousDirectional(_Friction):
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         extending, retracting = super().fitted_parameters(bench)
         low = -bench.viscous_friction if isfinite(bench.viscous_friction) else -DAMPING_MAX
-        return replace(extending, low=low), replace(retracting, low=low, probes=(-15.0 if low < -30.0 else 15.0,))
+        return replace(extending, low=low), replace(retracting, low=low, start_values=(-15.0 if low < -30.0 else 15.0,))
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         return choose(velocity > 0.0, self.coefficient_positive, self.coefficient_negative) * velocity
@@ -100,7 +100,7 @@ class FrictionPresliding(_Friction):
     """Presliding: bristles that deflect until they slide at the level of the other dry friction."""
 
     id = "friction_presliding"
-    says = "Before it slides the piston deflects elastically with {stiffness:.3g} N/m."
+    sentence_template = "Before it slides the piston deflects elastically with {stiffness:.3g} N/m."
     needs = ("friction_coulomb",)
     single = True
     stiffness = parameter("N/m", 1.0, 1e11, scale=2e5, neutral=1e7,
@@ -108,7 +108,7 @@ class FrictionPresliding(_Friction):
     bent = hidden("N", scale=5.0)
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
-        level, moved = self.at.dry_level(velocity), position - self.at.began
+        level, moved = self.at.dry_level(velocity), position - self.at.initial_position
         goal = np.sign(moved) * level
         return goal + (self.bent - goal) * np.exp(-self.stiffness * np.abs(moved) / np.fmax(level, LEVEL_MIN))
 

@@ -35,9 +35,9 @@ def step_zero_order_hold(
     # s, s'/w, the signal, the integral of s: time in units of 1/w
     e = _exponential([[0, 1, 0, 0], [-1, -2.0 * damping, 1, 0], [0, 0, 0, 0], [1, 0, 0, 0]], reach)
     s, rate = state
-    moved = at.once(e[0, 0]) * s + at.once(e[0, 1] / omega) * rate + at.once(e[0, 2]) * signal
-    turned = at.once(omega * e[1, 0]) * s + at.once(e[1, 1]) * rate + at.once(omega * e[1, 2]) * signal
-    mean = at.once(e[3, 0] / reach) * s + at.once(e[3, 1] / reach / omega) * rate + at.once(e[3, 2] / reach) * signal
+    moved = at.hoist(e[0, 0]) * s + at.hoist(e[0, 1] / omega) * rate + at.hoist(e[0, 2]) * signal
+    turned = at.hoist(omega * e[1, 0]) * s + at.hoist(e[1, 1]) * rate + at.hoist(omega * e[1, 2]) * signal
+    mean = at.hoist(e[3, 0] / reach) * s + at.hoist(e[3, 1] / reach / omega) * rate + at.hoist(e[3, 2] / reach) * signal
     return (moved, turned), mean
 
 
@@ -51,10 +51,10 @@ def step_first_order_hold(
     e = _exponential([[0, 1, 0, 0], [-1, -2.0 * damping, 1, 0], [0, 0, 0, 1], [0, 0, 0, 0]], reach)
     s, rate = state
     moved, turned = (
-        at.once(unit * e[i, 0]) * s
-        + at.once(unit * e[i, 1] / omega) * rate
-        + at.once(unit * (e[i, 2] - e[i, 3] / reach)) * early
-        + at.once(unit * e[i, 3] / reach) * late
+        at.hoist(unit * e[i, 0]) * s
+        + at.hoist(unit * e[i, 1] / omega) * rate
+        + at.hoist(unit * (e[i, 2] - e[i, 3] / reach)) * early
+        + at.hoist(unit * e[i, 3] / reach) * late
         for i, unit in ((0, 1.0), (1, omega))
     )
     return moved, turned

@@ -23,8 +23,10 @@ class ForceOffset(Effect):
     id = "force_offset"
     equations = ("motion",)
     family = "friction"
-    says = "A constant force of {force:.3g} N acts on the moving mass (for instance its weight on a slope)."
-    force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(10.0, smallest=0.5, low=-FORCE_MAX, high=FORCE_MAX))
+    sentence_template = (
+        "A constant force of {force:.3g} N acts on the moving mass (for instance its weight on a slope)."
+    )
+    force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(10.0, smallest_reported=0.5, low=-FORCE_MAX, high=FORCE_MAX))
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         return -self.force
@@ -37,11 +39,11 @@ class EndCushion(Effect):
     options = {"form": ("end", "start", "end-quadratic", "start-quadratic")}
     equations = ("motion",)
     family = "spring"
-    stiffness = parameter("N/m", 0.0, 1e11, scale=2e4, fit=fit(1e4, smallest=200.0, high=1e7))
+    stiffness = parameter("N/m", 0.0, 1e11, scale=2e4, fit=fit(1e4, smallest_reported=200.0, high=1e7))
     position = parameter("m", -5.0, 5.0, scale=0.01, neutral=0.0, fit=fit(0.0))
 
     @property
-    def says(self) -> str:  # type: ignore[override]
+    def sentence_template(self) -> str:  # type: ignore[override]
         side = "beyond" if self.form.startswith("end") else "below"
         return f"The piston runs into a cushion of {{stiffness:.3g}} N/m {side} {{position:.4g}} mm."
 
@@ -51,7 +53,9 @@ class EndCushion(Effect):
         stroke, middle, shares = bench.stroke, 0.5 * bench.stroke, (0.575, 0.625, 0.675)
         low, high = (middle, stroke) if self.form.startswith("end") else (0.0, middle)
         at = shares if self.form.startswith("end") else tuple(1.0 - share for share in shares)
-        return stiffness, replace(position, low=low, high=high, neutral=middle, probes=tuple(k * stroke for k in at))
+        return stiffness, replace(
+            position, low=low, high=high, neutral=middle, start_values=tuple(k * stroke for k in at)
+        )
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         beyond = position - self.position
@@ -68,14 +72,14 @@ class SpringHardening(_Load):
     """Cubic term of the load's spring force."""
 
     id = "spring_hardening"
-    coefficient = parameter("N/m3", -1e11, 1e11, scale=1e7, fit=fit(5e6, smallest=1e5, low=-1e10, high=1e10))
+    coefficient = parameter("N/m3", -1e11, 1e11, scale=1e7, fit=fit(5e6, smallest_reported=1e5, low=-1e10, high=1e10))
 
     def sentence(self, values: Mapping[str, float]) -> str:
         change = "hardens" if values["coefficient"] > 0 else "softens"
         return f"The spring {change} with its deflection: {values['coefficient']:.3g} N/m3 times its cube."
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
-        deflection = position - self.at.numbers.spring_rest_position
+        deflection = position - self.at.bench.spring_rest_position
         return force + self.coefficient * deflection * deflection * deflection
 
 
@@ -83,11 +87,11 @@ class Backlash(_Load):
     """Gap around the spring's rest position, within which the spring carries no force."""
 
     id = "backlash"
-    says = "The load has {width:.3g} mm of lost motion around the spring's rest position."
-    width = parameter("m", 0.0, 0.1, scale=1e-3, fit=fit(1e-4, 5e-4, 2e-3, smallest=1e-5, high=0.02))
+    sentence_template = "The load has {width:.3g} mm of lost motion around the spring's rest position."
+    width = parameter("m", 0.0, 0.1, scale=1e-3, fit=fit(1e-4, 5e-4, 2e-3, smallest_reported=1e-5, high=0.02))
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
-        n, half = self.at.numbers, 0.5 * self.width
+        n, half = self.at.bench, 0.5 * self.width
         return force - n.spring_stiffness * clip(position - n.spring_rest_position, -half, half)
 
 
@@ -95,12 +99,12 @@ class BacklashPlay(Backlash):
     """Play in the linkage: the spring is dragged behind the piston, and lags by half the width at each reversal."""
 
     options = {"form": ("play",)}
-    says = "The load has {width:.3g} mm of lost motion whenever the direction changes."
+    sentence_template = "The load has {width:.3g} mm of lost motion whenever the direction changes."
     single = True
-    dragged = hidden("m", scale=1e-2, starts="piston_position")
+    dragged = hidden("m", scale=1e-2, initial_signal="piston_position")
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
-        return force - self.at.numbers.spring_stiffness * (position - self._end(position))
+        return force - self.at.bench.spring_stiffness * (position - self._end(position))
 
     def advance_states(self, position: Symbol, velocity: Symbol) -> None:
         self.next["dragged"] = self._end(position)

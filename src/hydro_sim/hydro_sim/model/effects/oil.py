@@ -14,7 +14,7 @@ ATMOSPHERE = 101325.0
 """Pressure [Pa] at which the free air's volume fraction is stated."""
 
 _CHAMBERS = "pressure_a", "pressure_b"
-_LAMINAR = fit(1e-13, smallest=1e-15, high=1e-10)
+_LAMINAR = fit(1e-13, smallest_reported=1e-15, high=1e-10)
 
 
 class SupplyDroop(Effect):
@@ -22,12 +22,12 @@ class SupplyDroop(Effect):
 
     id = "supply_droop"
     equations = ("actuation",)
-    says = (
+    sentence_template = (
         "The supply pressure falls with the flow drawn, by {resistance:.3g} MPa per ml/s, and recovers with a "
         "time constant of {time_constant:.3g} ms."
     )
     single = True
-    resistance = parameter("Pa s/m3", 0.0, 1e12, scale=1e9, fit=fit(3e10, smallest=1e9))
+    resistance = parameter("Pa s/m3", 0.0, 1e12, scale=1e9, fit=fit(3e10, smallest_reported=1e9))
     time_constant = parameter("s", 1e-3, 100.0, scale=0.05, neutral=0.05, fit=fit(0.01, 0.05, 0.3, high=3.0))
     demand = hidden("m3/s", scale=1e-5, integrated=True)
 
@@ -44,7 +44,7 @@ class LeakageInternal(Effect):
     id = "leakage_internal"
     equations = _CHAMBERS
     family = "leak"
-    says = "Oil leaks past the piston between the chambers, {coefficient:.3g} ml/s per MPa."
+    sentence_template = "Oil leaks past the piston between the chambers, {coefficient:.3g} ml/s per MPa."
     coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13, fit=_LAMINAR)
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
@@ -56,8 +56,10 @@ class LeakageInternalOrifice(LeakageInternal):
     """Leakage between the chambers through a sharp edge."""
 
     options = {"form": ("orifice",)}
-    says = "Oil leaks between the chambers as through a sharp edge, {coefficient:.3g} ml/s at 5 MPa between them."
-    shown = {"coefficient": 1e6 * ORIFICE_REFERENCE_DROP}
+    sentence_template = (
+        "Oil leaks between the chambers as through a sharp edge, {coefficient:.3g} ml/s at 5 MPa between them."
+    )
+    display_factors = {"coefficient": 1e6 * ORIFICE_REFERENCE_DROP}
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         across = orifice(self.coefficient * np.sqrt(ORIFICE_REFERENCE_DROP), pressure_a - pressure_b)
@@ -75,10 +77,10 @@ class LeakageExternal(Effect):
     def __init__(self, **chosen: str) -> None:
         super().__init__(**chosen)
         self.equations = (f"pressure_{self.chamber}",)
-        self.says = f"Chamber {self.chamber.upper()} leaks to the tank, {{coefficient:.3g}} ml/s per MPa."
+        self.sentence_template = f"Chamber {self.chamber.upper()} leaks to the tank, {{coefficient:.3g}} ml/s per MPa."
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        tank = self.at.numbers.tank_pressure
+        tank = self.at.bench.tank_pressure
         if self.chamber == "a":
             return self.coefficient * (pressure_a - tank), 0.0
         return 0.0, self.coefficient * (pressure_b - tank)
@@ -90,9 +92,11 @@ class BulkModulus(Effect):
     id = "bulk_modulus"
     equations = _CHAMBERS
     family = "oil"
-    says = "The bulk modulus is {ratio:.4g} times what the bench file says, at every pressure."
-    scales = "bulk_modulus"
-    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=fit(0.9, smallest=0.004, low=0.2, high=5.0))
+    sentence_template = "The bulk modulus is {ratio:.4g} times what the bench file says, at every pressure."
+    equivalent_parameter = "bulk_modulus"
+    ratio = parameter(
+        "-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=fit(0.9, smallest_reported=0.004, low=0.2, high=5.0)
+    )
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
         return modulus * self.ratio
@@ -105,9 +109,11 @@ class EntrainedAir(Effect):
     equations = _CHAMBERS
     family = "oil"
     exponent = 1.4
-    says = "{volume_fraction:.3g} % of free air (at atmospheric pressure) softens the oil where its pressure is low."
-    shown = {"volume_fraction": 100.0}
-    volume_fraction = parameter("-", 0.0, 0.5, scale=0.005, fit=fit(0.003, 0.02, smallest=1e-4, high=0.3))
+    sentence_template = (
+        "{volume_fraction:.3g} % of free air (at atmospheric pressure) softens the oil where its pressure is low."
+    )
+    display_factors = {"volume_fraction": 100.0}
+    volume_fraction = parameter("-", 0.0, 0.5, scale=0.005, fit=fit(0.003, 0.02, smallest_reported=1e-4, high=0.3))
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
         gauge = np.fmax(pressure, 0.0)

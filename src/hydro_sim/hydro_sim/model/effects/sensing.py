@@ -44,7 +44,7 @@ class SensorLag(Sensor):
 
     id = "sensor_lag"
     options = {"sensor": ("hydraulic_force", "load_force", "pressure_a", "pressure_b")}
-    says = "The amplifier of {effect.words} is a low-pass near {bandwidth:.3g} Hz."
+    sentence_template = "The amplifier of {effect.words} is a low-pass near {bandwidth:.3g} Hz."
     bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0,
                           fit=fit(15.0, 40.0, 120.0, low=2.0, high=400.0, neutral=400.0, systematic=0.01))  # fmt: skip
     damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=0.7071, fit=fit(0.7071, low=0.3, high=1.5, reported=False))
@@ -71,7 +71,7 @@ class SensorLag(Sensor):
         )
         return self.signal, self.next["signal"]
 
-    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+    def continuous_rates(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
         state = self.signal, self.rate
         return self.signal, {"signal": self.rate, **lags.lag_rates(self.bandwidth, self.damping, state, signal)}
 
@@ -81,8 +81,10 @@ class LoadCellGain(Sensor):
 
     id = "load_cell_gain"
     options = {"cell": ("hydraulic_force", "load_force")}
-    says = "{effect.words} reads {ratio:.4g} times the true force."
-    ratio = parameter("-", 0.01, 100.0, scale=0.05, neutral=1.0, fit=fit(0.95, smallest=0.002, low=0.2, high=5.0))
+    sentence_template = "{effect.words} reads {ratio:.4g} times the true force."
+    ratio = parameter(
+        "-", 0.01, 100.0, scale=0.05, neutral=1.0, fit=fit(0.95, smallest_reported=0.002, low=0.2, high=5.0)
+    )
 
     def read_sensor(self, channel: str, signal: Symbol) -> Symbol:
         return signal * self.ratio if channel == self.channel else signal
@@ -98,8 +100,8 @@ class LoadCellBias(_Bias):
 
     id = "load_cell_bias"
     options = {"cell": ("hydraulic_force", "load_force")}
-    says = "A reading of {effect.words} is off by {force:.3g} N."
-    force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(5.0, smallest=0.3, low=-5e3, high=5e3))
+    sentence_template = "A reading of {effect.words} is off by {force:.3g} N."
+    force = parameter("N", -1e8, 1e8, scale=5.0, fit=fit(5.0, smallest_reported=0.3, low=-5e3, high=5e3))
 
 
 class PressureSensorBias(_Bias):
@@ -107,8 +109,8 @@ class PressureSensorBias(_Bias):
 
     id = "pressure_sensor_bias"
     options = {"chamber": ("a", "b")}
-    says = "A reading of {effect.words} is off by {pressure:.4g} kPa."
-    pressure = parameter("Pa", -1e7, 1e7, scale=5e4, fit=fit(5e4, smallest=2.5e3, low=-3e6, high=3e6))
+    sentence_template = "A reading of {effect.words} is off by {pressure:.4g} kPa."
+    pressure = parameter("Pa", -1e7, 1e7, scale=5e4, fit=fit(5e4, smallest_reported=2.5e3, low=-3e6, high=3e6))
 
 
 EFFECTS = (SensorLag, LoadCellGain, LoadCellBias, PressureSensorBias)

@@ -16,8 +16,8 @@ from hydro_sim.model.equations import Symbol, clip
 DRIFT_LOW, DRIFT_HIGH = 0.2, 5.0
 """Bounds of a gain that drifts with time: a simulation may run for hours."""
 
-_OVERLAP = fit(1e-4, 5e-4, smallest=5e-6, high=0.02)
-_RATIO = fit(0.9, smallest=0.004, low=0.2, high=5.0)
+_OVERLAP = fit(1e-4, 5e-4, smallest_reported=5e-6, high=0.02)
+_RATIO = fit(0.9, smallest_reported=0.004, low=0.2, high=5.0)
 _BANDWIDTH = fit(40.0, 120.0, 250.0, low=8.0, high=600.0, neutral=600.0)
 
 
@@ -30,16 +30,16 @@ class TransportDelay(_Valve):
     """Pure dead time on the command; the model keeps the past currents (`model.assembly`)."""
 
     id = "transport_delay"
-    says = "The valve answers the current {time:.3g} ms late, a pure dead time."
-    time = parameter("s", 0.0, 0.03, scale=2e-3, fit=fit(5e-4, 2e-3, 5e-3, smallest=2e-5))
+    sentence_template = "The valve answers the current {time:.3g} ms late, a pure dead time."
+    time = parameter("s", 0.0, 0.03, scale=2e-3, fit=fit(5e-4, 2e-3, 5e-3, smallest_reported=2e-5))
 
 
 class ValveOffset(_Valve):
     """Null shift: the spool stands at u + u_0."""
 
     id = "valve_offset"
-    says = "The valve's null is shifted: it acts as if {current:.3g} mA were added to the current."
-    current = parameter("A", -0.1, 0.1, scale=5e-4, fit=fit(2e-4, smallest=4e-6, low=-0.02, high=0.02))
+    sentence_template = "The valve's null is shifted: it acts as if {current:.3g} mA were added to the current."
+    current = parameter("A", -0.1, 0.1, scale=5e-4, fit=fit(2e-4, smallest_reported=4e-6, low=-0.02, high=0.02))
 
     def command(self, spool: Symbol) -> Symbol:
         return spool + self.current
@@ -49,10 +49,10 @@ class ValveLag(_Valve):
     """Spool of second order, exact for a held current: s'' + 2 D w s' + w^2 s = w^2 u."""
 
     id = "valve_lag"
-    says = "The spool follows the current with a lag: bandwidth {bandwidth:.4g} Hz, damping {damping:.3g}."
+    sentence_template = "The spool follows the current with a lag: bandwidth {bandwidth:.4g} Hz, damping {damping:.3g}."
     bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0, fit=_BANDWIDTH)
     damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=1.0, fit=fit(0.8, low=0.2, high=3.0, neutral=0.8))
-    spool = hidden("A", scale=1e-3, starts="spool")
+    spool = hidden("A", scale=1e-3, initial_signal="spool")
     rate = hidden("A/s", scale=0.1)
 
     def command(self, spool: Symbol) -> Symbol:
@@ -60,7 +60,7 @@ class ValveLag(_Valve):
         self.next["spool"], self.next["rate"] = moved
         return mean
 
-    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+    def continuous_rates(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
         state = self.spool, self.rate
         return self.spool, {"spool": self.rate, **lags.lag_rates(self.bandwidth, self.damping, state, signal)}
 
@@ -70,17 +70,17 @@ class ValveLagFirstOrder(_Valve):
 
     id = "valve_lag"
     options = {"form": ("first_order",)}
-    says = "The spool follows the current with a first-order lag of {bandwidth:.4g} Hz."
+    sentence_template = "The spool follows the current with a first-order lag of {bandwidth:.4g} Hz."
     bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0, fit=_BANDWIDTH)
-    spool = hidden("A", scale=1e-3, starts="spool")
+    spool = hidden("A", scale=1e-3, initial_signal="spool")
 
     def command(self, spool: Symbol) -> Symbol:
-        reach = self.at.once(2.0 * np.pi * self.bandwidth * self.at.step)
-        left = self.at.once(np.exp(-reach))
+        reach = self.at.hoist(2.0 * np.pi * self.bandwidth * self.at.step)
+        left = self.at.hoist(np.exp(-reach))
         self.next["spool"] = spool + (self.spool - spool) * left
-        return spool + (self.spool - spool) * self.at.once((1.0 - left) / reach)
+        return spool + (self.spool - spool) * self.at.hoist((1.0 - left) / reach)
 
-    def flow(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
+    def continuous_rates(self, signal: Symbol) -> tuple[Symbol, dict[str, Symbol]]:
         return self.spool, {"spool": 2.0 * np.pi * self.bandwidth * (signal - self.spool)}
 
 
@@ -88,9 +88,9 @@ class ValveDeadband(_Valve):
     """Symmetric overlap: nothing flows while the spool is within it."""
 
     id = "valve_deadband"
-    says = "The valve does not open below {half_width:.3g} mA: its edges overlap."
-    late = True
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(1e-4, 5e-4, 2e-3, smallest=5e-6, high=0.02))
+    sentence_template = "The valve does not open below {half_width:.3g} mA: its edges overlap."
+    acts_at_edges = True
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(1e-4, 5e-4, 2e-3, smallest_reported=5e-6, high=0.02))
 
     def command(self, spool: Symbol) -> Symbol:
         return spool - clip(spool, -self.half_width, self.half_width)
@@ -100,7 +100,9 @@ class ValveDeadbandAsymmetric(ValveDeadband):
     """Overlap with a half width on each side: equivalent to a symmetric overlap and a null shift, in one cause."""
 
     options = {"form": ("lopsided",)}
-    says = "The valve does not open between -{half_width_negative:.3g} mA and {half_width:.3g} mA: its edges overlap."
+    sentence_template = (
+        "The valve does not open between -{half_width_negative:.3g} mA and {half_width:.3g} mA: its edges overlap."
+    )
     half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=_OVERLAP)
     half_width_negative = parameter("A", 0.0, 0.1, scale=5e-4, fit=_OVERLAP)
 
@@ -112,8 +114,8 @@ class ValveDeadbandSoft(ValveDeadband):
     """Overlap whose edges open gradually: each side is a softplus of the spool's excess over the half width."""
 
     options = {"form": ("soft",)}
-    says = "The valve hardly opens below {half_width:.3g} mA: its edges overlap and open gradually."
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(2e-4, 1e-3, smallest=5e-6, high=0.02))
+    sentence_template = "The valve hardly opens below {half_width:.3g} mA: its edges overlap and open gradually."
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(2e-4, 1e-3, smallest_reported=5e-6, high=0.02))
     softness = parameter("A", 1e-7, 0.1, scale=1e-4, neutral=1e-7,
                          fit=fit(5e-5, 2e-4, low=5e-6, high=5e-3, neutral=1e-4, reported=False))  # fmt: skip
 
@@ -126,8 +128,8 @@ class ValveGain(_Valve):
     """Ratio of the valve gain K_v to the bench file's."""
 
     id = "valve_gain"
-    says = "The valve passes {ratio:.4g} times the flow that the bench file says."
-    scales = "valve_nominal_flow"
+    sentence_template = "The valve passes {ratio:.4g} times the flow that the bench file says."
+    equivalent_parameter = "valve_nominal_flow"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=_RATIO)
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
@@ -138,7 +140,7 @@ class ValveGainAsymmetry(_Valve):
     """Ratio of K_v on the negative side, where the piston is driven back, to that on the positive side."""
 
     id = "valve_gain_asymmetry"
-    says = "On its negative side the valve passes {ratio:.4g} times the flow of its positive side."
+    sentence_template = "On its negative side the valve passes {ratio:.4g} times the flow of its positive side."
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0, fit=_RATIO)
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
@@ -149,8 +151,8 @@ class ValveGainDrift(_Valve):
     """Drift of the valve gain, K_v (1 + r t), with t since reset or since a recording began."""
 
     id = "valve_gain_drift"
-    says = "The valve's gain changes while recording, by {rate:.3g} % per second."
-    rate = parameter("1/s", -1.0, 1.0, scale=0.01, fit=fit(-0.005, smallest=3e-4, low=-0.2, high=0.2))
+    sentence_template = "The valve's gain changes while recording, by {rate:.3g} % per second."
+    rate = parameter("1/s", -1.0, 1.0, scale=0.01, fit=fit(-0.005, smallest_reported=3e-4, low=-0.2, high=0.2))
     time = hidden("s", scale=10.0)
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
@@ -164,11 +166,11 @@ class ValveNullLeakage(_Valve):
 
     id = "valve_null_leakage"
     options = {"form": ("exponential", "gaussian", "hyperbolic", "lorentzian")}
-    says = (
+    sentence_template = (
         "Worn edges leak around the valve's null: {coefficient:.3g} ml/s from supply to tank at 1 MPa over each edge."
     )
     all_edges = True
-    coefficient = parameter("m3/s/sqrt(Pa)", 0.0, 1e-6, scale=1e-10, fit=fit(3e-10, smallest=2e-12, high=1e-7))
+    coefficient = parameter("m3/s/sqrt(Pa)", 0.0, 1e-6, scale=1e-10, fit=fit(3e-10, smallest_reported=2e-12, high=1e-7))
     width = parameter("A", 1e-6, 0.1, scale=1e-3, neutral=1e-3,
                       fit=fit(2e-4, 1e-3, 4e-3, low=2e-5, high=2e-2, neutral=5e-4, reported=False))  # fmt: skip
 

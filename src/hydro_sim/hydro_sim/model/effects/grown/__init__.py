@@ -23,7 +23,7 @@ import yaml
 from hydro_core.errors import UserError
 from hydro_sim.model import grammar
 from hydro_sim.model.effects.closure import NamedLaw
-from hydro_sim.model.laws import Law, Number
+from hydro_sim.model.laws import Law, ShapeParameter
 
 VARIABLE = "HYDRO_EFFECTS"
 PACKAGE_FOLDER = Path(__file__).resolve().parent
@@ -60,11 +60,13 @@ def _effect(path: Path) -> NamedLaw:
         law = grammar.FORMS[row["equation"], row["form"]]
         if not isinstance(law, Law):
             raise ValueError("a table of numbers is not an effect")
-        numbers = tuple(Number(one.name, one.unit, (float(seen[one.name]["seen"]),)) for one in law.numbers)
+        shapes = tuple(
+            ShapeParameter(one.name, one.unit, (float(seen[one.name]["seen"]),)) for one in law.shape_parameters
+        )
         typical = abs(float(seen["coefficient"]["seen"]))
         return NamedLaw(
             id=path.stem,
-            law=replace(law, typical=typical, sentence=str(content["sentence"]), numbers=numbers),
+            law=replace(law, typical=typical, sentence=str(content["sentence"]), shape_parameters=shapes),
             bounds={name: (float(one["low"]), float(one["high"])) for name, one in seen.items()},
         )
     except Exception as error:

@@ -29,11 +29,11 @@ Handlers = Mapping[int, Any]
 
 
 class Terminated(KeyboardInterrupt):
-    """Request to terminate, by the signal `number`; `sentence` gives the reason where it is not obvious."""
+    """Request to terminate, by the signal `number`; `reason` is given where it is not obvious."""
 
-    def __init__(self, number: int, sentence: str = "") -> None:
-        super().__init__(sentence)
-        self.number, self.sentence = number, sentence
+    def __init__(self, number: int, reason: str = "") -> None:
+        super().__init__(reason)
+        self.number, self.reason = number, reason
 
 
 def exit_status(interruption: KeyboardInterrupt) -> int:

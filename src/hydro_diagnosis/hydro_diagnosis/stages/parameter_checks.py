@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, display_unit
-from hydro_diagnosis.estimation.fit import Fit, cause, eligible_effects, orthogonal
+from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray, display_unit
+from hydro_diagnosis.estimation.fit import Fit, cause_key, eligible_effects, orthogonal
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import MEASURED
@@ -19,16 +19,16 @@ from hydro_sim.model.bench import Bench
 
 def bench_parameter_estimates(
     problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect],
-    numbers: Mapping[str, float | None],
+    given: Mapping[str, float | None],
 ) -> list[BenchParameterEstimate]:  # fmt: skip
     """Report entries of the estimated bench parameters, in their order.
 
-    `bounds`: intervals of the parameters of all claims; `numbers`: the bench file's values by name, None if absent.
+    `bounds`: intervals of the parameters of all claims; `given`: the bench file's values by name, None if absent.
     """
     weight = problem.weight(found.residual)
     columns = found.jacobian * weight[:, None]
     owners = [claim for claim in found.claims for _ in claim.effect.parameters]
-    names = dict(zip((claim.effect.label for claim in problem.estimated), numbers, strict=True))
+    names = dict(zip((claim.effect.label for claim in problem.estimated), given, strict=True))
     entries = []
     for k, (claim, bound) in enumerate(zip(owners, bounds, strict=True)):
         if not claim.effect.estimated:
@@ -52,7 +52,7 @@ def bench_parameter_estimates(
         else:
             said = f"These recordings hold too little of {name} to tell it: it is left open."
         entries.append(BenchParameterEstimate(
-            name=name, value=value, unit=number.unit, ci95=[low, high] if sure else None, given=numbers[name],
+            name=name, value=value, unit=number.unit, ci95=[low, high] if sure else None, given=given[name],
             alike=others, sentence=said,
         ))  # fmt: skip
     return entries
@@ -84,7 +84,7 @@ def _alike(
     for effect in eligible_effects(library, found.claims, problem.blocks):
         if not effect.named or effect.needs or len(effect.parameters) > 1:
             continue
-        probe = Claim(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
+        probe = EffectHypothesis(effect, {one.name: one.neutral + 0.1 * one.span for one in effect.parameters})
         shown = orthogonal(others, (problem.residual((*found.claims, probe)) - found.residual) * weight)
         size = float(np.linalg.norm(shown) * np.linalg.norm(own))
         if size > 0.0 and abs(float(shown @ own)) > 0.999 * size:  # a correlation
@@ -92,13 +92,13 @@ def _alike(
     return alike
 
 
-NUMBERS = (
+RATIO_EFFECTS = (
     "piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure", "valve_gain",
 )  # fmt: skip
 """Effects that scale a parameter of the bench file by a ratio."""
 
 
-def confirmed(
+def confirmation_note(
     problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect], hidden: str = ""
 ) -> str:
     """Note on the bench file's parameters that are confirmed to within 5 %, to first order; empty for none.
@@ -111,15 +111,17 @@ def confirmed(
     inflation, said = max((one.inflation for one in bounds), default=1.0), []
     for effect in eligible_effects(library, found.claims, problem.blocks):
         name = _plain(effect)
-        if effect.id not in NUMBERS or f"{name} within" in hidden:
+        if effect.id not in RATIO_EFFECTS or f"{name} within" in hidden:
             continue
         (ratio,) = effect.parameters
-        signature = (problem.residual((*found.claims, Claim(effect, {ratio.name: 1.01}))) - found.residual) * weight
+        signature = (
+            problem.residual((*found.claims, EffectHypothesis(effect, {ratio.name: 1.01}))) - found.residual
+        ) * weight
         own = orthogonal(columns, signature)
         power = max(float(own @ own), 1e-300)
         off = 0.01 * (abs(float(own @ left)) / power + QUANTILE * inflation / power**0.5)
         if off < PRACTICAL_SHARE:
-            said.append(f"{name} within {100.0 * max(off, ratio.smallest):.2g} %")
+            said.append(f"{name} within {100.0 * max(off, ratio.smallest_reported):.2g} %")
     return f"confirmed of the bench file, each if the others hold: {', '.join(said)}" if said else ""
 
 
@@ -128,10 +130,10 @@ def undetectable_note(problem: Problem, found: Fit, library: Sequence[Effect], t
 
     `threshold`: evidence in units of BIC that a claim needs beyond the penalty of its parameters.
     """
-    if problem.thinner is None:
+    if problem.half_rows is None:
         return ""
     weight = problem.weight(found.residual)
-    change = problem.change(found.claims) * weight
+    change = problem.half_rows_change(found.claims) * weight
     limits: dict[str, tuple[float, str]] = {}
     absent = set(MEASURED).difference(*(model.channels for model in problem.models))
     for effect in eligible_effects(library, found.claims, problem.blocks):
@@ -148,15 +150,15 @@ def undetectable_note(problem: Problem, found: Fit, library: Sequence[Effect], t
 
 
 def _plain(effect: Effect) -> str:
-    return " ".join(cause(effect)).replace("=", " ").replace("_", " ")
+    return " ".join(cause_key(effect)).replace("=", " ").replace("_", " ")
 
 
 def _least(
     problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray, price: float
 ) -> tuple[float, str]:
     """Detection limit as a multiple of a probe, and in words if it is large: ` under 0.4 kg`, ` at any size`."""
-    start = {one.name: one.probes[min(probe, len(one.probes) - 1)] for one in effect.parameters}
-    signature = (problem.residual((*found.claims, Claim(effect, start))) - found.residual) * weight
+    start = {one.name: one.start_values[min(probe, len(one.start_values) - 1)] for one in effect.parameters}
+    signature = (problem.residual((*found.claims, EffectHypothesis(effect, start))) - found.residual) * weight
     power = float(signature @ signature)
     if power <= 0.0:
         return np.inf, " at any size"
@@ -165,7 +167,7 @@ def _least(
     if main is None:
         return share, " at any size" if share > 1.0 else ""
     size = share * abs(start[main.name] - main.neutral)
-    if size <= 10.0 * main.smallest:  # smaller limits are not listed
+    if size <= 10.0 * main.smallest_reported:  # smaller limits are not listed
         return share, ""
     unit, factor = ("%", 100.0) if main.unit == "-" else display_unit(main.unit)
     return share, f" {'under' if main.neutral == 0.0 else 'within'} {size * factor:.2g} {unit}"

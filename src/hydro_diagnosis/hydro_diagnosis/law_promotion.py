@@ -69,7 +69,7 @@ class ParameterAgreement:
 def parameter_agreements(found: Sequence[LawEstimate]) -> list[ParameterAgreement]:
     """Return the agreement of each parameter of the law, in the law's order."""
     agreed = []
-    for name, unit in units(found[0].law).items():
+    for name, unit in law_units(found[0].law).items():
         estimates = [one.estimates[name] for one in found]
         known = [(one.value, *one.ci95) for one in estimates if one.ci95]
         if len(known) < 2:
@@ -102,9 +102,9 @@ class LawEstimate:
     """Estimates by name of the law's parameter."""
 
 
-def units(law: Law) -> dict[str, str]:
+def law_units(law: Law) -> dict[str, str]:
     """Units of a law's parameters, by name."""
-    return {"coefficient": law.unit, **{number.name: number.unit for number in law.numbers}}
+    return {"coefficient": law.unit, **{one.name: one.unit for one in law.shape_parameters}}
 
 
 def law_estimates(reports: Sequence[str | Path], form: str | None = None) -> list[LawEstimate]:
@@ -159,10 +159,10 @@ def _laws(report: str, content: Mapping[str, Any]) -> dict[tuple[str, str], LawE
     found = {}
     for closure in laws:
         written, terms = str(closure["expression"]).partition(" * ")[2], closure["terms"]
-        for law in (*grammar.LAWS, *grammar.ROUNDED):
+        for law in (*grammar.LAWS, *grammar.LAWS_WITH_REVERSAL_VELOCITY):
             same = law.equation == closure["equation"] and law.names == tuple(terms)
             same = same and (law.equation != "sensor" or law.sentence == closure["sentence"])  # says whose sensor it is
-            further = f", {law.numbers[0].name} = " if law.numbers else ""
+            further = f", {law.shape_parameters[0].name} = " if law.shape_parameters else ""
             if same and (written == law.text or (further and written.startswith(law.text + further))):
                 numbers = {name: ParameterEstimate(**one) for name, one in terms.items()}
                 found[law.equation, law.form] = LawEstimate(report, law, numbers)
@@ -219,7 +219,7 @@ def grow(chosen: argparse.Namespace) -> int:
          "unit": ""},
         title=f"{law.form} ({law.equation}): {law.text}",
     )  # fmt: skip
-    for name, unit in units(law).items():
+    for name, unit in law_units(law).items():
         for one in found:
             estimate = one.estimates[name]
             low, high = estimate.ci95 or (nan, nan)

@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Size:
+class BenchScales:
     """Scales of a bench: force, pressure, length and current."""
 
     force: Annotated[float, quantity("N", 1e-3, 1e7)]
@@ -30,7 +30,7 @@ class Size:
     """At which the valve saturates."""
 
     @classmethod
-    def of_bench(cls, bench: Mapping[str, Any]) -> Size:
+    def of_bench(cls, bench: Mapping[str, Any]) -> BenchScales:
         """Return the size of a bench from its parameters; the force is 3/32 of piston area times supply pressure."""
         return cls(
             force=bench["piston_area"] * bench["supply_pressure"] * 0.09375,
@@ -40,7 +40,7 @@ class Size:
         )
 
     @classmethod
-    def of_known_bench(cls, bench: Mapping[str, Any] | None) -> Size | None:
+    def of_known_bench(cls, bench: Mapping[str, Any] | None) -> BenchScales | None:
         """Return the size of a bench from a box's bench file; None if the file is unknown or incomplete."""
         try:
             return None if bench is None else cls.of_bench(bench)
@@ -48,7 +48,7 @@ class Size:
             return None
 
 
-def rescale(settings: T, before: Size, after: Size) -> T:
+def rescale(settings: T, before: BenchScales, after: BenchScales) -> T:
     """Return settings scaled from a bench of size `before` to a similar one of size `after`, each value by its unit."""
     force, length = after.force / before.force, after.length / before.length
     current, pressure = after.current / before.current, after.pressure / before.pressure
@@ -60,7 +60,7 @@ def rescale(settings: T, before: Size, after: Size) -> T:
     changed: dict[str, Any] = {}
     for name, setting in describe(type(settings)).items():
         value = getattr(settings, name)
-        if isinstance(value, Size):
+        if isinstance(value, BenchScales):
             changed[name] = after
         elif is_dataclass(value):
             changed[name] = rescale(value, before, after)

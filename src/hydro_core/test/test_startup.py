@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import hydro_core
-from hydro_core.process.start import copied_workspace, missing_working_directory
+from hydro_core.process.startup import copied_workspace, missing_working_directory
 
 ROOT = Path(str(hydro_core.__file__)).resolve().parents[3]
 
@@ -44,7 +44,7 @@ def test_a_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pytest.Monke
 def test_a_pipe_gets_each_line_as_it_is_printed(tmp_path: Path) -> None:
     """Seen: commission was silent until its end where somebody else read its output."""
     (tmp_path / "slow.py").write_text("import sys\ndef main():\n    print('begun')\n    sys.stdin.readline()\n")
-    words = [sys.executable, "-c", "from hydro_core.process.start import main_of; main_of.slow()"]
+    words = [sys.executable, "-c", "from hydro_core.process.startup import main_of; main_of.slow()"]
     paths = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
     env = {**os.environ, "PYTHONPATH": paths, "PYTHONUNBUFFERED": ""}
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env) as running:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a bench file and of the force law's bench, and the region's states, for a statement."""
+"""Parameters of a bench file and of the force law's bench, and the states of a certified region."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ import numpy as np
 from hydro_core.signals import FloatArray
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 from hydro_filter.model.terms import LOAD_CELL_LAG, VALVE_LAG, dry_friction, parameters_of, valve_overlap
-from hydro_filter.region.statement import Bounds
+from hydro_filter.region.certified_region import Bounds
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects import catalogue, numbers
+from hydro_sim.model.effects import catalogue, parameter_corrections
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 from hydro_sim.model.sensors import Sensors
 
 SUPPORTED_EFFECTS = (
     "valve_lag", "sensor_lag sensor=load_force", "leakage_internal", "bulk_modulus", "valve_gain", "valve_offset",
     "friction_coulomb", "friction_coulomb form=directional", "friction_stribeck", "friction_presliding",
-    "valve_deadband", "valve_deadband form=lopsided", "force_offset", *(effect.id for effect in numbers.EFFECTS),
+    "valve_deadband", "valve_deadband form=lopsided", "force_offset",
+    *(effect.id for effect in parameter_corrections.EFFECTS),
 )  # fmt: skip
 """Effects that the proof supports: lags, leakage, disturbances, null shifts, corrections of the bench's parameters."""
 
 
-def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict[str, float]]:
+def bench_parameters(model: Bench, bench: Bench) -> tuple[dict[str, float], dict[str, float]]:
     """Return the parameters of a bench file and of the force law's bench by name, SI units; bandwidths in Hz.
 
     Raises ValueError: the file has an effect that the proof does not support, or lacks one that it needs.
@@ -46,12 +47,12 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
     if not cell["bandwidth"]:
         raise ValueError("the proof needs the load cell's bandwidth in the bench file")
     record = model.constants()[0]
-    facts = {name: float(record[name]) for name in record.dtype.names}
+    values = {name: float(record[name]) for name in record.dtype.names}
     for name in ("bulk_modulus", "valve_gain"):  # their corrections are terms of the model, not in `constants`
-        facts[name] *= found.get(name, {}).get("ratio", 1.0)
+        values[name] *= found.get(name, {}).get("ratio", 1.0)
     overlap = valve_overlap(model)
     ours = {
-        name: facts[name]
+        name: values[name]
         for name in (
             "bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure", "valve_gain",
             "dead_volume_a", "dead_volume_b", "moving_mass", "viscous_friction", "spring_stiffness",
@@ -65,7 +66,7 @@ def bench_numbers(model: Bench, believed: Bench) -> tuple[dict[str, float], dict
         "overlap": max(overlap["back"], overlap["out"]), "dead_time": catalogue.total_delay(model.effects),
         "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
     }  # fmt: skip
-    record = believed.constants()[0]
+    record = bench.constants()[0]
     law = {
         name: float(record[name])
         for name in ("bulk_modulus", "supply_pressure", "valve_gain", "dead_volume_a", "dead_volume_b")
@@ -89,7 +90,7 @@ def region_states(bench: Mapping[str, float], x: FloatArray, valve: FloatArray) 
     Parameters
     ----------
     bench
-        Parameters of the bench file (`bench_numbers`).
+        Parameters of the bench file (`bench_parameters`).
     x
         Measured states, shape (n, 8).
     valve

@@ -15,8 +15,8 @@ from hydro_diagnosis.cli import run
 from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.report_json import EffectReport, ParameterEstimate, Rival
+from hydro_diagnosis.simulator_comparison import differences, indistinct, sentences
 from hydro_diagnosis.stage_bar import SEARCHING
-from hydro_diagnosis.twin import differences, indistinct, sentences
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment

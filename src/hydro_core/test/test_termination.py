@@ -15,7 +15,7 @@ from tests.checks import ran
 
 BEGINNING = """
 import os, signal, sys, time
-from hydro_core.process import endings
+from hydro_core.process import termination
 from hydro_core.cli.console import command
 
 def me(number):
@@ -40,8 +40,8 @@ def test_a_signal_unwinds_the_command_and_is_its_status_and_putting_in_order_is_
         me(signal.{name})
         time.sleep(10)
     finally:
-        with endings.signals_ignored():
-            for number in endings.SIGNALS:
+        with termination.signals_ignored():
+            for number in termination.SIGNALS:
                 me(number)
             print("put in order")
 """
@@ -84,7 +84,7 @@ def test_an_exception_that_compiled_code_drops_comes_again_but_not_into_the_clea
     try:
         try:
             me(signal.SIGTERM)  # as PyObject_HasAttr and PyDict_GetItem do with an exception of Python code below them
-        except endings.Terminated:
+        except termination.Terminated:
             pass
         time.sleep(10)
     finally:

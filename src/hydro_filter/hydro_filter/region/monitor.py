@@ -13,8 +13,8 @@ import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 from hydro_filter.model.sample import Sample
-from hydro_filter.region.facts import STATES, region_states
-from hydro_filter.region.statement import CertifiedRegion
+from hydro_filter.region.certified_region import CertifiedRegion
+from hydro_filter.region.parameters import STATES, region_states
 
 ROUNDING = 1e-9
 """Relative tolerance of the bounds, for rounding."""
@@ -24,7 +24,7 @@ class RegionViolation(NamedTuple):
     """Quantity outside of its certified range."""
 
     name: str
-    """A state of `facts.STATES`, velocity_compensation, proportional_gain, or gain_rate."""
+    """A state of `parameters.STATES`, velocity_compensation, proportional_gain, or gain_rate."""
     value: float
     low: float
     high: float
@@ -36,11 +36,11 @@ class RegionViolation(NamedTuple):
 class RegionMonitor:
     """Checks samples of one bench against its certified regions.
 
-    `statements`: by whether they are of the compensated law. `closing`: current [A] that closes the valve.
+    `regions`: by whether they are of the compensated law. `closing`: current [A] that closes the valve.
     """
 
-    def __init__(self, statements: Mapping[bool, CertifiedRegion], closing: float) -> None:
-        self._statements, self._closing = statements, closing
+    def __init__(self, regions: Mapping[bool, CertifiedRegion], closing: float) -> None:
+        self._regions, self._closing = regions, closing
         self._gain: float | None = None  # of the step before
 
     def reset(self) -> None:
@@ -53,18 +53,18 @@ class RegionMonitor:
         Call once a policy step. `opening`, `opening_rate`: of the valve at the sample, as the filter has them [A, A/s].
         """
         before, self._gain = self._gain, sample.proportional_gain
-        region = self._statements.get(sample.compensated)
+        region = self._regions.get(sample.compensated)
         if region is None:
             return None
         valve = np.array([[opening, opening_rate, sample.nominal_current - self._closing]])
         states = region_states(region.bench, sample.state[np.newaxis], valve)[0]
-        numbers = [(name, float(value), *region.states[name]) for name, value in zip(STATES, states, strict=True)]
-        numbers.append(("velocity_compensation", sample.law_inputs[2], *region.velocity_compensation))
-        numbers.append(("proportional_gain", sample.proportional_gain, *region.proportional_gain))
+        quantities = [(name, float(value), *region.states[name]) for name, value in zip(STATES, states, strict=True)]
+        quantities.append(("velocity_compensation", sample.law_inputs[2], *region.velocity_compensation))
+        quantities.append(("proportional_gain", sample.proportional_gain, *region.proportional_gain))
         if before is not None:
             rate = (sample.proportional_gain - before) / (SAMPLES_PER_STEP * SAMPLE_PERIOD)
-            numbers.append(("gain_rate", rate, -region.gain_rate, region.gain_rate))
-        for name, value, low, high in numbers:
+            quantities.append(("gain_rate", rate, -region.gain_rate, region.gain_rate))
+        for name, value, low, high in quantities:
             slack = ROUNDING * max(abs(low), abs(high))
             if not low - slack <= value <= high + slack:
                 return RegionViolation(name, value, low, high)

@@ -17,10 +17,10 @@ import pytest
 from hydro_core.errors import UserError
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure.admission import AdmittedClosure, closure_reports
-from hydro_diagnosis.effects import Claim
+from hydro_diagnosis.effects import EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.growing import law_estimates, parameter_agreements
+from hydro_diagnosis.law_promotion import law_estimates, parameter_agreements
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
@@ -35,7 +35,7 @@ def entry(law: Law | Table, **values: float) -> dict[str, Any]:
     effect = closure(law, Bench.nominal())
     sizes = {one.name: values.get(one.name, 1.0) for one in effect.parameters}
     bounds = [Interval(size, *sorted((0.99 * size, 1.01 * size)), identifiable=True) for size in sizes.values()]
-    fit: Any = SimpleNamespace(fit=SimpleNamespace(claims=[Claim(effect, sizes)]))
+    fit: Any = SimpleNamespace(fit=SimpleNamespace(claims=[EffectHypothesis(effect, sizes)]))
     (found,) = closure_reports(AdmittedClosure(fit, {}, 1.0, {}), bounds)
     return asdict(found)
 
@@ -54,7 +54,7 @@ def test_a_report_says_which_law_it_holds(tmp_path: Path) -> None:
         folders = [report(tmp_path / str(number) / name, entry(law)) for name in "ab"]
         assert [one.law for one in law_estimates(folders)] == [law, law]
 
-    laws = (*grammar.LAWS[::3], *grammar.ROUNDED[::3])
+    laws = (*grammar.LAWS[::3], *grammar.LAWS_WITH_REVERSAL_VELOCITY[::3])
     each(enumerate(laws), check, lambda case: f"{case[1].equation} {case[1].form}")
 
 
@@ -162,7 +162,7 @@ def test_a_grown_effect_that_cannot_be_read_ends_in_one_sentence(tmp_path: Path,
     broken = tmp_path / "broken.yaml"
     broken.write_text(source)
     environment = {**os.environ, "HYDRO_EFFECTS": str(tmp_path)}
-    started = "import sys\nfrom hydro_core.process.start import main_of\nsys.exit(main_of.hydro_diagnosis.cli())"
+    started = "import sys\nfrom hydro_core.process.startup import main_of\nsys.exit(main_of.hydro_diagnosis.cli())"
     done = ran(sys.executable, "-c", started, "nothing.csv", "--out", tmp_path / "report", env=environment)
     (sentence,) = done.stderr.strip().splitlines()
     assert done.returncode == 2

@@ -14,9 +14,9 @@ from functools import cache
 
 import numpy as np
 
-from hydro_diagnosis.bench_numbers import lacks, numbers, with_known
+from hydro_diagnosis.bench_parameters import bench_parameter_names, is_missing, with_known_values
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import Claim, Effect, with_values
+from hydro_diagnosis.effects.base import Effect, EffectHypothesis, with_values
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import InputError, Segment
@@ -34,11 +34,11 @@ def estimable() -> dict[str, Effect]:
     found: dict[str, Effect] = {}
     for effect in LIBRARY:
         adapted = effect.adapted(bench)
-        settled = adapted.write_into_bench(bench, {one.name: one.probes[0] for one in adapted.parameters})
-        moved = [name for name in numbers() if getattr(settled, name) != getattr(bench, name)]
+        settled = adapted.write_into_bench(bench, {one.name: one.start_values[0] for one in adapted.parameters})
+        moved = [name for name in bench_parameter_names() if getattr(settled, name) != getattr(bench, name)]
         if len(moved) == 1:
             found.setdefault(moved[0], effect)
-    return {name: found[name] for name in numbers() if name in found}
+    return {name: found[name] for name in bench_parameter_names() if name in found}
 
 
 def require_estimable(names: Collection[str]) -> None:
@@ -46,38 +46,40 @@ def require_estimable(names: Collection[str]) -> None:
     for name in names:
         if name not in estimable():
             why = "cannot be estimated: nothing stands for it"
-            why = why if name in numbers() else "is not a number of a bench file"
+            why = why if name in bench_parameter_names() else "is not a number of a bench file"
             raise InputError(f"estimate: {name!r} {why}; those that can be are {', '.join(estimable())}")
 
 
-def estimated_claims(bench: Bench, names: Collection[str]) -> tuple[Claim, ...]:
+def estimated_claims(bench: Bench, names: Collection[str]) -> tuple[EffectHypothesis, ...]:
     """Return claims that represent errors of these bench parameters, at their neutral values."""
     claims = []
     for name in names:
         effect = replace(estimable()[name].adapted(bench), estimated=True)
-        claims.append(Claim(effect, {one.name: one.neutral for one in effect.parameters}))
+        claims.append(EffectHypothesis(effect, {one.name: one.neutral for one in effect.parameters}))
     return tuple(claims)
 
 
-def starting_bench(segments: Sequence[Segment], bench: Bench, baseline: Sequence[Claim], names: Sequence[str]) -> Bench:
+def starting_bench(
+    segments: Sequence[Segment], bench: Bench, baseline: Sequence[EffectHypothesis], names: Sequence[str]
+) -> Bench:
     """Return the bench with start values of these parameters, estimated from the recordings and marked as known.
 
     `baseline`: effects that the bench file contains already.
     """
-    if not any(lacks(bench, name) for name in names):
+    if not any(is_missing(bench, name) for name in names):
         return bench  # a fit without the causes, not known yet, would leave the given values
     share = min(12.0 / sum(len(one) * one.step for one in segments), 1.0)  # of each segment, 12 s in all
     short = [one.cut(0, max(round(share * len(one)), min(len(one), round(2.0 / one.step)))) for one in segments]
     tried = []
     for size in (1.0, 0.1, 10.0):  # start sizes of parameters not given, as multiples of the stand-in
         tried.append(_iterate_bench(short, _start(bench, names, size, short), baseline, names))
-        if not tried[-1][1].noticeable(tried[-1][2].residual):
+        if not tried[-1][1].has_excess(tried[-1][2].residual):
             break
     return min(tried, key=lambda one: _physical_deviance(one[1], one[2]))[0]
 
 
 def _iterate_bench(
-    segments: Sequence[Segment], bench: Bench, baseline: Sequence[Claim], names: Sequence[str]
+    segments: Sequence[Segment], bench: Bench, baseline: Sequence[EffectHypothesis], names: Sequence[str]
 ) -> tuple[Bench, Problem, Fit]:
     """Return bench, problem and fit once the parameters have converged within 1 %."""
     taken = {estimable()[name].id for name in names}
@@ -85,7 +87,9 @@ def _iterate_bench(
         problem = Problem(segments, bench, baseline, estimated=estimated_claims(bench, names))
         others = [one.adapted(bench) for one in LIBRARY if one.label in JOINT_EFFECTS and one.id not in taken]
         others = [one for one in others if one.blocks & set(problem.blocks)]
-        found = fit(problem, [Claim(one, {each.name: each.neutral for each in one.parameters}) for one in others])
+        found = fit(
+            problem, [EffectHypothesis(one, {each.name: each.neutral for each in one.parameters}) for one in others]
+        )
         before = np.array([getattr(bench, name) for name in names])
         for claim in found.claims:
             if claim.effect.estimated:
@@ -97,20 +101,20 @@ def _iterate_bench(
 
 
 def _start(bench: Bench, names: Collection[str], size: float, segments: Sequence[Segment]) -> Bench:
-    values = {name: getattr(bench, name) * (1.0 if not lacks(bench, name) else size) for name in names}
-    if "supply_pressure" in values and lacks(bench, "supply_pressure"):
+    values = {name: getattr(bench, name) * (1.0 if not is_missing(bench, name) else size) for name in names}
+    if "supply_pressure" in values and is_missing(bench, "supply_pressure"):
         values["supply_pressure"] = 1.1 * max(
             float(segment.channels[name].max())
             for segment in segments
             for name in ("pressure_a", "pressure_b")
             if name in segment.channels
         )
-    if "area_ratio" in values and lacks(bench, "area_ratio"):
+    if "area_ratio" in values and is_missing(bench, "area_ratio"):
         values["area_ratio"] = bench.area_ratio
-    if "spring_rest_position" in values and lacks(bench, "spring_rest_position"):
+    if "spring_rest_position" in values and is_missing(bench, "spring_rest_position"):
         values["spring_rest_position"] = float(np.mean([np.mean(one.channels["piston_position"]) for one in segments]))
     inside = with_values(bench, **values)
-    return with_known(inside, **{name: getattr(inside, name) for name in names})
+    return with_known_values(inside, **{name: getattr(inside, name) for name in names})
 
 
 def _physical_deviance(problem: Problem, found: Fit) -> float:

@@ -43,7 +43,7 @@ def compare_reports(bench: Report, simulator: Report) -> Report:
         alike.append(f"terms without a name were found on the {' and in the '.join(unnamed)}: they are not compared")
     estimates = {one.name: one for one in simulator.estimated}
     for one in bench.estimated:
-        if (number := _number(one, estimates.get(one.name))).tells and number.simulated is not None:
+        if (number := _number(one, estimates.get(one.name))).is_significant and number.simulated is not None:
             unit, factor = display_unit(one.unit)
             alike.append(
                 f"{one.name} is estimated as {factor * one.value:.5g} {unit} from the bench's recordings and "
@@ -68,7 +68,7 @@ def differences(real: Sequence[EffectReport], simulated: Sequence[EffectReport])
         one, two = (side[place].parameters if place in side else {} for side in (own, other))
         numbers = {name: _number(one.get(name), two.get(name)) for name in one | two}
         only_in = "real" if not two else "simulated" if not one else None
-        if any(number.tells for number in numbers.values()):
+        if any(number.is_significant for number in numbers.values()):
             place_of = {"id": effect.id, "equation": effect.equation, "options": effect.options}
             found.append(Difference(**place_of, parameters=numbers, only_in=only_in))  # type: ignore[arg-type]
     return sorted(found, key=lambda difference: difference.only_in or "s")  # real, both, simulated
@@ -129,7 +129,7 @@ def sentences(found: Sequence[Difference]) -> list[str]:
                 value = number.real if number.simulated is None else number.simulated
                 where = "" if one.only_in else f" {'on the bench' if number.simulated is None else 'in the simulator'}"
                 words.append(f"{name} = {(value or 0.0) * factor:.5g} {unit}".rstrip() + where)
-            elif number.tells and number.ci95 is not None:
+            elif number.is_significant and number.ci95 is not None:
                 numbers = (number.real, number.simulated, number.difference, *number.ci95)
                 real, simulated, apart, low, high = (factor * (each or 0.0) for each in numbers)
                 words.append(

@@ -8,19 +8,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
-from hydro_bridge.plant_clock import Pace, PaceSettings
+from hydro_bridge.plant_clock import LockStep, LockStepSettings
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_core.clock import HostClock
 from hydro_core.signals import Flag, flag_names
 
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 
 
 class PlantInterface(ABC):
     """Plant behind a plant node: arming, commands by the guard, and time stamps of its samples.
 
     `guard`: source of all commands. `log`, `warn`: loggers of changes and of faults; `warn` is `log` by default.
-    `pace`: lock-step of plant and graph.
+    `lock_step`: lock-step of plant and graph.
     """
 
     absence_reason = ""
@@ -28,15 +28,17 @@ class PlantInterface(ABC):
     no_sample_message = ""
     """Reason why a present plant sends no samples; empty: it sends them."""
 
-    def __init__(self, guard: CommandGuard, log: Say, warn: Say | None = None, pace: Pace | None = None) -> None:
-        self.guard, self.pace = guard, pace or Pace(PaceSettings(), log)
+    def __init__(
+        self, guard: CommandGuard, log: Log, warn: Log | None = None, lock_step: LockStep | None = None
+    ) -> None:
+        self.guard, self.lock_step = guard, lock_step or LockStep(LockStepSettings(), log)
         self.lock = threading.Lock()
         """Lock of the guard."""
         self.flags = self.samples = 0
         """Flags of the last sample; number of samples."""
         self.host_clock = HostClock()
         self._log, self._warn = log, warn or log
-        self._news, self._asked = threading.Condition(), False
+        self._flags_condition, self._awaiting = threading.Condition(), False
 
     @property
     @abstractmethod
@@ -53,8 +55,8 @@ class PlantInterface(ABC):
         """Time [s] by which commands and leases age: the host's monotonic clock, or the plant's own."""
 
     @abstractmethod
-    def send(self, corrects: int | None = None) -> None:
-        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
+    def send(self, corrected: int | None = None) -> None:
+        """Send the guard's present command; `corrected` is the sample whose correction has just arrived."""
 
     def status(self) -> Any:
         """Return the status for /diagnostics, without flags and guard counts."""
@@ -82,12 +84,12 @@ class PlantInterface(ABC):
             return bool(self.absence_reason) or self._confirms(arm, before)
 
         if self.paced:
-            confirmed = self.pace.run_until(done)
+            confirmed = self.lock_step.run_until(done)
         else:
-            with self._news:
-                self._asked = True  # wake up at each sample
-                confirmed = self._news.wait_for(done, timeout)
-                self._asked = False
+            with self._flags_condition:
+                self._awaiting = True  # wake up at each sample
+                confirmed = self._flags_condition.wait_for(done, timeout)
+                self._awaiting = False
         if self.absence_reason:
             return "the box has gone while it was to be armed: it is not armed" if arm else ""
         if confirmed:
@@ -102,11 +104,11 @@ class PlantInterface(ABC):
         """Return whether the last sample confirms an arming or disarming requested after `before` samples."""
         return bool(self.flags & Flag.ARMED) == arm
 
-    def _show(self, flags: int) -> None:
+    def _update_flags(self, flags: int) -> None:
         changed, self.flags = flags ^ self.flags, flags
-        if changed & (Flag.ARMED | Flag.TRIPPED) or self._asked:
-            with self._news:
-                self._news.notify_all()
+        if changed & (Flag.ARMED | Flag.TRIPPED) or self._awaiting:
+            with self._flags_condition:
+                self._flags_condition.notify_all()
 
     def _ros_time(self, monotonic_ns: int) -> int:
         """Return the ROS time [ns] of a monotonic time [ns], after a check whether the host's clock was set."""

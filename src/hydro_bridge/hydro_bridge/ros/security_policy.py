@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of rights as a policy of SROS2, for `ros2 security` (network.md).
 
-python -m hydro_bridge.ros.policy FILE
+python -m hydro_bridge.ros.security_policy FILE
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def policy_xml() -> bytes:
 @command()
 def main() -> None:
     """Entry point."""
-    parser = make_parser("policy", __doc__)
+    parser = make_parser("security_policy", __doc__)
     parser.add_argument("file", type=writable_file, metavar="FILE", help="to write")
     write_atomic(Path(parser.parse_args().file), policy_xml())
 

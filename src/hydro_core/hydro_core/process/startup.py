@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start-up of all executables, before slow imports.
 
-In a package's setup.py: "trainer = hydro_core.process.start:main_of.hydro_policy.nodes.trainer"
+In a package's setup.py: "trainer = hydro_core.process.startup:main_of.hydro_policy.nodes.trainer"
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 
 from hydro_core.errors import UserError
-from hydro_core.process import endings
+from hydro_core.process import termination
 
 RMW = "RMW_IMPLEMENTATION"
 _INDEX = "share/ament_index/resource_index/rmw_typesupport"
@@ -68,24 +68,25 @@ class LazyMain:
     def __call__(self) -> int | None:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         # Importing takes seconds, and a traceback would not help the user.
-        endings.install_handlers(endings.exit_during_startup)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, endings.SIGNALS)  # blocked in a companion process until here
+        termination.install_handlers(termination.exit_during_startup)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, termination.SIGNALS)  # blocked in a companion process until here
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
         if trouble := missing_working_directory() or copied_workspace() or missing_middleware():
-            endings.print_error(trouble)
+            termination.print_error(trouble)
             return 2
         try:
             status: int | None = import_module(self._module).main()
             return status
         except UserError as error:  # in a user's file read during the import, such as an effect
-            endings.print_error(str(error))
+            termination.print_error(str(error))
         except ModuleNotFoundError as error:
             if (error.name or "").partition(".")[0] not in _ROS:
                 raise
-            endings.print_error(f"this command is a ROS 2 node, and there is no {error.name} here: source a workspace")
+            missing = f"there is no {error.name} here: source a workspace"
+            termination.print_error(f"this command is a ROS 2 node, and {missing}")
         finally:  # clean-up is complete, and Python's shutdown is not to be interrupted
-            endings.install_handlers(signal.SIG_DFL)
+            termination.install_handlers(signal.SIG_DFL)
         return 2
 
 

@@ -21,8 +21,8 @@ from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effe
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
-SPRING = ("spring_stiffness", "spring_rest_position")
-OPTIONAL_NUMBERS = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
+SPRING_PARAMETERS = ("spring_stiffness", "spring_rest_position")
+OPTIONAL_PARAMETERS = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
 """Optional parameters of a bench, with their values if not given."""
 _STAND_INS = {"stroke": 5.0, "valve_current_max": 10.0}
 """Stand-in values that no recording reaches; those of other parameters are the nominal bench's."""
@@ -37,16 +37,16 @@ class PartialBench(Bench):
     unknown: frozenset[str] = frozenset()
     """Parameters that have stand-in values."""
     absent: frozenset[str] = frozenset()
-    """Parameters of `OPTIONAL_NUMBERS` that were not given: the bench has none, unless a diagnosis names some."""
+    """Parameters of `OPTIONAL_PARAMETERS` that were not given: the bench has none, unless a diagnosis names some."""
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the known parameters by key."""
-        still = {name for name in self.absent if getattr(self, name) == OPTIONAL_NUMBERS[name]}
+        still = {name for name in self.absent if getattr(self, name) == OPTIONAL_PARAMETERS[name]}
         hidden = {"unknown", "absent", *self.unknown, *still}
         return {key: value for key, value in super().to_mapping().items() if key not in hidden}
 
 
-def knows(bench: Bench, *names: str) -> bool:
+def is_known(bench: Bench, *names: str) -> bool:
     """Return whether these parameters of a bench are known, not stand-ins."""
     return not (isinstance(bench, PartialBench) and bench.unknown & set(names))
 
@@ -56,12 +56,12 @@ def has_spring(bench: Bench) -> bool:
     return bench.spring_stiffness > 0.0
 
 
-def lacks(bench: Bench, name: str) -> bool:
+def is_missing(bench: Bench, name: str) -> bool:
     """Return whether a parameter is not given by the bench file."""
     return isinstance(bench, PartialBench) and name in bench.unknown | bench.absent
 
 
-def with_unknown(bench: Bench, names: Collection[str]) -> Bench:
+def mark_unknown(bench: Bench, names: Collection[str]) -> Bench:
     """Return the bench with these parameters marked as unknown: their values are stand-ins."""
     if not names:
         return bench
@@ -73,7 +73,7 @@ def read_bench(path: str | Path, estimated: frozenset[str] = frozenset()) -> Ben
     """Read a bench file in which parameters may be missing: a `Bench` if it is complete, else a `PartialBench`.
 
     `path`: bench.yaml or corrected.yaml. `estimated`: parameters to be estimated; those not given, even if in
-    `OPTIONAL_NUMBERS`, are unknown rather than absent. Raises ValueError: as `Bench.load`.
+    `OPTIONAL_PARAMETERS`, are unknown rather than absent. Raises ValueError: as `Bench.load`.
     """
     content = read_yaml(path)
     try:
@@ -88,26 +88,30 @@ def parse_bench(content: Mapping[str, Any], estimated: frozenset[str] = frozense
     `estimated` and errors: as of `read_bench`.
     """
     springless = content.get("spring_stiffness") == 0
-    missing = frozenset(name for name in numbers() if name not in content)
+    missing = frozenset(name for name in bench_parameter_names() if name not in content)
     if not missing and not springless:
         return Bench.from_mapping(content)
-    half_a_spring = not springless and any(name in content or name in estimated for name in SPRING)
-    absent = (frozenset(OPTIONAL_NUMBERS) & missing) - estimated - (frozenset(SPRING) if half_a_spring else frozenset())
+    half_a_spring = not springless and any(name in content or name in estimated for name in SPRING_PARAMETERS)
+    absent = (
+        (frozenset(OPTIONAL_PARAMETERS) & missing)
+        - estimated
+        - (frozenset(SPRING_PARAMETERS) if half_a_spring else frozenset())
+    )
     stand_ins = {**Bench.nominal().to_mapping(), **_STAND_INS, **dict.fromkeys(absent, 1.0)}
     whole = Bench.from_mapping(
         {**{name: stand_ins[name] for name in missing}, **content, **({"spring_stiffness": 1.0} if springless else {})}
     )
     values = {entry.name: getattr(whole, entry.name) for entry in fields(whole)}
-    values |= {name: OPTIONAL_NUMBERS[name] for name in absent} | ({"spring_stiffness": 0.0} if springless else {})
+    values |= {name: OPTIONAL_PARAMETERS[name] for name in absent} | ({"spring_stiffness": 0.0} if springless else {})
     return PartialBench(**values, unknown=missing - absent, absent=absent)
 
 
-def numbers() -> tuple[str, ...]:
+def bench_parameter_names() -> tuple[str, ...]:
     """Names of the parameters in a complete bench file, in the order of `Bench`."""
     return tuple(name for name in Bench.quantities() if name != "load_cell_bandwidth")
 
 
-def with_known(bench: Bench, **values: float) -> Bench:
+def with_known_values(bench: Bench, **values: float) -> Bench:
     """Return the bench with these parameters replaced and marked as known."""
     if not isinstance(bench, PartialBench):
         return replace(bench, **values)  # type: ignore[arg-type]
@@ -118,27 +122,27 @@ class UnknownParameterError(Exception):
     """An unknown parameter of a bench was read."""
 
 
-class Guarded:
+class GuardedBench:
     """Proxy of a bench that raises `UnknownParameterError` when an unknown parameter is read."""
 
     def __init__(self, bench: Bench, unknown: frozenset[str]) -> None:
         self._bench, self._unknown = bench, unknown
 
     def __getattr__(self, name: str) -> Any:
-        if name in self._unknown or (name == "valve_gain" and self._unknown & VALVE):
+        if name in self._unknown or (name == "valve_gain" and self._unknown & VALVE_PARAMETERS):
             raise UnknownParameterError(name)
         return getattr(self._bench, name)
 
 
-VALVE = frozenset({"valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop"})
+VALVE_PARAMETERS = frozenset({"valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop"})
 """Parameters that determine the valve gain."""
 
 
-def guard(bench: Bench) -> Bench:
+def guard_unknown(bench: Bench) -> Bench:
     """Return a bench that raises `UnknownParameterError` when a stand-in or an absent parameter is read."""
     if not isinstance(bench, PartialBench):
         return bench
-    return cast(Bench, Guarded(bench, bench.unknown | bench.absent))
+    return cast(Bench, GuardedBench(bench, bench.unknown | bench.absent))
 
 
 @dataclass(frozen=True)
@@ -150,7 +154,7 @@ class EquationRequirement:
     equation: str
     """Name of the equation, as printed."""
     channels: frozenset[str]
-    numbers: tuple[str, ...]
+    parameters: tuple[str, ...]
     """Bench parameters that the equation requires."""
     if_known: str = ""
     """Parameter without which the equation is omitted, rather than the bench file refused."""
@@ -168,7 +172,7 @@ EQUATION_REQUIREMENTS = (
         MOTION, "motion equation", frozenset({"pressure_a", "pressure_b", "piston_position"}),
         ("moving_mass", "piston_area", "area_ratio"), if_known="moving_mass",
     ),
-    EquationRequirement(LOAD, "load equation", frozenset({"load_force", "piston_position"}), SPRING),
+    EquationRequirement(LOAD, "load equation", frozenset({"load_force", "piston_position"}), SPRING_PARAMETERS),
     EquationRequirement(
         HYDRAULIC, "force of the pressures", frozenset({"pressure_a", "pressure_b", "hydraulic_force"}),
         ("piston_area", "area_ratio"),
@@ -176,7 +180,7 @@ EQUATION_REQUIREMENTS = (
 )  # fmt: skip
 
 
-def at_the_rod(channels: Collection[str], bench: Bench) -> bool:
+def load_cell_at_rod(channels: Collection[str], bench: Bench) -> bool:
     """Return whether the load cell is in the motion equation: hydraulic force or pressures recorded, and no spring."""
     driven = {"hydraulic_force"} <= set(channels) or {"pressure_a", "pressure_b"} <= set(channels)
     return {"load_force", "piston_position"} <= set(channels) and driven and not has_spring(bench)
@@ -184,12 +188,12 @@ def at_the_rod(channels: Collection[str], bench: Bench) -> bool:
 
 def available_equations(channels: Collection[str], bench: Bench) -> tuple[EquationRequirement, ...]:
     """Return the equations that the recorded channels make available."""
-    measured = at_the_rod(channels, bench)
+    measured = load_cell_at_rod(channels, bench)
     return tuple(
         one
         for one in EQUATION_REQUIREMENTS
         if one.channels <= set(channels)
-        and (not one.if_known or knows(bench, one.if_known))
+        and (not one.if_known or is_known(bench, one.if_known))
         and not (measured and one.block == LOAD)
     )
 
@@ -201,7 +205,7 @@ def require_equation(channels: Collection[str], bench: Bench, notes: Sequence[st
     ways = dict.fromkeys(
         f"{', '.join(sorted(one.channels - set(channels)))} ({one.equation})"
         for one in sorted(EQUATION_REQUIREMENTS, key=lambda one: len(one.channels - set(channels)))
-        if not one.if_known or knows(bench, one.if_known)
+        if not one.if_known or is_known(bench, one.if_known)
     )
     lost = [note for note in notes if "left out" in note]
     raise InputError(
@@ -211,12 +215,16 @@ def require_equation(channels: Collection[str], bench: Bench, notes: Sequence[st
     )
 
 
-def required_numbers(channels: Collection[str], bench: Bench) -> dict[str, str]:
+def required_parameters(channels: Collection[str], bench: Bench) -> dict[str, str]:
     """Return the bench parameters that the recorded channels require, each with the first equation that needs it."""
     found: dict[str, str] = {}
     for one in available_equations(channels, bench):
-        spring = SPRING if one.block == MOTION and any(not knows(bench, name) for name in SPRING) else ()
-        for name in (*one.numbers, *spring):
+        spring = (
+            SPRING_PARAMETERS
+            if one.block == MOTION and any(not is_known(bench, name) for name in SPRING_PARAMETERS)
+            else ()
+        )
+        for name in (*one.parameters, *spring):
             found.setdefault(name, one.equation)
     return found
 
@@ -225,8 +233,8 @@ def require_parameters(channels: Collection[str], bench: Bench, estimated: Colle
     """Raise `InputError` if required parameters are neither known nor estimated; the message lists all of them."""
     lacking = {
         name: equation
-        for name, equation in required_numbers(channels, bench).items()
-        if lacks(bench, name) and name not in estimated
+        for name, equation in required_parameters(channels, bench).items()
+        if is_missing(bench, name) and name not in estimated
     }
     if not lacking:
         return
@@ -251,7 +259,7 @@ def omission_notes(channels: Collection[str], bench: Bench) -> list[str]:
         for one in EQUATION_REQUIREMENTS
         if one.if_known and one.channels <= set(channels) and one.block not in blocks
     ]
-    if at_the_rod(channels, bench) and MOTION in blocks:
+    if load_cell_at_rod(channels, bench) and MOTION in blocks:
         notes.append("load_force is part of the motion's balance, as measured at the rod: the bench file has no spring")
     absent = [name for name in ("viscous_friction", "spring_stiffness") if name in bench.absent]
     if absent and MOTION in blocks:
@@ -267,7 +275,7 @@ def applies(effect: Effect, bench: Bench) -> bool:
     if effect.equations[:1] == ("load",) and not has_spring(bench):
         return False
     try:
-        effect.adapted(cast(Bench, Guarded(bench, bench.unknown)))
+        effect.adapted(cast(Bench, GuardedBench(bench, bench.unknown)))
     except UnknownParameterError:
         return False
     return True

@@ -119,7 +119,7 @@ class CertifiedRegion:
 
     @classmethod
     def load(cls, path: Path) -> CertifiedRegion:
-        """Read a region's file. Raises ValueError: it is not a region's statement."""
+        """Read a region's file. Raises ValueError: it is not of a region."""
         try:
             return cls.from_mapping(json.loads(path.read_text(encoding="utf-8")))
         except (OSError, KeyError, TypeError, ValueError) as error:

@@ -14,14 +14,14 @@ import yaml
 
 from hydro_core.signals import StateArray
 from hydro_diagnosis import Diagnosis, InputError, diagnose
-from hydro_diagnosis.bench_numbers import (
-    OPTIONAL_NUMBERS,
+from hydro_diagnosis.bench_parameters import (
+    OPTIONAL_PARAMETERS,
     applies,
-    numbers,
+    bench_parameter_names,
     parse_bench,
     read_bench,
     require_parameters,
-    required_numbers,
+    required_parameters,
 )
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY
@@ -104,7 +104,7 @@ def test_number_without_an_effect_is_refused_with_those_that_have_one(name: str,
 
 
 @pytest.mark.slow
-def test_unknown_numbers_of_a_cylinder_beside_a_hidden_leak(tmp_path: Path) -> None:
+def test_unknown_parameters_of_a_cylinder_beside_a_hidden_leak(tmp_path: Path) -> None:
     leak = {"id": "leakage_internal", "parameters": {"coefficient": 1e-12}}
     hidden = {"dead_volume_a": 2.6e-4, "moving_mass": 1.5}
     frame(record(replace(BENCH, **hidden, effects=(leak,)), 7)).to_csv(tmp_path / "run.csv", index=False)
@@ -126,7 +126,7 @@ RIGS = {
 
 
 @pytest.mark.parametrize("rig", RIGS)
-def test_equations_read_the_numbers_that_are_asked_for_and_no_others(rig: str, nominal: StateArray) -> None:
+def test_equations_read_the_parameters_that_are_required_and_no_others(rig: str, nominal: StateArray) -> None:
     def residual(bench: Bench) -> np.ndarray:
         recorded = {name: nominal[name][1000:4000].astype(np.float64) for name in RIGS[rig]}
         noise = dict.fromkeys((*PRESSURES, "hydraulic_force", "load_force", "piston_position", "valve_current"), 1.0)
@@ -136,14 +136,14 @@ def test_equations_read_the_numbers_that_are_asked_for_and_no_others(rig: str, n
         more = {name: 1.1 * getattr(BENCH, name) + 1e5 * (name == "tank_pressure") for name in names}
         return replace(BENCH, **{name: min(one, Bench.quantities()[name].high) for name, one in more.items()})
 
-    asked = set(required_numbers(RIGS[rig], BENCH))
+    asked = set(required_parameters(RIGS[rig], BENCH))
     known = parse_bench({name: getattr(BENCH, name) for name in asked})
     assert np.all(np.isfinite(residual(known)))
     require_parameters(RIGS[rig], known)
-    read = asked | set(OPTIONAL_NUMBERS) if "moving_mass" in asked else asked
+    read = asked | set(OPTIONAL_PARAMETERS) if "moving_mass" in asked else asked
     before = residual(BENCH)
-    assert set(numbers()) - read
-    np.testing.assert_array_equal(residual(moved(set(numbers()) - read)), before)
+    assert set(bench_parameter_names()) - read
+    np.testing.assert_array_equal(residual(moved(set(bench_parameter_names()) - read)), before)
     for name in read:
         assert not np.array_equal(residual(moved([name])), before), name
 
@@ -160,7 +160,7 @@ def test_all_that_is_missing_is_asked_for_at_once() -> None:
         require_parameters(("hydraulic_force", "piston_position", "load_force", *PRESSURES), bench)
 
 
-def test_bench_without_all_numbers_is_one_of_the_diagnosis_alone(tmp_path: Path) -> None:
+def test_bench_without_all_parameters_is_one_of_the_diagnosis_alone(tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text("moving_mass: 95.109\n")
     bench = read_bench(path)
