@@ -27,7 +27,7 @@ def parser(name: str, description: str | None, *, parallel: bool = False) -> arg
 
 
 def results(
-    function: Callable[..., Any], arguments: jobs.Arguments, asked: argparse.Namespace, version: object,
+    function: Callable[..., Any], arguments: jobs.JobArguments, asked: argparse.Namespace, version: object,
     results_file: Path | None = None, **shown: str,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the results of jobs by name, in the order of the names.

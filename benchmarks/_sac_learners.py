@@ -16,7 +16,7 @@ import torch
 from torch import nn
 
 from hydro_core.signals import FloatArray
-from hydro_policy.env import ID
+from hydro_policy.env import ENVIRONMENT_ID
 from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac
@@ -29,7 +29,7 @@ REWARD_SCALE = 0.02
 
 def force_control(seed: int = 0, **options: Any) -> gymnasium.Env[Any, Any]:
     """Return the environment on the learned bench, at the first episode of a seed."""
-    made = gymnasium.make(ID, bench="shipped", **options)
+    made = gymnasium.make(ENVIRONMENT_ID, bench="shipped", **options)
     scaled = gymnasium.wrappers.TransformReward(made, lambda reward: REWARD_SCALE * float(reward))
     scaled.reset(seed=seed)
     return scaled

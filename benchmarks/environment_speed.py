@@ -17,7 +17,7 @@ from benchmarks._report import parser
 from hydro_core.cli.console import Table, command
 from hydro_policy.envs.environment import Environment
 from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.task.mdp import ACTIONS, TaskSettings, events
+from hydro_policy.task.mdp import ACTION_SIZE, TaskSettings, events
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -29,7 +29,7 @@ def fleet(count: int) -> Callable[[], Any]:
     bench, task = Bench.nominal(), TaskSettings()
     environment = Environment(VectorBench([bench] * count, [AnalyticPlant(bench) for _ in range(count)]), task)
     environment.reset([events.reference(task, index, 0) for index in range(count)], list(range(count)))
-    actions = np.zeros((count, ACTIONS))
+    actions = np.zeros((count, ACTION_SIZE))
     return lambda: environment.step(actions)
 
 
@@ -37,12 +37,12 @@ def gymnasium_step(count: int, mode: str) -> Callable[[], Any]:
     """Step of the Gymnasium environment: `make` for one bench, `make_vec` in this mode for several."""
     import gymnasium
 
-    from hydro_policy.env import ID
+    from hydro_policy.env import ENVIRONMENT_ID
 
     if mode == "make":
-        environment = gymnasium.make(ID)
+        environment = gymnasium.make(ENVIRONMENT_ID)
     else:
-        environment = gymnasium.make_vec(ID, num_envs=count, vectorization_mode=mode)
+        environment = gymnasium.make_vec(ENVIRONMENT_ID, num_envs=count, vectorization_mode=mode)
     environment.reset(seed=0)
     actions = 0.0 * environment.action_space.sample()
     return lambda: environment.step(actions)

@@ -17,7 +17,7 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray, Refe
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import vector_runs
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_policy.task.mdp import BASE
+from hydro_policy.task.mdp import BASE_GAINS
 from hydro_sim.emulator.truth.config import profile
 
 RANGES = np.array((300.0, 50.0))
@@ -35,7 +35,7 @@ def rmse(schedules: FloatArray, frequency: float, seed: int) -> FloatArray:
     def controller(samples: FloatArray) -> FloatArray:
         share, phase = np.modf(next(steps) * SAMPLES_PER_STEP * SAMPLE_PERIOD * frequency % 1.0 * PHASES)
         begin, end = schedules[:, int(phase) % PHASES], schedules[:, (int(phase) + 1) % PHASES]
-        return ((1.0 - share) * begin + share * end) * RANGES - BASE
+        return ((1.0 - share) * begin + share * end) * RANGES - BASE_GAINS
 
     return np.nan_to_num(track(controller, len(schedules), frequency, seed), nan=TRIPPED)
 
@@ -85,7 +85,7 @@ def main() -> None:
         best = search(frequency, asked.iterations, asked.seed)
         both = np.stack((np.broadcast_to(START, best.shape), best))
         fixed, scheduled = rmse(both, frequency, asked.seed)
-        law = track(vector_runs.fixed_gains(np.array(BASE)), 1, frequency, asked.seed, Compensator(1))[0]
+        law = track(vector_runs.fixed_gains(np.array(BASE_GAINS)), 1, frequency, asked.seed, Compensator(1))[0]
         other = rmse(best[np.newaxis], frequency, asked.seed + 1)[0]
         table.add(sine=frequency, fixed=fixed, scheduled=scheduled, other=other, law=law)
     table.show(asked.json)

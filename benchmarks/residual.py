@@ -35,11 +35,11 @@ from hydro_bridge.bags.writer import code_version
 from hydro_core.cli.console import Table, command, progress
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
-from hydro_policy.compensation.residual import DELAY, INPUTS, OUTPUTS, STRUCTURE, Network, Residual
+from hydro_policy.compensation.residual import CORRECTION_DELAY, INPUT_COUNT, OUTPUT_COUNT, STRUCTURE, Network, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_policy.task.mdp import BASE
+from hydro_policy.task.mdp import BASE_GAINS
 from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -82,7 +82,7 @@ SCORED = 6000
 SKIPPED = 100
 """Policy steps at the begin of a run on which nothing is trained."""
 SETTINGS = EvaluationSettings(settle=2.0, measure=6.0)
-LAW = vector_runs.fixed_gains(np.array(BASE))
+LAW = vector_runs.fixed_gains(np.array(BASE_GAINS))
 CONTROLLERS = {"compensated": "compensated", "learned": "with the residual"}
 """With their columns of the tables."""
 
@@ -129,7 +129,7 @@ def run(
     if residual is None:
         return Run(error, tripped, np.empty(0), np.empty(0))
     inputs, needed = (np.stack(one, axis=1) for one in zip(*asked, strict=True))
-    pairs = np.stack((needed[:, DELAY:-1], needed[:, DELAY + 1 :]), axis=2)
+    pairs = np.stack((needed[:, CORRECTION_DELAY:-1], needed[:, CORRECTION_DELAY + 1 :]), axis=2)
     return Run(error, tripped, inputs[:, : pairs.shape[1]], pairs)
 
 
@@ -151,14 +151,14 @@ def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
     """Fit a network to the needed corrections of runs, each run's share over its own mean square."""
     torch.manual_seed(seed)
     torch.set_num_threads(1)
-    x = np.concatenate([one.inputs[:, SKIPPED:].reshape(-1, INPUTS) for one in runs])
-    y = np.concatenate([one.needed[:, SKIPPED:].reshape(-1, OUTPUTS) for one in runs])
+    x = np.concatenate([one.inputs[:, SKIPPED:].reshape(-1, INPUT_COUNT) for one in runs])
+    y = np.concatenate([one.needed[:, SKIPPED:].reshape(-1, OUTPUT_COUNT) for one in runs])
     squares = [np.mean(one.needed[:, SKIPPED:, 0] ** 2, axis=1) + 0.1 for one in runs]
     share = np.concatenate([np.repeat(1.0 / one, runs[0].needed.shape[1] - SKIPPED) for one in squares])
     mean, spread = x.mean(0), x.std(0) + 1e-3
     inputs, targets = torch.tensor((x - mean) / spread).clamp(-6.0, 6.0), torch.tensor(y)
     weight = torch.tensor(share.astype(np.float32))[:, None]
-    sizes = (INPUTS, HIDDEN, HIDDEN, OUTPUTS)
+    sizes = (INPUT_COUNT, HIDDEN, HIDDEN, OUTPUT_COUNT)
     parts = [layer for a, b in pairwise(sizes) for layer in (torch.nn.Linear(a, b), torch.nn.SiLU())]
     model = torch.nn.Sequential(*parts[:-1])
     averaged = torch.optim.swa_utils.AveragedModel(
@@ -168,7 +168,7 @@ def fitted(runs: Sequence[Run], steps: int, seed: int) -> Network:
     for step in range(steps):
         optimiser.param_groups[0]["lr"] = RATE * max(1.0 - step / steps, 0.01)
         chosen = torch.randint(len(inputs), (BATCH,))
-        noisy = inputs[chosen] + 0.05 * torch.randn(BATCH, INPUTS)
+        noisy = inputs[chosen] + 0.05 * torch.randn(BATCH, INPUT_COUNT)
         loss = torch.mean(weight[chosen] * (model(noisy) - targets[chosen]) ** 2)
         optimiser.zero_grad()
         loss.backward()

@@ -21,7 +21,7 @@ from hydro_core.cli.console import Table, command
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.change_points import fit_trend
 from hydro_diagnosis.diagnose_many import write_study
-from hydro_diagnosis.trends import NEUTRAL, Series, series_of
+from hydro_diagnosis.trends import PARAMETERS_WITH_NEUTRAL_VALUE, Series, series_of
 
 DAYS = 365
 NUMBERS = {
@@ -64,7 +64,7 @@ def scatter(kind: str, rng: np.random.Generator) -> FloatArray:
 def rows_of(name: str, true: FloatArray, rng: np.random.Generator) -> dict[int, dict[str, Any]]:
     """Rows of parameters.parquet for a number's values by day, where its cause is claimed."""
     sd = NUMBERS[name][0] * np.exp(rng.uniform(np.log(0.5), np.log(2.0), DAYS))
-    value, neutral = true + sd * rng.standard_normal(DAYS), NEUTRAL[name]
+    value, neutral = true + sd * rng.standard_normal(DAYS), PARAMETERS_WITH_NEUTRAL_VALUE[name]
     cause, parameter = name.split(".")
     claimed = np.flatnonzero(np.abs(value - neutral.neutral) > np.maximum(3.0 * sd, neutral.smallest_reported))
     return {

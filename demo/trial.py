@@ -18,7 +18,7 @@ from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.pretraining.configurations import WIDE
+from hydro_policy.pretraining.configurations import WIDE_GAINS
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.emulator.truth.config import load_truth
@@ -106,7 +106,7 @@ class _Watched(OfflineGraph):
     """Keeps the armed samples of the run at `SHOWN`, and the first in which the box tripped."""
 
     def __init__(self, plant: Plant, believed: Bench, seed: int) -> None:
-        guard = GuardSettings(delta_kp_max=WIDE.delta_kp_max, delta_ki_max=WIDE.delta_ki_max)
+        guard = GuardSettings(delta_kp_max=WIDE_GAINS.delta_kp_max, delta_ki_max=WIDE_GAINS.delta_ki_max)
         super().__init__(plant, believed, guard=guard, seed=seed)
         self.seen: list[np.void] = []
 

@@ -21,7 +21,7 @@ from std_srvs.srv import SetBool
 
 from hydro_bridge.ros import topics
 from hydro_bridge.ros.messages import reference_to_message, seconds
-from hydro_bridge.ros.node import DISCOVERY_RANGE, FASTDDS_PROFILES
+from hydro_bridge.ros.node import DISCOVERY_RANGE_VARIABLE, FASTDDS_PROFILES_VARIABLE
 from hydro_bridge.ros.topics import STATE, create_publisher
 from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
@@ -167,8 +167,8 @@ sys.exit(len(heard) < 200)
 @contextmanager
 def listener(reach: str) -> Iterator[subprocess.Popen[bytes]]:
     """A tool of its own process that knows no profile of ours, hears 200 states and ends with 0."""
-    environment = {name: value for name, value in os.environ.items() if name != FASTDDS_PROFILES}
-    process = subprocess.Popen([sys.executable, "-c", LISTEN], env=environment | {DISCOVERY_RANGE: reach})
+    environment = {name: value for name, value in os.environ.items() if name != FASTDDS_PROFILES_VARIABLE}
+    process = subprocess.Popen([sys.executable, "-c", LISTEN], env=environment | {DISCOVERY_RANGE_VARIABLE: reach})
     try:
         yield process
     finally:

@@ -19,7 +19,7 @@ from random import Random
 from cobs import cobs
 
 from hydro_bridge.serial import protocol
-from hydro_bridge.serial.protocol import MAX_ENCODED, BoxInfo, Frame, LawState
+from hydro_bridge.serial.protocol import ENCODED_SIZE_MAX, BoxInfo, Frame, LawState
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.cli.console import progress
 from hydro_core.signals import Command, Law, ReferenceSignal, Waveform
@@ -68,7 +68,10 @@ DAMAGES: dict[str, tuple[Callable[[bytes, Random], bytes], bool]] = {
     "bits flipped": (_flip, False),
     "bytes exchanged": (_splice, False),
     "foreign": (_seal_anew, False),
-    "garbage before": (lambda wire, random: random.randbytes(random.choice((1, 3, 20, 5 * MAX_ENCODED))) + wire, True),
+    "garbage before": (
+        lambda wire, random: random.randbytes(random.choice((1, 3, 20, 5 * ENCODED_SIZE_MAX))) + wire,
+        True,
+    ),
     "duplicated": (lambda wire, random: 2 * wire, True),
     "reordered": (lambda wire, random: wire, True),
 }
@@ -126,7 +129,7 @@ def fuzz(frames: int, seed: int) -> Counter[str]:
                     counted[f"{damage}: {'delivered' if frame == original else 'forged'}"] += 1
                     seen.add(frame.sequence)
                 stream = stream[size:]
-                counted["bytes kept too many"] += len(decoder._pending) > MAX_ENCODED
+                counted["bytes kept too many"] += len(decoder._pending) > ENCODED_SIZE_MAX
             for sequence, (damage, _) in sent.items():
                 counted[f"{damage}: frames"] += 1
                 if sequence not in seen:

@@ -18,7 +18,7 @@ from hydro_filter.model.sample import Sample
 from hydro_filter.validation.runs import Corrector
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.runner import Session
-from hydro_policy.learner_process.learner import CHUNK, Learner
+from hydro_policy.learner_process.learner import CHUNK_UPDATES, Learner
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
 from hydro_policy.supervision.plant_supervisor import Outputs
@@ -42,7 +42,7 @@ class InlineLearner(LearnerSupervisor):
         self._learner = Learner(self._memory, self._settings)
 
     def work(self) -> None:
-        if self._learner.pending_updates >= CHUNK:
+        if self._learner.pending_updates >= CHUNK_UPDATES:
             while self._learner.work():
                 pass
 

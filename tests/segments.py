@@ -17,9 +17,9 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.quality import check_recording
-from hydro_diagnosis.recording import MEASURED, Segment
+from hydro_diagnosis.recording import MEASURED_CHANNELS, Segment
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import TEXTBOOK
+from hydro_sim.model.bench_model import TEXTBOOK_STATE_COUNT
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
@@ -79,12 +79,12 @@ def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]
     run = record(bench, seconds=1.2, waveform=Waveform.SINE, amplitude=amplitude, noise=0.0, frequency=0.9)
     current = run["valve_current"].copy()
     plant = AnalyticPlant(bench, noise=0.0)
-    shown, states = [plant.measurement()], [plant.state["y"][0, :TEXTBOOK].copy()]
+    shown, states = [plant.measurement()], [plant.state["y"][0, :TEXTBOOK_STATE_COUNT].copy()]
     for held in current[:-1]:
         shown.append(plant.step(float(held)))
-        states.append(plant.state["y"][0, :TEXTBOOK].copy())
+        states.append(plant.state["y"][0, :TEXTBOOK_STATE_COUNT].copy())
     columns = dict(zip(PLANT_FIELDS, np.array(shown).T, strict=True))
-    channels = {name: np.ascontiguousarray(columns[name]) for name in MEASURED}
+    channels = {name: np.ascontiguousarray(columns[name]) for name in MEASURED_CHANNELS}
     return Segment("run", 0.0, 1e-3, {**channels, "valve_current": current}), np.array(states)
 
 
@@ -96,5 +96,5 @@ def apart(segment: Segment, states: FloatArray, claims: Sequence[EffectHypothesi
     return {
         name: float(np.sqrt(np.mean((readings[name] - signal[at]) ** 2)) / np.ptp(signal))
         for name, signal in segment.channels.items()
-        if name in MEASURED
+        if name in MEASURED_CHANNELS
     }

@@ -13,7 +13,7 @@ import pytest
 from hydro_core.signals import STATE_FIELDS, FloatArray
 from hydro_policy.sac import header
 from hydro_policy.sac.policy import load_policy
-from hydro_policy.task.mdp import ACTIONS, observe
+from hydro_policy.task.mdp import ACTION_SIZE, observe
 from tests.checks import compiled, status_of
 from tests.test_firmware_loop_filter import hostile
 
@@ -62,16 +62,16 @@ def test_the_policy_in_c_acts_as_the_policy_and_goes_on_after_hostile_samples(
     center = [0, 0, 0, 0, 8e6, 8e6, 0.04, 0, 0, 0, 0, 0, 50, 8]
     rows = (center + np.random.default_rng(5).normal(size=(2000, len(STATE_FIELDS))) * spread).astype(np.float32)
     rows[1000, 4] = math.nan  # there the last action stays
-    rows, expected, action = rows.astype(np.float64), np.zeros((2000, ACTIONS)), np.zeros(ACTIONS)
+    rows, expected, action = rows.astype(np.float64), np.zeros((2000, ACTION_SIZE)), np.zeros(ACTION_SIZE)
     for k, row in enumerate(rows):
         observation = observe(row, action, policy.size)
         action = expected[k] = policy.act(observation) if np.isfinite(observation).all() else action
     found, allowed = acted(tmp_path, precision, rows), PRECISIONS[precision][2]
-    np.testing.assert_allclose(found[:, :ACTIONS], expected, rtol=0.0, atol=allowed)
-    np.testing.assert_allclose(found[:, ACTIONS:], gains.changes(expected), rtol=0.0, atol=100.0 * allowed)
+    np.testing.assert_allclose(found[:, :ACTION_SIZE], expected, rtol=0.0, atol=allowed)
+    np.testing.assert_allclose(found[:, ACTION_SIZE:], gains.changes(expected), rtol=0.0, atol=100.0 * allowed)
     found = acted(tmp_path, precision, hostile(20_000, 2, precision)[:, :14])
-    assert np.isfinite(found).all() and np.abs(found[:, :ACTIONS]).max() <= 1.0
-    assert np.ptp(found[-1000:, :ACTIONS], axis=0).min() > 0.1, "it goes on"
+    assert np.isfinite(found).all() and np.abs(found[:, :ACTION_SIZE]).max() <= 1.0
+    assert np.ptp(found[-1000:, :ACTION_SIZE], axis=0).min() > 0.1, "it goes on"
 
 
 def test_the_command_writes_what_compiles(tmp_path: Path) -> None:

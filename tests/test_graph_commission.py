@@ -18,7 +18,7 @@ from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_core.files import site
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
-from hydro_policy.nodes.commission import NAMES, comparison
+from hydro_policy.nodes.commission import GATE_NAMES, comparison
 from hydro_policy.nodes.plant_options import apply_site
 from hydro_policy.nodes.site_runs import Site
 from hydro_sim.box.box import BoxConfig
@@ -86,33 +86,33 @@ def test_a_foreign_bench_is_commissioned_without_a_word_typed(foreign: list[str]
 
 
 def test_a_site_stands_for_the_options_of_each_executable(tmp_path: Path) -> None:
-    for name in (site.BENCH, site.MODEL, site.METRIC):
+    for name in (site.BENCH_FILE, site.MODEL_FILE, site.METRIC_FILE):
         (tmp_path / name).touch()
-    (tmp_path / site.RECORD).write_text('{"base_gains": [20.0, 4.0]}')
+    (tmp_path / site.RECORD_FILE).write_text('{"base_gains": [20.0, 4.0]}')
     words = ["--site", str(tmp_path)]
-    for plant, model in (("sim", tmp_path / site.MODEL), ("bench", None)):
+    for plant, model in (("sim", tmp_path / site.MODEL_FILE), ("bench", None)):
         asked = evaluate.parser().parse_args(["--plant", plant, *words])
         apply_site(asked)
-        assert (asked.bench, asked.model, asked.base_gains) == (tmp_path / site.BENCH, model, [20.0, 4.0])
-        assert asked.filter == f"--model {tmp_path / site.MODEL} --metric {tmp_path / site.METRIC}"
+        assert (asked.bench, asked.model, asked.base_gains) == (tmp_path / site.BENCH_FILE, model, [20.0, 4.0])
+        assert asked.filter == f"--model {tmp_path / site.MODEL_FILE} --metric {tmp_path / site.METRIC_FILE}"
     settings, _ = sim.parse_args(words)
-    assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH), str(tmp_path / site.MODEL))
+    assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH_FILE), str(tmp_path / site.MODEL_FILE))
 
 
 def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:
-    made = Record.load(tmp_path, NAMES)
+    made = Record.load(tmp_path, GATE_NAMES)
     (tmp_path / "bench.yaml").write_text("one: 1\n")
     for gate in made.gates[:3]:
         gate.status, gate.files = PASSED, digests(tmp_path, ["bench.yaml"])
     made.gates[3].status, made.adopted = FAILED, "compensated"
     made.comparison = {"compensated": {"name": "compensated", "rmse": {}, "trips": 0}}
     made.write(tmp_path)
-    again = Record.load(tmp_path, NAMES)
+    again = Record.load(tmp_path, GATE_NAMES)
     assert again == made
-    assert again.reset_invalid_gates(tmp_path, len(NAMES)) == 3
+    assert again.reset_invalid_gates(tmp_path, len(GATE_NAMES)) == 3
     assert again.reset_invalid_gates(tmp_path, 2) == 2 and not again.adopted and not again.comparison
     (tmp_path / "bench.yaml").write_text("one: 2\n")
-    assert Record.load(tmp_path, NAMES).reset_invalid_gates(tmp_path, len(NAMES)) == 0
+    assert Record.load(tmp_path, GATE_NAMES).reset_invalid_gates(tmp_path, len(GATE_NAMES)) == 0
 
 
 def test_a_controller_that_was_stopped_or_under_which_the_piston_stood_is_left_out(tmp_path: Path) -> None:

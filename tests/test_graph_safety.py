@@ -22,7 +22,7 @@ from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
 from hydro_policy.nodes.plant_options import PlantOptions
 from hydro_policy.nodes.plants import start_companions
-from hydro_policy.supervision.plant_supervisor import ARM_HINT, TOO_EARLY
+from hydro_policy.supervision.plant_supervisor import ARM_HINT, EARLY_ARMING_MESSAGE
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import SHORT, Probe, Trainer
 
@@ -46,7 +46,7 @@ def test_a_plant_that_was_armed_before_the_trainer_came_waits_for_the_person_who
         person.write(b"\n")
         probe.wait(lambda: "not armed, still waiting for" in process.text, 10.0)
         probe.wait(lambda: ARM_HINT in process.text, 150.0)
-        assert TOO_EARLY in process.text
+        assert EARLY_ARMING_MESSAGE in process.text
         probe.wait(lambda: not probe.flags() & Flag.ARMED, 5.0)
         probe.forget()
         probe.spin(1.0)

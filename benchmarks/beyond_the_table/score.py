@@ -16,7 +16,7 @@ from benchmarks.beyond_the_table.cases import Case
 from benchmarks.beyond_the_table.kinds import Kind
 from hydro_core.cli.console import Table
 from hydro_sim.model.grammar import LAWS
-from hydro_sim.model.laws import REVERSING
+from hydro_sim.model.laws import REVERSING_TEXT
 
 COLUMNS = {
     "case": "kind and round; clean: nothing is missing",
@@ -137,7 +137,7 @@ def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
     """
     if closure["form"] != "law" or closure["equation"] not in places(kind):
         return False
-    text = closure["expression"].partition(" * ")[2].replace(f", {REVERSING}", "")
+    text = closure["expression"].partition(" * ")[2].replace(f", {REVERSING_TEXT}", "")
     law = next((law for law in LAWS if text == law.text or text.startswith(f"{law.text}, ")), None)
     if law is None:
         return False

@@ -31,7 +31,7 @@ from hydro_filter.controller.loop_filter import Result as Correction
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import make_loop, make_samples
 from hydro_filter.model.records import law_gradient
-from hydro_filter.model.sample import LOAD_FORCE, STATES, Sample
+from hydro_filter.model.sample import LOAD_FORCE, STATE_SIZE, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
 from hydro_filter.validation.closed_form import solve_qp
 from hydro_sim.files.learned_bench import load_model
@@ -47,10 +47,10 @@ SETTLED = 300
 """Samples at a rollout's beginning that are not used: the gains fade in."""
 PERIOD = 10
 """Samples between two decisions: 100 Hz."""
-ROWS, COLUMNS = np.tril_indices(STATES)
-PLACES = torch.zeros(len(ROWS), STATES * STATES)
+ROWS, COLUMNS = np.tril_indices(STATE_SIZE)
+PLACES = torch.zeros(len(ROWS), STATE_SIZE * STATE_SIZE)
 """1 where an entry of the network's output belongs in M's factor."""
-PLACES[torch.arange(len(ROWS)), torch.from_numpy(STATES * ROWS + COLUMNS)] = 1.0
+PLACES[torch.arange(len(ROWS)), torch.from_numpy(STATE_SIZE * ROWS + COLUMNS)] = 1.0
 
 
 @dataclass(frozen=True)
@@ -73,9 +73,9 @@ class NetworkMetric:
             value, nudge = value @ w + b, nudge @ w
             on = value > 0.0
             value, nudge = value * on, nudge * on
-        factor, turned = np.zeros((2, STATES, STATES))
+        factor, turned = np.zeros((2, STATE_SIZE, STATE_SIZE))
         factor[ROWS, COLUMNS], turned[ROWS, COLUMNS] = value @ w3 + b3, nudge @ w3
-        metric = factor @ factor.T + float(TABLE["epsilon"]) * np.eye(STATES)
+        metric = factor @ factor.T + float(TABLE["epsilon"]) * np.eye(STATE_SIZE)
         return metric, turned @ factor.T + factor @ turned.T
 
 
@@ -113,7 +113,7 @@ class PaperFilter:
 
     def certificate(self, sample: Sample) -> tuple[float, float]:
         """Return a [1/A/s] and b [1/s] at a sample."""
-        v, scale = np.zeros(STATES), self.model.scale
+        v, scale = np.zeros(STATE_SIZE), self.model.scale
         v[LOAD_FORCE] = (sample.state[LOAD_FORCE] - sample.reference_force) / scale[LOAD_FORCE]
         state_matrix, input_vector, rate = self.model.linearized(sample.state, self.law.clipped(sample.nominal_current))
         metric, metric_rate = self.metric.along(sample.state, rate)
@@ -180,7 +180,7 @@ def _trained(store: Store, name: str, seed: int) -> Result:
     model = models.network(store, "squared", seed)
     training, held_out, labels = material(model, store.size.rollouts, seed)
     network = torch.nn.Sequential(
-        torch.nn.Linear(STATES, TABLE["hidden"][0]), torch.nn.ReLU(),
+        torch.nn.Linear(STATE_SIZE, TABLE["hidden"][0]), torch.nn.ReLU(),
         torch.nn.Linear(*TABLE["hidden"]), torch.nn.ReLU(), torch.nn.Linear(TABLE["hidden"][1], len(ROWS)),
     ).double()  # fmt: skip
     optimizer = torch.optim.Adam(network.parameters(), lr=TABLE["learning_rate"])
@@ -208,7 +208,7 @@ def growth(network: torch.nn.Module, samples: Samples) -> tuple[torch.Tensor, to
     """M_c, shape (n, H), and M, shape (n, H, 8, 8)."""
     flat, turned = torch.func.jvp(network, (samples.z,), (samples.rate,))  # type: ignore[no-untyped-call]
     factor, nudge = _lower(flat), _lower(turned)
-    eye = torch.eye(STATES, dtype=factor.dtype)
+    eye = torch.eye(STATE_SIZE, dtype=factor.dtype)
     metric = factor @ factor.mT + TABLE["epsilon"] * eye
     left = torch.einsum("nhij,nhi->nhj", factor, samples.v)
     left_rate = torch.einsum("nhij,nhi->nhj", nudge, samples.v)
@@ -221,7 +221,7 @@ def loss(network: torch.nn.Module, samples: Samples) -> torch.Tensor:
     """Eq. loss_metric, the mean over windows."""
     certificate, metric = growth(network, samples)
     contraction = torch.relu(torch.where(samples.stable, certificate, -certificate))
-    eye = torch.eye(STATES, dtype=metric.dtype)
+    eye = torch.eye(STATE_SIZE, dtype=metric.dtype)
     size = torch.linalg.matrix_norm(metric) + metric.diagonal(dim1=-2, dim2=-1).sum(-1)
     size = size - torch.logdet(metric + TABLE["epsilon"] * eye)
     return (TABLE["contraction_weight"] * contraction + TABLE["regularizer"] * size).sum(1).mean()
@@ -229,7 +229,7 @@ def loss(network: torch.nn.Module, samples: Samples) -> torch.Tensor:
 
 def _lower(flat: torch.Tensor) -> torch.Tensor:
     """The triangular matrix of entries by rows: by a product, which is quicker than to write them one by one."""
-    return (flat @ PLACES.to(flat.dtype)).unflatten(-1, (STATES, STATES))
+    return (flat @ PLACES.to(flat.dtype)).unflatten(-1, (STATE_SIZE, STATE_SIZE))
 
 
 @torch.no_grad()
@@ -271,7 +271,7 @@ def windows(rollout: Rollout, model: NetworkModel, seed: int) -> Samples:
 def _normalized(sample: Sample, model: NetworkModel, law: ForceLaw) -> FloatArray:
     """z, z', v and (A + B K) v of a sample, shape (4, 8)."""
     state_matrix, input_vector, rate = model.linearized(sample.state, law.clipped(sample.nominal_current))
-    v = np.zeros(STATES)
+    v = np.zeros(STATE_SIZE)
     v[LOAD_FORCE] = sample.state[LOAD_FORCE] - sample.reference_force
     closed = state_matrix @ v + input_vector * float(law.gradient(sample) @ v)
     z = (sample.state - model.center) / model.scale

@@ -30,7 +30,7 @@ from hydro_core.cli.console import command
 from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
-from hydro_sim.model.machine_code import FLAGS
+from hydro_sim.model.machine_code import COMPILER_FLAGS
 
 _packages = (Path(hydro_diagnosis.__file__).parent, Path(hydro_sim.model.__file__).parent)
 _sources = (path.read_bytes() for package in _packages for path in sorted(package.rglob("*.py")))
@@ -68,7 +68,8 @@ def guard(hidden: Path, seen: Path) -> None:
             raise SealedError(f"{arguments[0]} holds the truth")
         elif event in _STARTS:
             words = list(arguments[1]) if event == "subprocess.Popen" else []
-            if words[1 : 1 + len(FLAGS)] != list(FLAGS):  # of `machine_code`, which compiles for the forecast
+            # flags of `machine_code`, which compiles for the forecast
+            if words[1 : 1 + len(COMPILER_FLAGS)] != list(COMPILER_FLAGS):
                 raise SealedError("the diagnosis starts no other process")
 
     sys.addaudithook(look)

@@ -70,7 +70,7 @@ PEEKS = {
     "importlib.import_module('hydro_sim.emulator.truth.config')": False,
     "subprocess.run(['cat', hidden / 'sealed' / 'answers.json'])": False,
     "os.system('true')": False,
-    "subprocess.run(['cc', *blind.FLAGS, '--version'], capture_output=True)": True,
+    "subprocess.run(['cc', *blind.COMPILER_FLAGS, '--version'], capture_output=True)": True,
     "open(hidden / 'blind' / 'bench.yaml').read()": True,
     "os.listdir(hidden / 'blind')": True,
     "importlib.import_module('hydro_sim.model.hydraulics')": True,

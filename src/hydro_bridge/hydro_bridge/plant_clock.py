@@ -38,13 +38,13 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 FILTER_WINDOW, COMMANDER_WINDOW, RECORDER_WINDOW = 1, SAMPLES_PER_STEP, 100
 """Windows [samples] of a filter, of a commander, and of a recorder."""
 
-_LOOK = 0.1  # s of wall clock between two checks for silent peers
-_RESEND, _RESEND_FIRST = 10.0, 0.5
+_PEER_CHECK_PERIOD = 0.1  # s of wall clock between two checks for silent peers
+_RESEND_DELAY, _FIRST_RESEND_DELAY = 10.0, 0.5
 """s of wall clock after which an unanswered sample is published again; the first one, which peers may still miss."""
-_CAUGHT_UP = 0.1
+_CATCH_UP_TIME_MAX = 0.1
 """s by which a plant that goes no faster than real time may be late and still catches up."""
-_WORDS = "plant: each sample waits for the graph's answers; real: real time; a number: that many times real time"
-_CONFIRMED_WITHIN = 500
+_PACE_HELP = "plant: each sample waits for the graph's answers; real: real time; a number: that many times real time"
+_ARMING_SAMPLES_MAX = 500
 """Samples within which a box confirms an arming."""
 
 
@@ -73,13 +73,13 @@ def parse_pace(text: str) -> float | None:
     with suppress(ValueError):
         if 0.0 < (factor := float(text)) <= 100.0:
             return factor
-    raise SettingsError(f"--pace {text}: say plant, real, or a factor of real time within (0, 100]; {_WORDS}")
+    raise SettingsError(f"--pace {text}: say plant, real, or a factor of real time within (0, 100]; {_PACE_HELP}")
 
 
 def reject_speed_option(words: Sequence[str]) -> None:
     """Raise SettingsError for the former option `--speed`, which `--pace` has replaced."""
     if any(word.split("=")[0] == "--speed" for word in words):
-        raise SettingsError(f"--speed is now --pace; {_WORDS}")
+        raise SettingsError(f"--speed is now --pace; {_PACE_HELP}")
 
 
 @dataclass
@@ -114,7 +114,7 @@ class LockStep:
         self._exempt: Callable[[], bool] | None = None
         self._exempt_left = 0
         self._closed = False
-        self._patience = _RESEND_FIRST
+        self._patience = _FIRST_RESEND_DELAY
 
     @property
     def peer_names(self) -> str:
@@ -182,7 +182,7 @@ class LockStep:
         Returns the last value of `done`. Call from another thread than the plant's.
         """
         with self._lock:
-            self._exempt, self._exempt_left = done, _CONFIRMED_WITHIN
+            self._exempt, self._exempt_left = done, _ARMING_SAMPLES_MAX
         self._check()
         give_up = time.monotonic() + self.settings.silence_max
         with self._confirmed:
@@ -223,7 +223,7 @@ class LockStep:
         now = time.monotonic()
         with self._lock:
             first = self._newest is None
-            self._patience = _RESEND_FIRST if first else _RESEND
+            self._patience = _FIRST_RESEND_DELAY if first else _RESEND_DELAY
             if first:  # any number if the box was on before; a commander answers whole steps
                 for peer in self._peers.values():
                     if peer.window == COMMANDER_WINDOW:
@@ -231,7 +231,9 @@ class LockStep:
                     else:
                         peer.answered = sequence - peer.window
             self._newest, self._resend, self._began, self._sent = sequence, resend, now, now
-            self._deadline = SAMPLE_PERIOD + (now if self._deadline == -inf else max(self._deadline, now - _CAUGHT_UP))
+            self._deadline = SAMPLE_PERIOD + (
+                now if self._deadline == -inf else max(self._deadline, now - _CATCH_UP_TIME_MAX)
+            )
         self._check()
 
     def poll(self) -> float:
@@ -249,7 +251,9 @@ class LockStep:
         if resend is not None:
             resend()
         self._check()
-        return _LOOK if behind or not waiting else max(0.0, min(_LOOK, self._deadline - time.monotonic()))
+        if behind or not waiting:
+            return _PEER_CHECK_PERIOD
+        return max(0.0, min(_PEER_CHECK_PERIOD, self._deadline - time.monotonic()))
 
     def _check(self) -> None:
         """Go on if the newest sample has all its answers, or an arming or disarming is not confirmed yet."""

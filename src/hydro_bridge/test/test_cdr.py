@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import STATE_TYPE, encode_states, fixed_layout
 from hydro_bridge.bags.types import BUNDLED_TYPES, definition, installed_definition
-from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES
+from hydro_bridge.ros.messages import CORRECTION_CODEC, LAW_STATE_CODEC, STATE_CODEC
 from hydro_core.signals import STATE_FIELDS
 
 
@@ -47,7 +47,9 @@ def test_packaged_definitions_are_those_of_the_installed_messages():
         assert definition(name) == installed_definition(name), "renew it: python -m hydro_bridge.bags.types"
 
 
-@pytest.mark.parametrize("codec", [STATES, CORRECTIONS, LAW_STATES], ids=lambda codec: codec.record.__name__)
+@pytest.mark.parametrize(
+    "codec", [STATE_CODEC, CORRECTION_CODEC, LAW_STATE_CODEC], ids=lambda codec: codec.record.__name__
+)
 def test_messages_packed_one_by_one_are_those_of_rosidl(codec):
     message, rng = codec.kind(), np.random.default_rng(1)
     for name, kind in list(codec.kind.get_fields_and_field_types().items())[1:]:

@@ -13,7 +13,7 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.ros import security_policy, topics
 from hydro_bridge.ros.companion import Companion, executable_path
-from hydro_bridge.ros.keys import ENABLE, KEYSTORE, STRATEGY, enclave_name, security_enabled
+from hydro_bridge.ros.keys import ENABLE_VARIABLE, KEYSTORE_VARIABLE, STRATEGY_VARIABLE, enclave_name, security_enabled
 from hydro_core.settings import SettingsError
 from tests.checks import ran, status_of
 
@@ -43,22 +43,28 @@ def test_only_who_has_to_may_command_the_plant_by_the_policy_that_is_written_for
     assert allowed("request", topics.CLAIM_SERVICE) == drivers | {"arm", "dashboard"}
     assert allowed("request", topics.OVERRIDE_SERVICE) == {"override", "dashboard"}
     assert allowed("request", topics.END_SERVICE) == {"dashboard"}
-    assert all("watch" in allowed("subscribe", topic) for topic in topics.GRAPH)
-    assert [topic for topic in topics.GRAPH if "watch" in allowed("publish", topic)] == [topics.LOG], "its own log"
+    assert all("watch" in allowed("subscribe", topic) for topic in topics.RECORDED_TOPICS)
+    assert [topic for topic in topics.RECORDED_TOPICS if "watch" in allowed("publish", topic)] == [topics.LOG], (
+        "its own log"
+    )
 
 
 def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_otherwise_in_ros_s_words(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv(STRATEGY, "")  # set, so that it is put back
-    monkeypatch.delenv(STRATEGY)
-    monkeypatch.setenv(ENABLE, "false")
-    assert not security_enabled() and STRATEGY not in os.environ
-    monkeypatch.setenv(ENABLE, "true")
-    assert security_enabled() and os.environ[STRATEGY] == "Enforce"
-    monkeypatch.setenv(STRATEGY, "Permissive")
-    assert security_enabled() and os.environ[STRATEGY] == "Permissive"
-    for variable, value in ((STRATEGY, "enforce"), (ENABLE, "1"), (ENABLE, "True")):  # ROS takes these for off
+    monkeypatch.setenv(STRATEGY_VARIABLE, "")  # set, so that it is put back
+    monkeypatch.delenv(STRATEGY_VARIABLE)
+    monkeypatch.setenv(ENABLE_VARIABLE, "false")
+    assert not security_enabled() and STRATEGY_VARIABLE not in os.environ
+    monkeypatch.setenv(ENABLE_VARIABLE, "true")
+    assert security_enabled() and os.environ[STRATEGY_VARIABLE] == "Enforce"
+    monkeypatch.setenv(STRATEGY_VARIABLE, "Permissive")
+    assert security_enabled() and os.environ[STRATEGY_VARIABLE] == "Permissive"
+    for variable, value in (
+        (STRATEGY_VARIABLE, "enforce"),
+        (ENABLE_VARIABLE, "1"),
+        (ENABLE_VARIABLE, "True"),
+    ):  # ROS takes these for off
         with monkeypatch.context() as wrong, pytest.raises(SettingsError, match=f"{variable}={value}"):
             wrong.setenv(variable, value)
             security_enabled()
@@ -68,10 +74,10 @@ def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_ot
 def test_a_node_that_cannot_use_its_keys_ends_with_a_sentence(tmp_path: Path) -> None:
     keystore = tmp_path / "keys"
     (keystore / "enclaves" / "hydro" / "arm").mkdir(parents=True)  # without keys
-    environment = os.environ | {ENABLE: "true", KEYSTORE: str(keystore)}
+    environment = os.environ | {ENABLE_VARIABLE: "true", KEYSTORE_VARIABLE: str(keystore)}
     answer = ran(executable_path("hydro_bridge", "arm"), env=environment, timeout=60)
     assert answer.returncode == 2 and "Traceback" not in answer.stderr
-    assert f"error: ROS does not start with keys ({KEYSTORE}: {keystore})" in answer.stderr
+    assert f"error: ROS does not start with keys ({KEYSTORE_VARIABLE}: {keystore})" in answer.stderr
 
 
 def test_what_is_started_beside_a_node_does_not_inherit_the_enclave_that_its_user_chose(

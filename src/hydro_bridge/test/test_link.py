@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import pytest
 
-from hydro_bridge.link.link import NO_COMPENSATED_LAW, Link, LinkState
+from hydro_bridge.link.link import NO_COMPENSATED_LAW_MESSAGE, Link, LinkState
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details
@@ -67,7 +67,7 @@ def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
     assert all(a < b for a, b in pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 1e9
-    assert it.log == [f"connected to small box on {it.cable.path}; disarmed", NO_COMPENSATED_LAW]
+    assert it.log == [f"connected to small box on {it.cable.path}; disarmed", NO_COMPENSATED_LAW_MESSAGE]
 
 
 def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
@@ -225,7 +225,7 @@ def test_a_box_is_followed_once_its_details_came_and_its_limits_narrow_the_guard
 def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_law(bench, law):
     """Elsewhere its changes would be added to the paper's gains: the safe command goes out instead."""
     it = bench(details=replace(DETAILS, laws=3 if law else 1), law=law)
-    assert it.said(NO_COMPENSATED_LAW) == (law is None) and it.states[-1][2] == it.box.law_state
+    assert it.said(NO_COMPENSATED_LAW_MESSAGE) == (law is None) and it.states[-1][2] == it.box.law_state
     if law:
         assert (it.link.law.base_kp, it.link.law.coefficient_max) == (law.base_kp, law.coefficient_max)
     wanted = Command(

@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.node import DISCOVERY_RANGE, FASTDDS_PROFILES, running_ros
+from hydro_bridge.ros.node import DISCOVERY_RANGE_VARIABLE, FASTDDS_PROFILES_VARIABLE, running_ros
 from hydro_core.settings import SettingsError
 from tests.checks import wait
 
@@ -46,7 +46,7 @@ def test_a_node_listens_on_the_loopback_interface_only_unless_the_user_says_othe
         assert "/dev/shm/fastrtps" not in mapped, "Fast DDS' shared memory, where its writers wait for newcomers"
         return node
 
-    for variable in (DISCOVERY_RANGE, FASTDDS_PROFILES):
+    for variable in (DISCOVERY_RANGE_VARIABLE, FASTDDS_PROFILES_VARIABLE):
         monkeypatch.delenv(variable, raising=False)
     before, node = memberships(), bridge()
     found = sockets(node.process.pid)
@@ -54,7 +54,7 @@ def test_a_node_listens_on_the_loopback_interface_only_unless_the_user_says_othe
     assert {address for address, _ in found} == {"127.0.0.1"}
     assert any(7400 <= port < 7400 + 250 * 102 for _, port in found), "the ports of ROS's discovery"
     node.stop()
-    monkeypatch.setenv(DISCOVERY_RANGE, "SUBNET")
+    monkeypatch.setenv(DISCOVERY_RANGE_VARIABLE, "SUBNET")
     found = sockets(bridge().process.pid)
     assert any(address == "0.0.0.0" and 7400 <= port < 32768 for address, port in found) and memberships() > 0
 

@@ -19,7 +19,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rosbags.rosbag2 import Reader
 
 from hydro_bridge.bags.recording import count_gaps, read_bag, read_messages
-from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GAINS, GRAPH, REFERENCE, STATE, create_subscription
+from hydro_bridge.ros.topics import BOX, DIAGNOSTICS, GAINS, RECORDED_TOPICS, REFERENCE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame
 from hydro_core.files import bench_digest
 from hydro_core.signals import Flag, ReferenceSignal, Waveform
@@ -84,7 +84,7 @@ def shipped_digest() -> str:
 def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(bridge, probe):
     it = bridge()
     probe.take()
-    rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
+    rival = probe.node.create_publisher(Gains, GAINS, RECORDED_TOPICS[GAINS][1])
     probe.wait(lambda: it.told and "2 nodes publish /hydro/gains (probe, probe)" in it.told[-1].message)
     assert it.told[-1].level == DiagnosticStatus.ERROR
     refused = [probe.ask(True) for _ in range(3)][-1]

@@ -77,7 +77,7 @@ def test_a_stream_without_delimiter_is_counted_once_and_not_kept():
     decoder = Decoder()
     for _ in range(1000):
         assert decoder.feed(b"x" * 1000) == []
-        assert len(decoder._pending) <= protocol.MAX_ENCODED
+        assert len(decoder._pending) <= protocol.ENCODED_SIZE_MAX
     assert decoder.counts.malformed == 1
     assert [frame.sequence for frame in decoder.feed(wire(5))] == [5]
 

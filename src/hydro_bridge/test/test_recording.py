@@ -35,7 +35,7 @@ from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.storage import BagSource
 from hydro_bridge.bags.types import definition
 from hydro_bridge.nodes.replayer import replay
-from hydro_bridge.ros.messages import STATES
+from hydro_bridge.ros.messages import STATE_CODEC
 from hydro_bridge.serial.stream import LinkCounts
 from tests.checks import ran
 
@@ -438,7 +438,7 @@ def test_messages_come_at_their_times_freshly_stamped_and_a_jump_of_the_clock_is
     came, said = [], []
     replay(tmp_path / "run", lambda _, data: came.append((time.time(), data)), Event(), 4.0, said.append)
     assert len(said) == 2 and all("left out" in sentence for sentence in said)
-    replayed = [STATES.unpack(data) for _, data in came]
+    replayed = [STATE_CODEC.unpack(data) for _, data in came]
     assert [state.sequence for state in replayed] == list(range(1000, 1300))
     stamps = 1e-9 * np.array([state.stamp for state in replayed])
     np.testing.assert_allclose(np.delete(np.diff(stamps), (0, 1, 2, 199)), 1e-3 / 4.0, atol=2e-6)

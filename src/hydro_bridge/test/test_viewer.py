@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
-from hydro_bridge.dashboard.series import SLOT_TIME, STATE_COLUMNS, Downsampler, GrowingDownsampler
-from hydro_bridge.ros.topics import GRAPH
+from hydro_bridge.dashboard.series import BIN_WIDTH, STATE_COLUMNS, Downsampler, GrowingDownsampler
+from hydro_bridge.ros.topics import RECORDED_TOPICS
 from hydro_bridge.viewer.runs import list_runs, refresh_index, write_index
 from hydro_bridge.viewer.view import main, read_page, render_page
 from hydro_core.signals import Flag, StateArray
@@ -50,11 +50,11 @@ def test_a_pulse_of_one_sample_stays_at_every_length_and_memory_does_not_grow() 
         values = np.zeros((1000, 1))
         values[500] = float(second)
         thinner.add(100.0 + second + 1e-3 * np.arange(1000), values)
-    slots = thinner.values(0.0)
-    assert thinner.slot == pytest.approx(1.28), "7 times twice 10 ms: 50 s in 64 slots"
-    assert len(slots) == 40
-    assert all(slots[int((second + 0.5) / thinner.slot), 0, 1] >= second for second in range(50))
-    assert (slots[:, 0, 0] == 0.0).all()
+    bins = thinner.values(0.0)
+    assert thinner.bin_width == pytest.approx(1.28), "7 times twice 10 ms: 50 s in 64 bins"
+    assert len(bins) == 40
+    assert all(bins[int((second + 0.5) / thinner.bin_width), 0, 1] >= second for second in range(50))
+    assert (bins[:, 0, 0] == 0.0).all()
 
 
 def test_flags_and_windows_of_a_diagnosis_beside_it_are_marked_on_a_page_that_loads_nothing(bag, states) -> None:
@@ -85,7 +85,7 @@ def test_a_clock_that_was_set_halves_no_page(tmp_path: Path, states: StateArray)
         writer.write_states(states)
     found = read_page(tmp_path / "run")
     assert found.seconds == pytest.approx(whole, abs=0.01)
-    assert len(found.values[0]) == pytest.approx(whole / found.slot, abs=2)
+    assert len(found.values[0]) == pytest.approx(whole / found.bin_width, abs=2)
     told = [note for note in found.notes if "the clock was set by" in note]
     assert len(told) == 2 and any("by -3600 s" in note or "by -3599.999 s" in note for note in told)
 
@@ -103,9 +103,9 @@ def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_pat
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(st.integers(1, 80), min_size=1, max_size=20))
-def test_least_and_greatest_of_each_slot_however_samples_come_in(parts: list[int]) -> None:
+def test_least_and_greatest_of_each_bin_however_samples_come_in(parts: list[int]) -> None:
     count = sum(parts)
-    times = 1_000_000 * SLOT_TIME + 1e-3 * (np.arange(count) + 0.5)
+    times = 1_000_000 * BIN_WIDTH + 1e-3 * (np.arange(count) + 0.5)
     values = np.random.default_rng(count).standard_normal((count, 2))
     thinner, begin, taken = Downsampler(2), 0, []
     for part in parts:
@@ -160,7 +160,7 @@ def test_what_the_layouts_of_foxglove_and_plotjuggler_plot_is_in_the_messages() 
     plotted += [str(curve.get("name")).rsplit("/", 1) for curve in curves]
     assert len(plotted) > 20
     for topic, field in plotted:
-        assert field in GRAPH[topic][0].get_fields_and_field_types(), f"{topic}: {field}"
+        assert field in RECORDED_TOPICS[topic][0].get_fields_and_field_types(), f"{topic}: {field}"
 
 
 @pytest.mark.skipif(bool(browser.MISSING), reason=browser.MISSING)

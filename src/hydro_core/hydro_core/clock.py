@@ -67,9 +67,9 @@ class HostClock:
     NTP slews both clocks alike, so that their difference changes only by steps.
     """
 
-    STEP = 1_000_000
+    STEP_MIN = 1_000_000
     """ns, change of the difference that counts as a step; the error of reading two clocks in turn is smaller."""
-    _READING = 100_000  # ns that reading both may take; a longer reading was interrupted
+    _READING_TIME_MAX = 100_000  # ns that reading both may take; a longer reading was interrupted
 
     def __init__(self) -> None:
         self._wall = time.time_ns
@@ -84,7 +84,7 @@ class HostClock:
         Call it about once per sample.
         """
         offset = self._read()
-        if offset is None or abs(offset - self.offset) < self.STEP:
+        if offset is None or abs(offset - self.offset) < self.STEP_MIN:
             return 0
         self.offset, step = offset, offset - self.offset
         return step
@@ -93,4 +93,4 @@ class HostClock:
         """Return wall time minus monotonic time, ns; None if this thread was interrupted between the two readings."""
         before = time.monotonic_ns()
         wall = self._wall()
-        return wall - before if time.monotonic_ns() - before <= self._READING else None
+        return wall - before if time.monotonic_ns() - before <= self._READING_TIME_MAX else None

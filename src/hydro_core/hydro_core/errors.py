@@ -8,7 +8,7 @@ import errno
 import os
 from pathlib import Path
 
-_NO_PLACE = frozenset({errno.ENOTDIR, errno.EROFS, errno.ENOSPC, errno.EDQUOT})
+_UNWRITABLE_ERRNOS = frozenset({errno.ENOTDIR, errno.EROFS, errno.ENOSPC, errno.EDQUOT})
 
 
 class UserError(Exception):
@@ -21,7 +21,7 @@ class UnwritableError(UserError, argparse.ArgumentTypeError):
 
 def is_file_error(error: Exception) -> bool:
     """Return whether the error is the operating system's about a file or disk space, not a programming error."""
-    return isinstance(error, OSError) and (error.filename is not None or error.errno in _NO_PLACE)
+    return isinstance(error, OSError) and (error.filename is not None or error.errno in _UNWRITABLE_ERRNOS)
 
 
 def user_message(error: Exception) -> str:
@@ -29,7 +29,7 @@ def user_message(error: Exception) -> str:
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)
     file = "" if error.filename is None else f"{error.filename}: "
-    remedy = ": choose another place" if error.errno in _NO_PLACE else ""
+    remedy = ": choose another place" if error.errno in _UNWRITABLE_ERRNOS else ""
     return f"{file}{error.strerror}{remedy}"
 
 

@@ -85,13 +85,13 @@ class Setting:
         return f"{self.low:.12g} to {self.high:.12g}" if isfinite(self.low) else ""
 
 
-_KNOWN: dict[type[Any], dict[str, Setting]] = {}
+_SETTINGS_BY_CLASS: dict[type[Any], dict[str, Setting]] = {}
 
 
 def describe(settings: type[Any]) -> dict[str, Setting]:
     """Return the declarations of all fields of a settings dataclass, in order."""
-    if settings in _KNOWN:
-        return _KNOWN[settings]
+    if settings in _SETTINGS_BY_CLASS:
+        return _SETTINGS_BY_CLASS[settings]
     hints, meanings = typing.get_type_hints(settings, include_extras=True), dict[str, str]()
     tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
     for node, below in pairwise(typing.cast(ast.ClassDef, tree.body[0]).body):  # the string below each field
@@ -99,7 +99,7 @@ def describe(settings: type[Any]) -> dict[str, Setting]:
             text = getattr(below.value, "value", None)
             if isinstance(text, str):
                 meanings[node.target.id] = " ".join(text.split()).removesuffix(".")
-    known = _KNOWN[settings] = {}
+    known = _SETTINGS_BY_CLASS[settings] = {}
     for field in dataclasses.fields(settings):
         kind, meta = _unwrapped(hints[field.name])
         known[field.name] = Setting(

@@ -73,7 +73,7 @@ class Flag(IntEnum):
     PACED = 256
 
 
-FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
+FAULT_FLAGS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
 """Trip flags that a controller may have caused; a trip without them is the box's time-out for commands."""
 
 
@@ -104,9 +104,9 @@ class CorrectionStatus(IntEnum):
     MISMATCH = 7
 
 
-OUTSIDE_REGION = 8
+OUTSIDE_REGION_BIT = 8
 """Bit of `Correction.status`, in addition to a `CorrectionStatus`: the loop is outside of the certified region."""
-STATUS_MASK = OUTSIDE_REGION - 1
+STATUS_MASK = OUTSIDE_REGION_BIT - 1
 """Bit mask of the `CorrectionStatus` in `Correction.status`."""
 
 
@@ -117,10 +117,10 @@ class Law(IntEnum):
     COMPENSATED = 1
 
 
-Coefficients = tuple[float, float, float, float]
+ReferenceCoefficients = tuple[float, float, float, float]
 """a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] of the compensated reference f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3."""
 
-NEUTRAL_COEFFICIENTS: Coefficients = (1.0, 0.0, 0.0, 0.0)
+NEUTRAL_COEFFICIENTS: ReferenceCoefficients = (1.0, 0.0, 0.0, 0.0)
 """Neutral coefficients of the compensated reference: f_c = f_r."""
 
 
@@ -133,7 +133,7 @@ class LawCommand:
 
     law: Law = Law.PAPER
     """Force law to run, taken up at arming; while armed, a command for another law causes the safe state."""
-    coefficients: Coefficients = NEUTRAL_COEFFICIENTS
+    coefficients: ReferenceCoefficients = NEUTRAL_COEFFICIENTS
     """Coefficients of the compensated reference; the box ramps to them."""
     velocity_compensation: float = 1.0
     """C_1 [-], share of the velocity term h of the force dynamics that the law compensates."""

@@ -28,11 +28,11 @@ from hydro_diagnosis.significance import CONFIDENCE, OUTLIER_FACTOR, QUANTILE, V
 
 MIN_RECORDINGS = 14
 """Smallest number of recordings to be judged: the scatter between fewer is unknown."""
-_PER_CHANGE = 3
+_PARAMETERS_PER_CHANGE = 3
 """Parameters that a change adds: its time, a level and a slope."""
-MIN_SPACING = _PER_CHANGE + 1
+MIN_SPACING = _PARAMETERS_PER_CHANGE + 1
 """Smallest number of recordings between two changes."""
-_SIZES = (0.0, 0.25, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
+_VARIANCE_RATIOS = (0.0, 0.25, 0.5, 0.71, 1.0, 1.41, 2.0, 4.0)
 """Trial variances of the correlated scatter, relative to the variance by `scatter_between`."""
 
 
@@ -156,7 +156,7 @@ class _Noise:
         gap, base = np.diff(time), max(between**2, 0.1 * float(np.median(self._white)))
         spacing = float(np.median(gap)) or 1.0
         lasting = (0.0, 1.0, 2.0, 4.0, 8.0)  # correlation times, in median spacings of the recordings; 0: white
-        grid = [(one, size) for one in lasting for size in _SIZES]
+        grid = [(one, size) for one in lasting for size in _VARIANCE_RATIOS]
         keep = np.exp(-1.0 / np.maximum([one for one, _ in grid], 1e-3))
         self._variance = base * np.array([size for _, size in grid]) / (1.0 - keep)
         self._keep = keep ** (gap[:, None] / spacing)
@@ -169,17 +169,17 @@ class _Noise:
     def partition(self) -> tuple[list[int], list[float], FloatArray]:
         """Edges of the partition, evidence of each change, and each value's long-run standard deviation."""
         count = len(self._time)
-        found, price = [[0, count]], _PER_CHANGE * log(count)
-        for k in range(_SIZES.index(1.0), len(self._lasts), len(_SIZES)):
+        found, price = [[0, count]], _PARAMETERS_PER_CHANGE * log(count)
+        for k in range(_VARIANCE_RATIOS.index(1.0), len(self._lasts), len(_VARIANCE_RATIOS)):
             edges = self._searched(self.long_run_sd(k), price)
             if edges not in found:
                 found.append(edges)
-            elif k < len(_SIZES):
+            elif k < len(_VARIANCE_RATIOS):
                 break
 
         def sure(edges: list[int]) -> float:
             """Small-sample factor of a likelihood ratio for the number of estimated parameters (Sims 1980)."""
-            return max(0.0, 1.0 - (_PER_CHANGE * (len(edges) - 1) + 1) / count)
+            return max(0.0, 1.0 - (_PARAMETERS_PER_CHANGE * (len(edges) - 1) + 1) / count)
 
         deviance, best = self.deviance(found)
         gain = [

@@ -14,7 +14,7 @@ from contextlib import nullcontext
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_core.cli.console import command, writable_file, writable_folder
 from hydro_core.process import termination
-from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
 from hydro_diagnosis.stage_bar import StageBar
 
@@ -26,7 +26,7 @@ def parser() -> argparse.ArgumentParser:
     )
     options.add_argument(
         "recordings", nargs="*", metavar="RECORDING",
-        help="rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES),
+        help="rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(RECORDING_SUFFIXES),
     )  # fmt: skip
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
     options.add_argument(

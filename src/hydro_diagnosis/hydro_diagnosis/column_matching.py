@@ -23,21 +23,21 @@ from hydro_diagnosis.bench_parameters import has_spring
 from hydro_diagnosis.io.column_map import QUANTITY_OF, TARGETS, ColumnMap, Source
 from hydro_diagnosis.io.columns import Columns, is_time, means, quantity, runs_forward, split_unit, to_si
 from hydro_diagnosis.io.table import base_clock
-from hydro_diagnosis.recording import MEASURED
+from hydro_diagnosis.recording import MEASURED_CHANNELS
 from hydro_diagnosis.significance import PRACTICAL_SHARE
 from hydro_diagnosis.wiring import BLOCK_SAMPLES, INSPECTED_SAMPLES, MIN_CORRELATION, block_regression
 from hydro_sim.model.bench import Bench
 
-_PRESSURE = r"(p|press\w*|druck\w*)"
-_WORDS: Mapping[str, str] = {
+_PRESSURE_PATTERN = r"(p|press\w*|druck\w*)"
+_FIELD_PATTERNS: Mapping[str, str] = {
     "hydraulic_force": r"hydraulic_?force|f_?h(yd\w*)?|zylinderkraft|kolbenkraft|(piston|actuator)_?force|f_?cyl\w*|"
     r"f_?piston",
     "load_force": r"load_?(cell|force)?|f_?l(oad)?|kraft(mess\w*|aufn\w*|sensor)|last|lastkraft|f_?mess|f_?spring|"
     r"federkraft|kraft|force|f",
-    "pressure_a": rf"{_PRESSURE}_?(a|1)|(a_?side|bore_?side|cap_?(side|end)|kolbenseit\w*|kammer_?a|"
-    rf"chamber_?a)(_?{_PRESSURE})?",
-    "pressure_b": rf"{_PRESSURE}_?(b|2)|(b_?side|rod_?(side|end)|ringseit\w*|stangenseit\w*|kammer_?b|chamber_?b)"
-    rf"(_?{_PRESSURE})?",
+    "pressure_a": rf"{_PRESSURE_PATTERN}_?(a|1)|(a_?side|bore_?side|cap_?(side|end)|kolbenseit\w*|kammer_?a|"
+    rf"chamber_?a)(_?{_PRESSURE_PATTERN})?",
+    "pressure_b": rf"{_PRESSURE_PATTERN}_?(b|2)|(b_?side|rod_?(side|end)|ringseit\w*|stangenseit\w*|kammer_?b|"
+    rf"chamber_?b)(_?{_PRESSURE_PATTERN})?",
     "piston_position": r"x|y|x_?p|s|pos\w*|piston_?pos\w*|\w*weg(aufn\w*|sensor)?|\w*hub|(\w*_)?stroke|displacement|"
     r"lvdt|encoder|q",
     "piston_velocity": r"v|x_?dot|dx|vel\w*|speed|\w*geschwindigkeit|piston_?vel\w*|qd",
@@ -45,18 +45,20 @@ _WORDS: Mapping[str, str] = {
     "reference_force": r"(\w*_)?(ref\w*|set_?point|soll\w*|desired)|(f|force)_?(ref|set|des)\w*|soll\w*",
 }
 """Column names, or words in them, that denote a field."""
-_ANY_FORCE = re.compile(r"kraft|force|f", re.IGNORECASE)
+_FORCE_PATTERN = re.compile(r"kraft|force|f", re.IGNORECASE)
 """Words for a force that do not distinguish between several."""
-_ACTS_ON = {
+_FORCE_PART_PATTERNS = {
     "hydraulic_force": re.compile(r"zylinder|kolben|cyl(inder)?|piston|actuator|hyd\w*", re.IGNORECASE),
     "load_force": re.compile(r"feder|spring|last|load|probe|specimen", re.IGNORECASE),
 }
 """Words that distinguish the two forces."""
-_LIKELY = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
+_LIKELY_UNITS = {"pressure": ("bar", "kPa", "MPa"), "length": ("mm",), "current": ("mA",), "force": ("kN",)}
 """Units tried for a quantity if none is stated."""
-_REFERENCE = re.compile(_WORDS["reference_force"] + r"|\w*(ref|soll|target|desired|setpoint)", re.IGNORECASE)
-_VALVE = re.compile(r"valve|spool|ventil|schieber|servo", re.IGNORECASE)
-_NEVER = re.compile(r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
+_REFERENCE_PATTERN = re.compile(
+    _FIELD_PATTERNS["reference_force"] + r"|\w*(ref|soll|target|desired|setpoint)", re.IGNORECASE
+)
+_VALVE_PATTERN = re.compile(r"valve|spool|ventil|schieber|servo", re.IGNORECASE)
+_EXCLUDED_PATTERN = re.compile(r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
 
 
 def propose_sources(found: Columns, bench: Bench) -> ColumnMap:
@@ -80,7 +82,7 @@ def propose_sources(found: Columns, bench: Bench) -> ColumnMap:
             sources["time"] = Source(best, unit=_time_unit(best, found))
     taken = set(found.clocks.values()) | {source.column for source in sources.values()}
     free = [name for name in found.series if name not in taken]
-    pairs = [(_score(field, name, found, bench), field, name) for field in _WORDS for name in free]
+    pairs = [(_score(field, name, found, bench), field, name) for field in _FIELD_PATTERNS for name in free]
     exact = [(100.0, name, name) for name in STATE_FIELDS if name in found.series]
     for score, field, name in sorted([*exact, *pairs], key=lambda pair: -pair[0]):
         # from a word or letter of the name, and a consistent unit or range
@@ -107,7 +109,10 @@ def _move_lone_force(sources: dict[str, Source], found: Columns, sprung: bool) -
     if load is None or place is None or "hydraulic_force" in sources or _forces(found) > 1:
         return
     words = _words(_own_name(load.column))
-    if any(_ACTS_ON["load_force"].fullmatch(word) or re.search("cell|mess|sensor", word, re.I) for word in words):
+    if any(
+        _FORCE_PART_PATTERNS["load_force"].fullmatch(word) or re.search("cell|mess|sensor", word, re.I)
+        for word in words
+    ):
         return
     force, position = found.series[load.column], found.series[place.column]
     both = np.isfinite(force) & np.isfinite(position) if len(force) == len(position) else np.zeros(len(force), bool)
@@ -122,7 +127,7 @@ def _add_by_physics(sources: dict[str, Source], found: Columns, bench: Bench) ->
     taken = {source.column for source in sources.values()}
     for name, values in found.series.items():
         moves = name not in taken and np.isfinite(values).all() and np.ptp(values) > 0.0
-        if moves and (unit := found.unit(name)) and not _NEVER.search(_own_name(name)):
+        if moves and (unit := found.unit(name)) and not _EXCLUDED_PATTERN.search(_own_name(name)):
             left.setdefault(quantity(unit), []).append(name)
 
     def take(field: str, name: str | None) -> None:
@@ -167,14 +172,14 @@ def _add_by_equations(sources: dict[str, Source], found: Columns, bench: Bench) 
         name: values[:INSPECTED_SAMPLES]
         for name, values in found.series.items()
         if name != clock and len(values) == len(found.series[clock]) and np.isfinite(values).all()
-        and np.ptp(values) > 0.0 and not (_NEVER.search(name) or found.unit(name))
+        and np.ptp(values) > 0.0 and not (_EXCLUDED_PATTERN.search(name) or found.unit(name))
     }  # fmt: skip
     if len(free) > 16 or len(found.series[clock]) < 100 * BLOCK_SAMPLES:
         return
 
     def sized(field: str, taken: set[str]) -> dict[Source, FloatArray]:
         """Means over `BLOCK_SAMPLES` rows [SI] of columns, in each unit in which they are plausible for it."""
-        units = ("", *_LIKELY.get(QUANTITY_OF[field], ()))
+        units = ("", *_LIKELY_UNITS.get(QUANTITY_OF[field], ()))
         there = {Source(name, unit=unit): to_si(unit) * free[name] for name in free for unit in units}
         sizes = {source: means(one, BLOCK_SAMPLES) for source, one in there.items() if source.column not in taken}
         return {source: one for source, one in sizes.items() if _fits(field, one, bench)}
@@ -262,20 +267,20 @@ def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
     """Score of a column for a field."""
     own = re.sub(r"\W+", "_", _own_name(name))
     words = _words(own)
-    if _NEVER.search(own) or (field in MEASURED and any(map(_REFERENCE.fullmatch, words))):
+    if _EXCLUDED_PATTERN.search(own) or (field in MEASURED_CHANNELS and any(map(_REFERENCE_PATTERN.fullmatch, words))):
         return 0.0
     score = 0.0
-    if field in _ACTS_ON and _is_force(name, found):
-        words = [word for word in words if not _ANY_FORCE.fullmatch(word)] if _forces(found) > 1 else words
+    if field in _FORCE_PART_PATTERNS and _is_force(name, found):
+        words = [word for word in words if not _FORCE_PATTERN.fullmatch(word)] if _forces(found) > 1 else words
         own = "_".join(word for word in own.split("_") if word in words)
-        score += 3.5 * any(_ACTS_ON[field].fullmatch(word) for word in words)
-    pattern = re.compile(_WORDS[field], re.IGNORECASE)
+        score += 3.5 * any(_FORCE_PART_PATTERNS[field].fullmatch(word) for word in words)
+    pattern = re.compile(_FIELD_PATTERNS[field], re.IGNORECASE)
     if score == 0.0 and own:
         said = [word for word in words if pattern.fullmatch(word)]
         plainly = (
-            field in MEASURED
-            and any(len(word) > 3 and not _ANY_FORCE.fullmatch(word) for word in said)
-            and not any(map(_VALVE.fullmatch, words))
+            field in MEASURED_CHANNELS
+            and any(len(word) > 3 and not _FORCE_PATTERN.fullmatch(word) for word in said)
+            and not any(map(_VALVE_PATTERN.fullmatch, words))
         )
         score += 3.5 if plainly else 2.5 if pattern.fullmatch(own) else 2.0 if said else 0.0
     unit = found.unit(name)
@@ -287,13 +292,16 @@ def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
 
 def _is_force(name: str, found: Columns) -> bool:
     unit, words = found.unit(name), _words(_own_name(name))
-    return quantity(unit) == "force" if unit else any(_ANY_FORCE.fullmatch(word) for word in words)
+    return quantity(unit) == "force" if unit else any(_FORCE_PATTERN.fullmatch(word) for word in words)
 
 
 def _forces(found: Columns) -> int:
     """Number of columns that are measured forces."""
     named = [_own_name(name) for name in found.series if _is_force(name, found)]
-    return sum(not _NEVER.search(name) and not any(map(_REFERENCE.fullmatch, _words(name))) for name in named)
+    return sum(
+        not _EXCLUDED_PATTERN.search(name) and not any(map(_REFERENCE_PATTERN.fullmatch, _words(name)))
+        for name in named
+    )
 
 
 def _words(name: str) -> list[str]:
@@ -317,7 +325,7 @@ def _unit(field: str, name: str, found: Columns, bench: Bench) -> str:
     wanted, unit = QUANTITY_OF.get(field, ""), found.unit(name)
     if unit or name == field:
         return unit if quantity(unit) == wanted and to_si(unit) != 1.0 else ""
-    candidates = ["", *_LIKELY.get(wanted, ())]
+    candidates = ["", *_LIKELY_UNITS.get(wanted, ())]
     fitting = [one for one in candidates if _fits(field, to_si(one) * found.series[name], bench)]
     return fitting[0] if fitting else ""
 

@@ -17,7 +17,7 @@ from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
 from hydro_diagnosis.shapes import (
-    PROFILE,
+    PROFILE_FACTORS,
     FittedShape,
     curve_shape,
     fit_shape,
@@ -28,15 +28,15 @@ from hydro_diagnosis.shapes import (
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE
 from hydro_sim.model import grammar
 
-LABELS = {
+EFFECT_LABELS = {
     "dry": "friction_coulomb", "viscous": "friction_viscous", "constant": "force_offset",
     "stribeck": "friction_stribeck",
 }  # fmt: skip
 """Labels of the effects that the terms of a shape represent."""
-DIRECTIONAL, MASS, PRESLIDING, CELL = (
+DIRECTIONAL_FRICTION, MOVING_MASS, PRESLIDING, LOAD_CELL_LAG = (
     "friction_viscous:directional", "moving_mass", "friction_presliding", "sensor_lag:hydraulic_force",
 )  # fmt: skip
-OPERATORS = frozenset({MASS, PRESLIDING, "sensor_lag"})
+OPERATOR_EFFECTS = frozenset({MOVING_MASS, PRESLIDING, "sensor_lag"})
 """Ids of the effects by operators, not by the shape: moving mass, presliding, sensor lag."""
 NO_SHARES = {"named": 0.0, "all": 0.0}
 """Explained shares where nothing is claimed."""
@@ -66,7 +66,9 @@ def claims_from_curve(
 ) -> CurveClaims:
     """Return the claims of a curve; `held_out`: held-out motions; `library`: causes that may be named."""
     effects = {effect.label: effect for effect in library if effect.named}
-    allowed = frozenset(name for name, label in {**LABELS, "directional": DIRECTIONAL}.items() if label in effects)
+    allowed = frozenset(
+        name for name, label in {**EFFECT_LABELS, "directional": DIRECTIONAL_FRICTION}.items() if label in effects
+    )
     shape = curve_shape(curve, problem.bench.viscous_friction, allowed)
     share = partial(_share, curve, held_out)
     found = _Claims(effects)
@@ -74,7 +76,7 @@ def claims_from_curve(
     if shape is not None:
         for name in dict.fromkeys(shape.shape.names):
             estimates = shape.coefficient_intervals(name, -1.0 if name == "constant" else 1.0)
-            label = DIRECTIONAL if len(estimates) > 1 else LABELS[name]
+            label = DIRECTIONAL_FRICTION if len(estimates) > 1 else EFFECT_LABELS[name]
             if name == "stribeck":
                 estimates.append(
                     (shape.shape.stribeck, *stribeck_velocity_interval(curve.points, shape, curve.top_speed))
@@ -83,9 +85,9 @@ def claims_from_curve(
                 gain = share(shape, terms) - share(shape.without(name), terms)
                 found.add(label, estimates, _evidence(curve, shape, name), gain)
     dry = shape.coefficient_intervals("dry") if shape is not None else []
-    operators = {"mass": (MASS, replace(terms, mass=False)),
+    operators = {"mass": (MOVING_MASS, replace(terms, mass=False)),
                  "presliding_distance": (PRESLIDING, replace(terms, presliding_distance=0.0)),
-                 "cell_bandwidth": (CELL, replace(terms, cell_bandwidth=0.0))}  # fmt: skip
+                 "cell_bandwidth": (LOAD_CELL_LAG, replace(terms, cell_bandwidth=0.0))}  # fmt: skip
     for name, (label, less) in operators.items():
         if shape is None or not getattr(terms, name) or (label == PRESLIDING and not dry):
             continue
@@ -168,7 +170,7 @@ def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]
         return [(value, value - QUANTILE * error, value + QUANTILE * error)]
     value = getattr(curve.terms, name)
     least = curve.held_out_rms(curve.terms)
-    most, tried = (1.0 + PRACTICAL_SHARE) * least, value * PROFILE[::2]
+    most, tried = (1.0 + PRACTICAL_SHARE) * least, value * PROFILE_FACTORS[::2]
     flat = [one for one in tried.tolist() if curve.held_out_rms(replace(curve.terms, **{name: one})) < most]
     low, high = min([*flat, value]), max([*flat, value])
     return (
@@ -183,9 +185,9 @@ def _rivals(curve: ForceCurve) -> list[Rival]:
         found.append(Rival(id="force_offset", delta_bic=0.0, distinguishable=False, why=why))
     for terms in curve.rivals:
         for name, label in (
-            ("mass", MASS),
+            ("mass", MOVING_MASS),
             ("presliding_distance", PRESLIDING),
-            ("cell_bandwidth", CELL.partition(":")[0]),
+            ("cell_bandwidth", LOAD_CELL_LAG.partition(":")[0]),
         ):
             if getattr(terms, name) and not getattr(curve.terms, name):
                 why = f"{label.replace('_', ' ')} explains these recordings as well: another recording must tell"

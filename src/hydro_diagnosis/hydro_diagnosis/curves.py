@@ -39,12 +39,12 @@ SAMPLES_PER_PERIOD = 16.0
 STANDSTILL_SHARE = 0.03
 """Share of the top speed below which the piston is at rest: a tenth of a decade above the band's resolution of a turn.
 """
-SPEED_RATIO = 1.4
+SPEED_KNOT_RATIO = 1.4
 """Ratio of neighbouring knots over the speed: eleven per direction, from about `STANDSTILL_SHARE` to the top speed."""
 SMOOTHING_WEIGHT = 0.03
 """Factor of the smoothness penalties on first differences over the speed and second ones over the position, relative to
 the root of the samples' total weight."""
-ROUGH_RATIO = 2.5
+ROUGHNESS_THRESHOLD = 2.5
 """Ratio of the most flexible curve's residual to the force's white noise above which recordings are rough: 3.1 and more
 on 24 of 26 real rigs, at most 1.8 on drawn ones whose causes are shapes of the motion
 (docs/reports/real_recordings.md)."""
@@ -240,8 +240,8 @@ class ForceCurve:
         self.limits = min(float(m.position.min()) for m in motions), max(float(m.position.max()) for m in motions)
         self.stroke = float(np.median([np.ptp(one.position) for one in motions]))
         """Median range [m] of the recordings' positions."""
-        count = int(np.ceil(np.log(1.0 / STANDSTILL_SHARE) / np.log(SPEED_RATIO)))
-        self.knots = np.concatenate([[0.0], self.top_speed * SPEED_RATIO ** np.arange(1 - count, 2.0)])
+        count = int(np.ceil(np.log(1.0 / STANDSTILL_SHARE) / np.log(SPEED_KNOT_RATIO)))
+        self.knots = np.concatenate([[0.0], self.top_speed * SPEED_KNOT_RATIO ** np.arange(1 - count, 2.0)])
         """Knots [m/s] of the curve, which is linear between them."""
         self._samples: dict[int, CurveSamples] = {}
         self.rivals: list[Terms] = []
@@ -345,7 +345,7 @@ class ForceCurve:
 
     def nearest_knot(self, speed: FloatArray) -> npt.NDArray[np.int64]:
         """Return the index of the knot nearest by ratio to each speed [m/s], shape (n,); 0 below the others."""
-        return np.searchsorted(self.knots[1:] / SPEED_RATIO**0.5, speed)
+        return np.searchsorted(self.knots[1:] / SPEED_KNOT_RATIO**0.5, speed)
 
     def hat_basis(self, speed: FloatArray) -> FloatArray:
         """Return the hat functions of the knots at each speed [m/s], shape (n, knots)."""
@@ -543,7 +543,7 @@ class ForceCurve:
         terms = Terms(mass=True, position="curved")
         off = np.abs(self._held_out(self.design(terms, self.motions, sliding=True), terms))
         noise = float(np.sqrt(np.mean(np.square([one.noise for one in self.motions]))))
-        return 1.483 * float(np.median(off)) / noise > ROUGH_RATIO
+        return 1.483 * float(np.median(off)) / noise > ROUGHNESS_THRESHOLD
 
 
 def spline_basis(share: FloatArray) -> FloatArray:

@@ -33,17 +33,17 @@ from hydro_core.cli.console import UserError, bounded_number, command, plural, w
 from hydro_core.settings import read_yaml
 from hydro_diagnosis.bench_parameters import read_bench
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError
 from hydro_diagnosis.report_json import row_of
 
-_OF = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
+_KEY_FIELDS = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
 _TEXT, _TEXTS, _NUMBER = pa.string(), pa.list_(pa.string()), pa.float64()
-DIAGNOSES = pa.schema([
-    *_OF, ("verdict", _TEXT), ("refused", _TEXT), ("causes", _TEXTS), ("closures", pa.int32()),
+DIAGNOSES_SCHEMA = pa.schema([
+    *_KEY_FIELDS, ("verdict", _TEXT), ("refused", _TEXT), ("causes", _TEXTS), ("closures", pa.int32()),
     ("explained", _NUMBER), ("notes", _TEXTS), ("seconds", _NUMBER),
 ])  # fmt: skip
-PARAMETERS = pa.schema([
-    *_OF, ("cause", _TEXT), ("options", _TEXT), ("parameter", _TEXT), ("value", _NUMBER), ("low", _NUMBER),
+PARAMETERS_SCHEMA = pa.schema([
+    *_KEY_FIELDS, ("cause", _TEXT), ("options", _TEXT), ("parameter", _TEXT), ("value", _NUMBER), ("low", _NUMBER),
     ("high", _NUMBER), ("unit", _TEXT),
 ])  # fmt: skip
 """Columns of STUDY/diagnoses.parquet and of STUDY/parameters.parquet (`many_recordings.md`)."""
@@ -73,7 +73,7 @@ def _within(path: Path) -> Iterator[Path]:
         yield path
         return
     for one in sorted(path.iterdir()):
-        if one.is_dir() or one.suffix.lower() in (".mcap", *SUFFIXES):
+        if one.is_dir() or one.suffix.lower() in (".mcap", *RECORDING_SUFFIXES):
             yield from _within(one)
 
 
@@ -133,7 +133,10 @@ def write_study(folder: Path, found: Mapping[str, Mapping[str, Any]]) -> None:
     """Write both tables of a study; `found`: rows by recording, as of `diagnose_part`."""
     diagnoses = [{"recording": name, **one["diagnosis"]} for name, one in found.items()]
     parameters = [{"recording": name, **row} for name, one in found.items() for row in one["parameters"]]
-    for name, table, schema in (("diagnoses", diagnoses, DIAGNOSES), ("parameters", parameters, PARAMETERS)):
+    for name, table, schema in (
+        ("diagnoses", diagnoses, DIAGNOSES_SCHEMA),
+        ("parameters", parameters, PARAMETERS_SCHEMA),
+    ):
         partial = folder / f"{name}.parquet.partial"
         parquet.write_table(pa.Table.from_pylist(table, schema), partial)
         partial.replace(folder / f"{name}.parquet")

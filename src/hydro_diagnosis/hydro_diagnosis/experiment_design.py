@@ -52,7 +52,7 @@ def simulated_recording(
     return check_recording(RawTable("rehearsal", states["time"].copy(), None, columns), without_effects)
 
 
-PROPOSED_SECONDS = 20.0
+PROPOSED_TIME = 20.0
 """Length [s] of a proposed recording."""
 
 
@@ -105,13 +105,13 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
     why = f"{alike}; on this reference they differ most, by {gain**0.5:.3g} standard deviations of the noise."
     proposed = {
         "waveform": reference.waveform.name.lower(), "amplitude": reference.amplitude, "offset": reference.offset,
-        "frequency": reference.frequency, "seconds": PROPOSED_SECONDS,
+        "frequency": reference.frequency, "seconds": PROPOSED_TIME,
     }  # fmt: skip
     return {"why": why, "separates": names, "reference": proposed, "expected_gain": gain}
 
 
 def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
-    """Expected BIC difference between a fit and its rival after `PROPOSED_SECONDS` seconds of a reference."""
+    """Expected BIC difference between a fit and its rival after `PROPOSED_TIME` seconds of a reference."""
     seconds = 10.0
     try:
         recording = simulated_recording(problem.bench, reference, seconds=seconds)
@@ -124,7 +124,7 @@ def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, ri
     lengths = np.linalg.norm(columns, axis=0)
     basis = np.linalg.qr(columns[:, lengths > 0.0] / lengths[lengths > 0.0])[0]
     left = apart - basis @ (basis.T @ apart)
-    return float(left @ left) * PROPOSED_SECONDS / seconds
+    return float(left @ left) * PROPOSED_TIME / seconds
 
 
 def next_for_law(problem: Problem, found: Fit, screen: Screen | None = None) -> dict[str, Any] | None:

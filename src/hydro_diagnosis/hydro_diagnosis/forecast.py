@@ -32,7 +32,7 @@ from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, ST
 from hydro_diagnosis.bench_parameters import can_simulate
 from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.preprocessing.quality import SATURATED
+from hydro_diagnosis.preprocessing.quality import SATURATION_SHARE
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import ForecastReport
@@ -40,12 +40,12 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.recordings import BOX_TOPIC
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import TEXTBOOK
+from hydro_sim.model.bench_model import TEXTBOOK_STATE_COUNT
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 
-MISSED = 0.2
+MAX_FORECAST_ERROR = 0.2
 """Relative error of a forecast, over the recorded RMSE, beyond which it is reported to miss."""
 LAW_STATE_TOPIC = "/hydro/law_state"
 
@@ -90,7 +90,7 @@ class _InitialisedPlant(AnalyticPlant):
     def reset(self, seed: int) -> FloatArray:
         super().reset(seed)
         force_h, _, force_l, force_rate, pressure_a, pressure_b, position, velocity = self._start
-        self.state["y"][0, :TEXTBOOK] = pressure_a, pressure_b, position, velocity, force_l, force_rate
+        self.state["y"][0, :TEXTBOOK_STATE_COUNT] = pressure_a, pressure_b, position, velocity, force_l, force_rate
         self.state["x"][0], self.state["last"][0] = self._start, (force_h, force_l, position)
         return self.measurement()
 
@@ -131,14 +131,15 @@ def _forecast(loop: RecordedLoop, problem: Problem, claims: Sequence[EffectHypot
         loop.simulated(corrected_bench(problem.bench, [one for one in claims if one is not cause]), sensors)
         for cause in causes
     }  # fmt: skip
-    misses = not abs(after - recorded) <= MISSED * recorded
+    misses = not abs(after - recorded) <= MAX_FORECAST_ERROR * recorded
     said = f"On {loop.recording}, under the {law} law, your simulation promised {_newtons(before)}, the bench gave "
     said += _newtons(recorded) + (f", the corrected simulation says {_newtons(after)}" if causes else "")
     parts = [f"{_newtons(one)} without {label.replace(':', ' ')}" for label, one in without.items()]
     said += f" ({', '.join(parts)})." if len(parts) > 1 else "."
     said += " Changes of the reference are in these RMSE; tables of settled runs leave them out."
     if misses:
-        said += f" The forecast MISSES what was recorded by more than {100.0 * MISSED:.0f} %: tune no controller on it."
+        most = 100.0 * MAX_FORECAST_ERROR
+        said += f" The forecast MISSES what was recorded by more than {most:.0f} %: tune no controller on it."
     return ForecastReport(
         recording=loop.recording, law=law, rmse_recorded=recorded, rmse_bench_file=before, rmse_corrected=after,
         without=without, misses=misses, sentence=said,
@@ -175,7 +176,7 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> R
     box_bench, config = _box(part, law, followed[begin:end], scales, _box_benches(bench, bag), spacing)
     current, nominal = part["valve_current"][::spacing], part["nominal_valve_current"][::spacing]
     limit = box_bench.valve_current_max
-    added = np.where(np.abs(current) < SATURATED * limit, current - nominal, 0.0)  # by the filter
+    added = np.where(np.abs(current) < SATURATION_SHARE * limit, current - nominal, 0.0)  # by the filter
     corrected = not np.max(np.abs(added)) < 1e-6 * limit
     schedule = Schedule(
         reference=followed[begin:end],
@@ -242,7 +243,7 @@ def _box(
         config = replace(config, compensated=replace(config.compensated, **fixed, **wide), **wide)  # type: ignore[arg-type]
         tried.append((_law_off(channels, followed, scales, box_bench, config, spacing), len(tried), box_bench, config))
     off, _, box_bench, config = min(tried)
-    if not off <= MISSED / 4.0:  # a miss of `MISSED` is then not due to the law
+    if not off <= MAX_FORECAST_ERROR / 4.0:  # a miss of `MAX_FORECAST_ERROR` is then not due to the law
         raise ValueError(
             f"the {law.name.lower()} law with its recorded gains misses the recorded nominal current by "
             f"{100.0 * off:.0f} %: what closed this loop is not known"
@@ -266,7 +267,7 @@ def _law_off(
     moving = scales[0] * eq.force_rate(n, stiff, (0.0, 0.0), channels["piston_velocity"])
     action = nominal * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
     current = channels["valve_current"]
-    stopped = (np.abs(current) >= SATURATED * box_bench.valve_current_max) & (current * error > 0.0)
+    stopped = (np.abs(current) >= SATURATION_SHARE * box_bench.valve_current_max) & (current * error > 0.0)
     grown = np.cumsum(np.where(stopped, 0.0, channels["integral_gain"] * error)) * SAMPLE_PERIOD
     left = (action[1:] - grown[:-1])[spacing - 1 :: spacing]
     off = (left - left.mean()) / gain[spacing::spacing]

@@ -35,11 +35,11 @@ from hydro_core.cli.console import Table
 from hydro_core.errors import UserError
 from hydro_diagnosis.bench_parameters import read_bench
 from hydro_diagnosis.column_matching import as_yaml
-from hydro_diagnosis.inspect_command import COLUMNS, ROWS, list_columns, missing_equations, plausibility_warnings
+from hydro_diagnosis.inspect_command import COLUMNS, MAX_ROWS, list_columns, missing_equations, plausibility_warnings
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
-from hydro_diagnosis.io.columns import UNITS, Columns
+from hydro_diagnosis.io.columns import UNIT_FACTORS, Columns
 from hydro_diagnosis.io.table import columns_of
-from hydro_diagnosis.recording import SUFFIXES, InputError, unreadable_reason
+from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError, unreadable_reason
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 HOST = "127.0.0.1"
 _SCRIPT = "import.js"
-_POLICY = (
+_CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; "
     "connect-src 'self'; frame-src blob:"
 )
@@ -133,10 +133,10 @@ class Import:
             self._bench = read_bench(path)
             self._send("bench", name=path.name)
             return
-        if path.suffix.lower() not in (".mcap", *SUFFIXES):
+        if path.suffix.lower() not in (".mcap", *RECORDING_SUFFIXES):
             raise InputError(f"{path.name}: {unreadable_reason(path)}, nor a bench file")
         table = Table(COLUMNS)
-        found = columns_of(path, ROWS)
+        found = columns_of(path, MAX_ROWS)
         proposal = list_columns(path.name, found, None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
         rows = [
@@ -185,7 +185,7 @@ def serve_imports(port: int, diagnose: Callable[..., Diagnosis], bench: Bench, n
     page = environment("hydro_diagnosis", "page").get_template("import.html")
     files = {
         "/": (
-            page.render(title="Import recordings", fields=TARGETS, units=sorted(UNITS), bench=name).encode(),
+            page.render(title="Import recordings", fields=TARGETS, units=sorted(UNIT_FACTORS), bench=name).encode(),
             "text/html; charset=utf-8",
         ),
         f"/{_SCRIPT}": (
@@ -201,7 +201,7 @@ def serve_imports(port: int, diagnose: Callable[..., Diagnosis], bench: Bench, n
             return None
         if request.path not in files:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
-        return file_response(*files[request.path], _POLICY)
+        return file_response(*files[request.path], _CONTENT_SECURITY_POLICY)
 
     def attend(connection: ServerConnection) -> None:
         with tempfile.TemporaryDirectory(prefix="hydro-import-") as folder:

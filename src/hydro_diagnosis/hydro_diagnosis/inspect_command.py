@@ -30,7 +30,7 @@ IDENTIFIED_EFFECTS = {
     "force of the pressures": "the pressure sensors and the hydraulic force's scale",
 }
 """Effects that each equation identifies."""
-ROWS = 100_000
+MAX_ROWS = 100_000
 """Number of rows to which longer bags are thinned evenly; counts and ranges are of all rows."""
 
 
@@ -123,7 +123,7 @@ def main() -> int:
     bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
     table, maps, remarks = Table(COLUMNS), [], []
     for path in chosen.recordings:
-        found = columns_of(path, ROWS)
+        found = columns_of(path, MAX_ROWS)
         maps.append(list_columns(path.name, found, columns, table, bench))
         said = plausibility_warnings(path, found, maps[-1], bench)
         if columns is None:
@@ -139,7 +139,7 @@ def main() -> int:
         raise InputError(f"{chosen.write} was not written: no signal of {chosen.recordings[0].name} is known")
     if chosen.write:
         try:
-            table_of(chosen.recordings[0], columns_of(chosen.recordings[0], ROWS), maps[0])
+            table_of(chosen.recordings[0], columns_of(chosen.recordings[0], MAX_ROWS), maps[0])
         except InputError as error:
             raise InputError(f"{chosen.write} was not written, since diagnose could not read by it: {error}") from None
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)

@@ -28,7 +28,7 @@ MIN_EXPLAINED_SHARE = 0.98
 """Least share of the squared mismatch that retained causes explain if something remains: six sevenths of its RMS."""
 ExplainedShares = dict[str, dict[str, float]]
 """Shares explained by the `named` claims and by `all` terms, by equation."""
-_EQUATION = {"hydraulic": "sensor"}
+_EQUATION_NAMES = {"hydraulic": "sensor"}
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def assess(
 def _remaining_equations(holdout: Problem, kept: Fit) -> list[str]:
     """Return the equations in which a fit leaves more than noise in the held-out recordings."""
     unseen = holdout.reweighted(kept.claims)
-    return [_EQUATION.get(name, name) for name in unseen.excess_channels(unseen.residual(kept.claims))]
+    return [_EQUATION_NAMES.get(name, name) for name in unseen.excess_channels(unseen.residual(kept.claims))]
 
 
 def accounted_shares(
@@ -169,7 +169,7 @@ def accounted_shares(
         missing = one["rmse_before"] ** 2 - floor
         if missing > EXCESS_THRESHOLD * floor:
             left = {"named": named[name]["rmse_after"], "all": one["rmse_after"]}
-            found[_EQUATION.get(name, name)] = {
+            found[_EQUATION_NAMES.get(name, name)] = {
                 key: 1.0 - float(np.sqrt(max(after**2 - floor, 0.0) / missing)) for key, after in left.items()
             }
     return found

@@ -230,5 +230,5 @@ def grow(chosen: argparse.Namespace) -> int:
         print(f"  {agreement.sentence}")
     print(f"{path} is the effect")
     if not grown.is_searched(folder):
-        print(f"bench files may name it where {grown.VARIABLE}={folder} is set")
+        print(f"bench files may name it where {grown.FOLDER_VARIABLE}={folder} is set")
     return 0

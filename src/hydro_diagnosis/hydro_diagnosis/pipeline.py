@@ -18,10 +18,10 @@ from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.simulator_comparison import compare_reports
-from hydro_diagnosis.stage_bar import SIMULATOR
+from hydro_diagnosis.stage_bar import SIMULATOR_PREFIX
 from hydro_diagnosis.stages.hypotheses import prepare_best_wiring, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
-from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, Progress
+from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, ProgressCallback
 from hydro_diagnosis.stages.reporting import build_report, interrupted_report
 from hydro_sim.model.bench import Bench
 
@@ -40,7 +40,7 @@ def diagnose(
     simulated_columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
     settings: SearchSettings | None = None,
     seconds: float | None = None,
-    progress: Progress = lambda text: None,
+    progress: ProgressCallback = lambda text: None,
 ) -> Diagnosis:
     """Locate, name, quantify and model the physics of a bench that its simulation lacks.
 
@@ -92,7 +92,7 @@ def diagnose(
         return _answered(_prepare(inputs, progress), settings, progress)
 
     def told(text: str) -> None:
-        progress(SIMULATOR + text)
+        progress(SIMULATOR_PREFIX + text)
 
     beside = replace(
         inputs, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)
@@ -107,14 +107,14 @@ def diagnose(
     return replace(found, report=compare_reports(found.report, other.report))
 
 
-def _prepare(inputs: DiagnosisInput, progress: Progress) -> tuple[PreparedDiagnosis, float]:
+def _prepare(inputs: DiagnosisInput, progress: ProgressCallback) -> tuple[PreparedDiagnosis, float]:
     """Prepared diagnosis of an input, and the time taken to read it [s]."""
     begun = time.monotonic()
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
         return prepare_best_wiring(inputs, progress), time.monotonic() - begun
 
 
-def _answered(read: tuple[PreparedDiagnosis, float], settings: SearchSettings, progress: Progress) -> Diagnosis:
+def _answered(read: tuple[PreparedDiagnosis, float], settings: SearchSettings, progress: ProgressCallback) -> Diagnosis:
     prepared, begun = read[0], time.monotonic() - read[1]
     given = None not in prepared.estimated_parameters.values()
     search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
@@ -122,6 +122,7 @@ def _answered(read: tuple[PreparedDiagnosis, float], settings: SearchSettings, p
         with threadpool_limits(1, "blas"):
             found = name_causes(prepared, search)
             before, prepared = prepared, reconsider_wiring(prepared, found, progress)
+            prepared.inputs.reader.clear()  # no further hypothesis reads
             if prepared.problem is not before.problem:
                 search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
                 found = name_causes(prepared, search)

@@ -14,7 +14,7 @@ from hydro_diagnosis.effects.dynamics import overlap_output
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
-from hydro_diagnosis.recording import MEASURED, Segment
+from hydro_diagnosis.recording import MEASURED_CHANNELS, Segment
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.tables import KNOTS
 
@@ -29,7 +29,7 @@ def _memory() -> None:
 
 def _equations() -> None:
     """Residuals and simulation of a bench at rest, with and without effects in its chambers."""
-    rest = {name: np.full(200, 1e6 if name.startswith("pressure") else 0.0) for name in MEASURED}
+    rest = {name: np.full(200, 1e6 if name.startswith("pressure") else 0.0) for name in MEASURED_CHANNELS}
     model = SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), Bench.nominal())
     begins = np.arange(20, 40, 10)
     causes = {effect.label: effect for effect in LIBRARY}

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from hydro_core.signals import FloatArray
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
-SUFFIXES = (*TEXT_SUFFIXES, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
-SPREADSHEETS = (".xlsx", ".xlsm", ".xls", ".ods")
+RECORDING_SUFFIXES = (*TEXT_SUFFIXES, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
+SPREADSHEET_SUFFIXES = (".xlsx", ".xlsm", ".xls", ".ods")
 LAST_THIRD_NOTE = "the last third of the only recording was held back to check on"
 """Note on a data set of one recording, whose last third is held out."""
 
@@ -29,14 +29,14 @@ def ambiguous_paths(paths: Sequence[str | Path]) -> set[Path]:
 
 def unreadable_reason(path: Path) -> str:
     """Return the reason why a file cannot be read as a recording."""
-    if path.suffix.lower() in SPREADSHEETS:
+    if path.suffix.lower() in SPREADSHEET_SUFFIXES:
         return "a spreadsheet: save its table as CSV"
-    return f"not a rosbag2 folder, nor a file .mcap, {', '.join(SUFFIXES)}"
+    return f"not a rosbag2 folder, nor a file .mcap, {', '.join(RECORDING_SUFFIXES)}"
 
 
-MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+MEASURED_CHANNELS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """Channels of the sensors; the rates are computed by the box and not used."""
-UNITS = dict(zip(MEASURED, ("N", "N", "Pa", "Pa", "m"), strict=True))
+CHANNEL_UNITS = dict(zip(MEASURED_CHANNELS, ("N", "N", "Pa", "Pa", "m"), strict=True))
 
 
 class InputError(ValueError):

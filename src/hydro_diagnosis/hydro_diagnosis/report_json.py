@@ -156,7 +156,7 @@ class ForecastReport:
     without: dict[str, float]
     """By cause: simulated with the corrected bench without it."""
     misses: bool
-    """Whether `rmse_corrected` deviates from `rmse_recorded` by more than `forecast.MISSED` of the latter."""
+    """Whether `rmse_corrected` deviates from `rmse_recorded` by more than a share `forecast.MAX_FORECAST_ERROR`."""
     sentence: str
 
 

@@ -26,7 +26,7 @@ from hydro_diagnosis.significance import CONFIDENCE, COVERAGE_FACTOR, ITERATIONS
 
 STRIBECK_VELOCITY_RATIOS = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Candidate Stribeck velocities, over the top speed."""
-PROFILE = np.geomspace(0.25, 4.0, 33)
+PROFILE_FACTORS = np.geomspace(0.25, 4.0, 33)
 """Factors of a parameter's estimate at which its profile is evaluated for an interval."""
 MIN_OPPOSING_SHARE = 0.9
 """Least share of the sliding samples in which friction must oppose the motion; recordings of tanks have 76 %."""
@@ -235,7 +235,7 @@ def is_unidirectional(curve: ForceCurve) -> bool:
 
 def stribeck_velocity_interval(points: Sequence[Point], found: FittedShape, top: float) -> tuple[float, float]:
     """Return the 95 % interval of the Stribeck velocity [m/s] by the profile of the squared residuals."""
-    tried = found.shape.stribeck * PROFILE
+    tried = found.shape.stribeck * PROFILE_FACTORS
     squares = [fit_shape(points, replace(found.shape, stribeck=float(one)), top).squares for one in tried]
     rise = len(points) * np.log(np.maximum(squares, 1e-12) / max(found.squares, 1e-12))
     inside = tried[rise < stdtrit(max(len(points) - len(found.values) - 1, 1), CONFIDENCE) ** 2]

@@ -19,9 +19,9 @@ FORECASTING = "forecasting control"
 STAGES = (READING, CURVES, SEARCHING, SELECTING, CHECKING, MODELLING, FORECASTING)
 """Stages of a diagnosis, in order; `MODELLING` is skipped if named effects explain everything."""
 LABEL = "diagnosing"
-LINES = 10.0
+LINE_INTERVAL = 10.0
 """Interval [s] of the lines that replace the bar without a terminal."""
-SIMULATOR = "simulator: "
+SIMULATOR_PREFIX = "simulator: "
 """Prefix of progress texts on the simulator's recordings, for which the bar starts anew."""
 
 
@@ -30,7 +30,9 @@ class StageBar:
 
     def __init__(self) -> None:
         shown = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
-        self._bar: tqdm[Any] = progress(total=len(STAGES), label=LABEL, every=LINES, bar_format=shown, delay=LINES)
+        self._bar: tqdm[Any] = progress(
+            total=len(STAGES), label=LABEL, every=LINE_INTERVAL, bar_format=shown, delay=LINE_INTERVAL
+        )
         self._simulator = False
 
     def __enter__(self) -> StageBar:
@@ -45,7 +47,7 @@ class StageBar:
 
     def __call__(self, text: str) -> None:
         """Show a text; one of `STAGES` moves the bar, never back: a stage may be repeated (`stages.hypotheses`)."""
-        simulator, stage = text.startswith(SIMULATOR), text.removeprefix(SIMULATOR)
+        simulator, stage = text.startswith(SIMULATOR_PREFIX), text.removeprefix(SIMULATOR_PREFIX)
         if simulator != self._simulator:
             self._simulator = simulator
             self._bar.n = 0
@@ -53,5 +55,5 @@ class StageBar:
         done = max(STAGES.index(stage) if stage in STAGES else 0, int(self._bar.n))
         self._bar.set_postfix_str(stage, refresh=False)
         self._bar.update(done - self._bar.n)
-        if self._bar.mininterval < LINES:
+        if self._bar.mininterval < LINE_INTERVAL:
             self._bar.refresh()

@@ -30,11 +30,11 @@ from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.significance import QUANTILE
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED
 
-NEUTRAL: Mapping[str, FitParameter] = {
+PARAMETERS_WITH_NEUTRAL_VALUE: Mapping[str, FitParameter] = {
     f"{effect.id}.{one.name}": one for effect in LIBRARY for one in effect.amplitudes if isfinite(one.neutral)
 }
-"""Effect parameters, by `id.parameter`, with a neutral value at which the effect is absent."""
-ALARM = 3
+"""Effect parameters by `id.parameter` that have a neutral value, at which the effect is absent."""
+ALARM_EXIT_STATUS = 3
 """Exit status for a new change, or a limit within the horizon."""
 _DAY = pd.Timedelta("1D")
 _COLUMNS = {
@@ -101,7 +101,7 @@ def series_of(study: Path, dates: str | None = None) -> list[Series]:
         sd = np.maximum((named.high - named.low) / 3.92, 1e-9 * named.value.abs())
         points = pd.DataFrame({"value": named.value, "sd": sd, "bound": 0.0}).dropna()
         points = points[points.index.isin(diagnoses.index)]
-        neutral = NEUTRAL.get(str(name).partition("[")[0])
+        neutral = PARAMETERS_WITH_NEUTRAL_VALUE.get(str(name).partition("[")[0])
         if neutral is not None:
             settled = diagnoses.index[diagnoses.verdict.isin(("no_mismatch", "explained", "modelled"))]
             absent = settled.difference(claimed[rows.cause_there.iloc[0]])
@@ -127,7 +127,11 @@ def row_of(
     new = before is not None and found.finding_count > before.finding_count
     ahead = (inf, inf, inf)  # days to the limit; without evidence for a slope only one that is passed counts
     if limit is not None:
-        start = NEUTRAL[series.key].neutral if series.key in NEUTRAL else float(found.lines[0].at(found.lines[0].begin))
+        start = (
+            PARAMETERS_WITH_NEUTRAL_VALUE[series.key].neutral
+            if series.key in PARAMETERS_WITH_NEUTRAL_VALUE
+            else float(found.lines[0].at(found.lines[0].begin))
+        )
         reached = line.time_to_limit(limit, limit > start)
         ahead = reached if found.has_slope or reached[0] == 0.0 else ahead
     return dict(zip(_COLUMNS, (
@@ -239,4 +243,4 @@ def main() -> int:
     write_atomic(Path(page), made.render(title="Trends", told=told, short=short).encode())
     if asked.json:
         table.write_json(asked.json)
-    return ALARM if any(row["new"] for row in table.rows) else 0
+    return ALARM_EXIT_STATUS if any(row["new"] for row in table.rows) else 0

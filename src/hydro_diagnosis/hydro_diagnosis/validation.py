@@ -17,21 +17,21 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import MOTION, EffectHypothesis, FloatArray, claims_key
-from hydro_diagnosis.effects.memory import Indices
+from hydro_diagnosis.effects.memory import WindowStarts
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
-from hydro_diagnosis.recording import UNITS
+from hydro_diagnosis.recording import CHANNEL_UNITS
 from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLIER_FACTOR
 
 MAX_LEFT_OUT_SHARE = 0.25
 """Largest share of the windows that may be left out; if more are unpredictable, the errors are over all windows."""
-HORIZON = 0.07
+HORIZON_TIME = 0.07
 """Length of a window [s]."""
-FREE_RUN = 0.5
+FREE_RUN_TIME = 0.5
 """Length of the free run [s]."""
-_TRIED = tuple(1e3 * sign * size for size in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
+_PRESSURE_OFFSETS = tuple(1e3 * sign * one for one in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
 """Offsets [Pa] of the initial pressure in chamber A that are tried."""
 _START_UNCERTAINTY = np.array([5e-6, 5e-3, 5e4, 5e4])
 """Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
@@ -51,9 +51,9 @@ class Comparison:
     """
 
 
-Simulated = tuple[FloatArray, dict[str, FloatArray]]
+SimulatedWindows = tuple[FloatArray, dict[str, FloatArray]]
 """Initial states of windows, shape (4, windows), and reading minus recording by channel, shape (rows, windows)."""
-SimulationCache = dict[tuple[Any, ...], Simulated]
+SimulationCache = dict[tuple[Any, ...], SimulatedWindows]
 """Cache of simulations, by segment, horizon, kind of start and claims."""
 
 
@@ -62,7 +62,7 @@ class _Windows:
     """Windows of one segment, and the plant that simulates them."""
 
     plant: Plant
-    begins: Indices
+    begins: WindowStarts
     """First sample of each, shape (windows,)."""
     length: int
     """Samples of each."""
@@ -112,7 +112,7 @@ class _Windows:
         """
         state = recorded
         if self.plant.has_stiction:
-            tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _TRIED]
+            tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _PRESSURE_OFFSETS]
             costs = np.sum(np.square(self._misses(np.concatenate(tries, axis=1), recorded)), axis=0)
             first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
             state = np.stack(tries)[first, :, np.arange(len(self.begins))].T
@@ -160,7 +160,7 @@ def compare(
         begins = np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64)
         begins = np.unique(begins - (begins - model.segment.phase) % model.spacing)
         with np.errstate(all="ignore"):
-            found: list[Simulated] = []
+            found: list[SimulatedWindows] = []
             for claims in (before, after):
                 stretch = _Windows(Plant.of(model, claims), begins, length, noise)
                 key = (number, seconds, shooting, *claims_key(claims))
@@ -191,7 +191,7 @@ class _Seen:
     """Windows of a segment, and reading minus recording in them by channel, shape (recorded rows, windows)."""
 
     model: SegmentModel
-    begins: Indices
+    begins: WindowStarts
     before: dict[str, FloatArray]
     after: dict[str, FloatArray]
     left_out: npt.NDArray[np.bool_]
@@ -202,7 +202,7 @@ def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> dict[
     before, after = [one.before[name] for one in seen], [one.after[name] for one in seen]
     kept = [~one.left_out for one in seen]
     return {
-        "unit": UNITS[name],
+        "unit": CHANNEL_UNITS[name],
         "rmse_before": _rms([part[:, keep] for part, keep in zip(before, kept, strict=True)]),
         "rmse_after": _rms([part[:, keep] for part, keep in zip(after, kept, strict=True)]),
         "noise_floor": noise.get(name, 0.0),
@@ -217,9 +217,9 @@ def _rms(parts: list[FloatArray]) -> float:
     return float(np.sqrt(mean)) if np.isfinite(mean) else float("inf")
 
 
-SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
+SIMULATION_CHANNELS = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
 """Channels that a forward simulation requires."""
-_MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hydraulic_force"}
+_FORCE_CHANNELS = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hydraulic_force"}
 _EQUATION_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
 
 
@@ -237,12 +237,12 @@ def holdout_errors(
     models = holdout.models
     equations = equation_errors(holdout, claims)
     rod = any(model.load_cell_at_rod for model in models)
-    if rod or not all(model.channels.keys() >= SIMULATED for model in models) or MOTION not in problem.blocks:
+    if rod or not all(model.channels.keys() >= SIMULATION_CHANNELS for model in models) or MOTION not in problem.blocks:
         why = "a forward simulation needs current, position and both pressures, and the moving mass"
         why = "a forward simulation needs a law of the load, which was measured here" if rod else why
-        return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
+        return {"holdout": {}, "horizon_s": HORIZON_TIME, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
-    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=48, shooting=True, cache=cache)
+    horizon = compare(models, before, after, noise, seconds=HORIZON_TIME, windows=48, shooting=True, cache=cache)
     left_out = horizon.left_out
     why = (
         f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
@@ -251,12 +251,12 @@ def holdout_errors(
         if left_out
         else ""
     )
-    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, cache=cache)
+    free = compare(models, before, after, noise, seconds=FREE_RUN_TIME, windows=6, shooting=False, cache=cache)
     return {
         "holdout": horizon.channels,
-        "horizon_s": HORIZON,
+        "horizon_s": HORIZON_TIME,
         "unpredictable": {"windows": horizon.windows, "count": len(left_out), "left_out": left_out, "why": why},
-        "free_run": {"seconds": FREE_RUN, **free.channels},
+        "free_run": {"seconds": FREE_RUN_TIME, **free.channels},
         "equations": equations,
     }
 
@@ -272,7 +272,7 @@ def equation_errors(problem: Problem, claims: Sequence[EffectHypothesis]) -> dic
     before, after = problem.residual(()), problem.residual(claims)
     found = {}
     for name in (CHANNELS[index] for index in np.unique(problem.layout.channel)):
-        measured = _MEASURED.get(name, name)
+        measured = _FORCE_CHANNELS.get(name, name)
         parts = [model.smooth(model.channels[measured]) for model in problem.models if measured in model.channels]
         found[name] = {
             "unit": _EQUATION_UNITS[name],

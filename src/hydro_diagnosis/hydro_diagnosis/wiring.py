@@ -19,7 +19,7 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_parameters import UnknownParameterError, guard_unknown
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import means, to_si
-from hydro_diagnosis.recording import MEASURED
+from hydro_diagnosis.recording import MEASURED_CHANNELS
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
@@ -150,7 +150,9 @@ def check_plausibility(table: RawTable, bench: Bench) -> PlausibilityCheck:
 
 def _copies(channels: Channels) -> Iterator[AlternativeRepairs]:
     """Pairs of channels with identical noise, which two sensors never have."""
-    sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
+    sensors = [
+        name for name in (*MEASURED_CHANNELS, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0
+    ]
     for one, other in combinations(sensors, 2):
         if block_regression(channels[one], channels[other], 1)[1] < 1e-12:
             pairs = [(other, one), (one, other)]

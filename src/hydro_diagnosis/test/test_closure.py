@@ -28,7 +28,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import REVERSING, Signals, edge_losses, spool_shift_losses
+from hydro_sim.model.laws import REVERSING_TEXT, Signals, edge_losses, spool_shift_losses
 from tests.segments import claim, frame, problem_in, problem_of, record
 
 BENCH = Bench.nominal()
@@ -88,9 +88,9 @@ def test_a_law_reverses_over_a_millimetre_a_second_or_over_its_own_number() -> N
     at = Signals(velocity=np.array([-0.05, -5e-3, 0.0, 1e-3, 5e-3]), pressure_a=6e6, pressure_b=5e6)
     plain = FORMS["motion", "friction by pressure of A"].value(at, BENCH, [1e-6])
     np.testing.assert_allclose(plain, 6.0 * np.tanh(at.velocity / 1e-3))
-    own = FORMS["motion", f"friction by pressure of A, {REVERSING}"].value(at, BENCH, [1e-6, 5e-3])
+    own = FORMS["motion", f"friction by pressure of A, {REVERSING_TEXT}"].value(at, BENCH, [1e-6, 5e-3])
     np.testing.assert_allclose(own, 6.0 * np.tanh(at.velocity / 5e-3))
-    film = FORMS["load", f"local rubbing along the stroke, {REVERSING}"]
+    film = FORMS["load", f"local rubbing along the stroke, {REVERSING_TEXT}"]
     assert film.names == ("coefficient", "centre", "width", "turn")
     there = film.value(replace(at, position=0.04), BENCH, [8.0, 0.03, 0.01, 5e-3])
     np.testing.assert_allclose(there, 8.0 * np.exp(-1.0) * np.tanh(at.velocity / 5e-3))

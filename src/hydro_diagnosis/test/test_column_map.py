@@ -17,7 +17,7 @@ from scipy.io import savemat
 from hydro_core.signals import FloatArray, StateArray
 from hydro_diagnosis.column_matching import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import UNITS, Columns
+from hydro_diagnosis.io.columns import UNIT_FACTORS, Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
@@ -113,7 +113,7 @@ USUAL = ["s", "mm", "bar", "bar", "N", "mA", "N"]
 def columns(states: StateArray, units: Sequence[str] = USUAL, fields: Sequence[str] = FIELDS) -> list[FloatArray]:
     """The time [unit] and the fields, each in its unit of the file, shape (n,)."""
     values = [np.arange(len(states)) * 1e-3, *(states[field] for field in fields)]
-    return [one / UNITS[unit] for one, unit in zip(values, units, strict=True)]
+    return [one / UNIT_FACTORS[unit] for one, unit in zip(values, units, strict=True)]
 
 
 def rows(values: Sequence[FloatArray], separator: str, decimal: str = ".") -> list[str]:

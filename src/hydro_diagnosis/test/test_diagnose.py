@@ -184,7 +184,7 @@ def test_something_left_that_nobody_knows(valid: Callable[[Any], Any], tmp_path:
 def test_ids_of_the_contract_are_those_of_the_library() -> None:
     schema = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
     table = json.loads(schema.read_text())["definitions"]["cause"]["anyOf"][0]["enum"]
-    assert set(table) == {effect.id for effect in LIBRARY} - grown.IDS
+    assert set(table) == {effect.id for effect in LIBRARY} - grown.EFFECT_IDS
 
 
 HEALTHY_FRICTION, HEALTHY_LEAK = 12.0, 1e-13

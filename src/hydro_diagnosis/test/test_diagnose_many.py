@@ -101,7 +101,7 @@ def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path) -> No
     worn, well = study(tmp_path / "worn", leak), study(tmp_path / "well", 0.0 * leak + 1e-13)
     table, page = tmp_path / "t.json", tmp_path / "all.html"
     assert status_of(trends.main, well, "--new", 40) == 0
-    assert status_of(trends.main, well, worn, "--new", 40, "--json", table, "--page", page) == trends.ALARM
+    assert status_of(trends.main, well, worn, "--new", 40, "--json", table, "--page", page) == trends.ALARM_EXIT_STATUS
     assert status_of(trends.main, worn, "--new", 1) == 0  # it was known the day before
     first, second = json.loads(table.read_text(encoding="utf-8"))["rows"]
     assert (first["bench"], second["since"]) == (str(worn), None)
@@ -110,7 +110,7 @@ def test_wear_raises_the_alarm_once_and_its_limit_is_dated(tmp_path: Path) -> No
     assert "worn" in (shown := page.read_text(encoding="utf-8")) and shown.count("<svg") == 2
     limit = ("--limit", "leakage_internal.coefficient=8e-13", "--json", table)  # reached on day 70
     assert status_of(trends.main, worn, *limit, "--horizon", 5) == 0
-    assert status_of(trends.main, worn, *limit, "--horizon", 30) == trends.ALARM
+    assert status_of(trends.main, worn, *limit, "--horizon", 30) == trends.ALARM_EXIT_STATUS
     (row,) = json.loads(table.read_text(encoding="utf-8"))["rows"]
     assert row["limit_first"] < str(np.datetime64(20070, "D")) < row["limit_last"]
     assert status_of(trends.main, worn, "--limit", "leek.coefficient=1") == 2

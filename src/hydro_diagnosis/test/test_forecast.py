@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.ros.messages import LAW_STATES
+from hydro_bridge.ros.messages import LAW_STATE_CODEC
 from hydro_core.signals import Law, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.forecast import LAW_STATE_TOPIC, MISSED, forecasts, recorded_loop
+from hydro_diagnosis.forecast import LAW_STATE_TOPIC, MAX_FORECAST_ERROR, forecasts, recorded_loop
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -49,7 +49,7 @@ def test_corrected_simulation_says_what_the_bench_gave(worn: Problem, held: Stat
 
 def test_forecast_that_misses_says_so(worn: Problem, held: StateArray) -> None:
     (found,), _ = forecasts(worn, CAUSES[:1], [segment(held)], [])
-    assert abs(found.rmse_corrected / found.rmse_recorded - 1.0) > MISSED
+    assert abs(found.rmse_corrected / found.rmse_recorded - 1.0) > MAX_FORECAST_ERROR
     assert found.misses and "MISSES" in found.sentence
     assert found.without == {"friction_coulomb": found.rmse_bench_file}
 
@@ -87,7 +87,9 @@ def test_compensated_law_is_that_of_the_recording(worn: Problem, tmp_path: Path)
         for row in states:
             stamp = round(row["time"] * 1e9)
             told = (row["reference_force"], row["reference_force_rate"], 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-            bag.write(LAW_STATE_TOPIC, LAW_STATES.pack(stamp, int(row["sequence"]), int(Law.COMPENSATED), *told), stamp)
+            bag.write(
+                LAW_STATE_TOPIC, LAW_STATE_CODEC.pack(stamp, int(row["sequence"]), int(Law.COMPENSATED), *told), stamp
+            )
     (found,), why = forecasts(worn, CAUSES, [segment(states, "bag")], [tmp_path / "bag"])
     assert found.law == "compensated" and not why
     assert found.rmse_corrected == pytest.approx(found.rmse_recorded, rel=0.03)

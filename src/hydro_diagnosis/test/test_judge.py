@@ -23,7 +23,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.selection.localisation import free_forms
 from hydro_diagnosis.stages.reporting import common_spectral_line
-from hydro_diagnosis.validation import HORIZON, MAX_LEFT_OUT_SHARE, compare, equation_errors
+from hydro_diagnosis.validation import HORIZON_TIME, MAX_LEFT_OUT_SHARE, compare, equation_errors
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from tests.segments import claim, frame, problem_in, problem_of, record, segment
@@ -106,7 +106,7 @@ def test_windows_that_nothing_can_predict_are_left_out_and_a_wrong_model_gains_n
     states = record(replace(NOMINAL, effects=(rise.to_mapping(),)), 11, seconds=25.0, waveform=Waveform.SMOOTH_STEP)
     held = [SegmentModel(segment(states), NOMINAL)]
     for claims in ((rise,), (), (weak,)):  # right, no friction, too little
-        found = compare(held, (), claims, sensor_noise(held), seconds=HORIZON, windows=48, shooting=True)
+        found = compare(held, (), claims, sensor_noise(held), seconds=HORIZON_TIME, windows=48, shooting=True)
         channels = found.channels.values()
         kept, every = (
             max(one[key] / one["noise_floor"] for one in channels) for key in ("rmse_after", "rmse_after_all")

@@ -15,14 +15,15 @@ import pandas as pd
 import pytest
 from mcap.reader import make_reader
 
-from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.bags.recording import BagWriter, stream_bag
 from hydro_core.cli.console import Table
 from hydro_core.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.inspect_command import COLUMNS, list_columns
+from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
 from hydro_diagnosis.preprocessing import loading
-from hydro_diagnosis.preprocessing.box_clock import BETWEEN
+from hydro_diagnosis.preprocessing.box_clock import MAX_SAMPLES_PER_ROW
 from hydro_diagnosis.preprocessing.loading import check_bag, load_dataset
 from hydro_diagnosis.preprocessing.quality import check_recording, frozen_encoder, sampling_grid, uneven
 from hydro_diagnosis.recording import InputError, Recording
@@ -137,7 +138,7 @@ def test_fast_logger_gives_the_rows_at_the_box_s_milliseconds(nominal: StateArra
 def test_slow_clean_recordings_are_noise(nominal: StateArray, spacing: int) -> None:
     """Without the doubt of missing rows the chambers at 200 Hz are at 4 times the noise's mean square."""
     recording = logged(nominal, slice(None, None, spacing))
-    model, between = Problem(recording.segments, BENCH).models[0], min(spacing, BETWEEN)
+    model, between = Problem(recording.segments, BENCH).models[0], min(spacing, MAX_SAMPLES_PER_ROW)
     assert model.spacing == between and model.step == pytest.approx(1e-3 * spacing / between)
     assert largest_mean_square(recording) < 1.35
 
@@ -276,7 +277,7 @@ def minute(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
 
 def test_bag_read_in_stretches_is_the_bag(minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch) -> None:
     path, whole = minute
-    monkeypatch.setattr(loading, "STRETCH", 7_001)
+    monkeypatch.setattr(loading, "STRETCH_SAMPLES", 7_001)
     monkeypatch.setattr(loading, "MAX_WHOLE_STRETCHES", 9)
     again = check_bag(path, BENCH)
     assert again.quality == whole.quality
@@ -323,8 +324,8 @@ def test_windows_of_a_long_bag_are_what_it_holds(
     minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, whole = minute
-    monkeypatch.setattr(loading, "STRETCH", 5_000)
-    monkeypatch.setattr(loading, "WINDOW", 2.0)
+    monkeypatch.setattr(loading, "STRETCH_SAMPLES", 5_000)
+    monkeypatch.setattr(loading, "WINDOW_TIME", 2.0)
     kept = check_bag(path, BENCH)
     assert len(kept.segments) == 15
     assert sum(one.start >= 40.0 for one in kept.segments) == 5
@@ -334,6 +335,23 @@ def test_windows_of_a_long_bag_are_what_it_holds(
         begin = round((one.start - long.start) / long.step)
         np.testing.assert_array_equal(one.channels["pressure_a"], long.channels["pressure_a"][begin : begin + len(one)])
         assert one.channels["pressure_a"].base is None  # no view that holds a stretch in memory
+
+
+@pytest.mark.parametrize(("memory", "reads"), [(256e6, 1), (0.0, 2)])
+def test_hypotheses_share_one_reading_of_what_fits_into_memory(
+    memory: float, reads: int, minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, whole = minute
+    begun = list[Path]()
+    monkeypatch.setattr(loading, "CACHE_BYTES_MAX", memory)
+    monkeypatch.setattr(loading, "stream_bag", lambda path, **how: begun.append(path) or stream_bag(path, **how))
+    reader = loading.RecordingReader()
+    turned = ColumnMap.load({"load_force": {"column": "load_force", "scale": -1.0}})
+    as_wired, repaired = (check_bag(path, BENCH, one, reader=reader) for one in (None, turned))
+    assert len(begun) == reads
+    for one, other, right in zip(as_wired.segments, repaired.segments, whole.segments, strict=True):
+        np.testing.assert_array_equal(one.channels["load_force"], right.channels["load_force"])
+        np.testing.assert_array_equal(other.channels["load_force"], -right.channels["load_force"])
 
 
 @pytest.mark.study

@@ -13,7 +13,7 @@ from hydro_core.signals import StateArray
 from hydro_diagnosis.column_matching import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import columns_of, read_columns, read_table
-from hydro_diagnosis.recording import SUFFIXES, InputError
+from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError
 from hydro_sim.model.bench import Bench
 from tests import loggers
 from tests.checks import ran
@@ -66,7 +66,7 @@ def test_mdf_without_its_library_says_what_to_install(tmp_path: Path, monkeypatc
         read_columns(tmp_path / "a.mf4")
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", RECORDING_SUFFIXES)
 def test_file_that_is_something_else_is_one_sentence(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"odd{suffix}"
     for content in (b"", b"\x00\x01garbage" * 40, b"words and more words\nwithout a number\n"):

@@ -36,7 +36,7 @@ from hydro_core.settings import check, quantity
 from hydro_core.signals import FloatArray
 from hydro_filter.model.coordinates import LOOP_FIELDS, LOOP_SIZE, Q_HYDRAULIC, Q_LOAD
 from hydro_filter.model.loop import Loop, closing_current, coordinate_names, make_samples, rest_measurement
-from hydro_filter.model.records import FILTER, library, linearize, make_record
+from hydro_filter.model.records import FILTER_DTYPE, library, linearize, make_record
 from hydro_sim.box.firmware import address_of
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import Provenance, parse_provenance
@@ -172,8 +172,8 @@ def cholesky_entries(weight: FloatArray) -> FloatArray:
 
 
 STRUCTURE = "metric"
-ARRAYS = ("gains", "table")
-SECOND_METRIC = "another"
+ARRAY_NAMES = ("gains", "table")
+SECOND_METRIC_KEY = "another"
 """Header entry, and prefix of the tensors, of a file's second metric."""
 VIOLATION_LIMIT = 10.0
 """%, held-out samples that do not decay, beyond which the filter refuses a metric: sound ones have up to 3.2."""
@@ -263,7 +263,7 @@ class ScheduledMetric:
     def matrix(self, gain: float) -> FloatArray:
         """Return M(K_p), shape (n, n), at K_p = `gain` [1/s]."""
         width = len(self.coordinates)
-        record = make_record(FILTER, self.firmware_fields | {"loop.coordinates": width}, {"table": self.table})
+        record = make_record(FILTER_DTYPE, self.firmware_fields | {"loop.coordinates": width}, {"table": self.table})
         matrix = np.empty((width, width))
         library().hydro_c_filter_metric(address_of(record), gain, self.velocity_compensation, address_of(matrix))
         return matrix
@@ -272,15 +272,15 @@ class ScheduledMetric:
         """Write the metric to a safetensors file."""
         tensors: weights.Tensors = {}
         headers: list[dict[str, Any]] = []
-        for prefix, one in zip(("", f"{SECOND_METRIC}."), self.all_metrics, strict=False):
-            tensors |= {prefix + name: getattr(one, name) for name in ARRAYS}
+        for prefix, one in zip(("", f"{SECOND_METRIC_KEY}."), self.all_metrics, strict=False):
+            tensors |= {prefix + name: getattr(one, name) for name in ARRAY_NAMES}
             headers.append({
                 "floor": one.floor, "coordinates": list(one.coordinates), "thresholds": asdict(one.thresholds),
                 "training": one.training, "velocity_compensation": one.velocity_compensation,
             })  # fmt: skip
         header, *second = headers
         if second:
-            header[SECOND_METRIC] = second[0]
+            header[SECOND_METRIC_KEY] = second[0]
         weights.save(path, tensors, {"structure": STRUCTURE, **header}, self.provenance)
 
     @classmethod
@@ -293,8 +293,8 @@ class ScheduledMetric:
                 f"{path} has structure {header.get('structure')!r}, not a metric's: `learn_metric` makes one"
             )
         try:
-            provenance, other = parse_provenance(header), header.get(SECOND_METRIC)
-            another = None if other is None else cls._of(tensors, other, provenance, f"{SECOND_METRIC}.")
+            provenance, other = parse_provenance(header), header.get(SECOND_METRIC_KEY)
+            another = None if other is None else cls._of(tensors, other, provenance, f"{SECOND_METRIC_KEY}.")
             return replace(cls._of(tensors, header, provenance), another=another)
         except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
@@ -304,7 +304,7 @@ class ScheduledMetric:
         cls, tensors: weights.Tensors, header: Mapping[str, Any], provenance: Provenance | None, prefix: str = ""
     ) -> ScheduledMetric:
         """Return one metric of a file; raises ValueError if its tensors and its header do not form one."""
-        arrays = {name: np.asarray(tensors[prefix + name], np.float64) for name in ARRAYS}
+        arrays = {name: np.asarray(tensors[prefix + name], np.float64) for name in ARRAY_NAMES}
         coordinates, gains = tuple(str(name) for name in header["coordinates"]), arrays["gains"]
         width, thresholds = len(coordinates), Thresholds(**header["thresholds"])
         floor, c_1 = float(header["floor"]), float(header["velocity_compensation"])

@@ -21,7 +21,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.messages import STATES, pack_law_state
+from hydro_bridge.ros.messages import STATE_CODEC, pack_law_state
 from hydro_bridge.ros.topics import (
     BOX,
     CORRECTION,
@@ -32,7 +32,7 @@ from hydro_bridge.ros.topics import (
     create_subscription,
 )
 from hydro_bridge.serial.protocol import LawState
-from hydro_core.signals import OUTSIDE_REGION, STATUS_MASK, CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
+from hydro_core.signals import OUTSIDE_REGION_BIT, STATUS_MASK, CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric
@@ -82,7 +82,7 @@ class Source:
         numbers = [*sample.state.tolist(), sample.valve_current, sample.nominal_current, sample.reference_force]
         numbers += [sample.reference_rate, sample.proportional_gain, 0.0]
         stamp = 1_000_000 * sequence if age is None else time.time_ns() - round(1e9 * age)
-        self.states.publish(STATES.pack(stamp, sequence, *numbers, flags | (Flag.PACED if age is None else 0)))
+        self.states.publish(STATE_CODEC.pack(stamp, sequence, *numbers, flags | (Flag.PACED if age is None else 0)))
 
     def ask(self, sequence: int, sample: Sample, *, flags: int = 1, timeout: float = 150.0) -> Correction:
         """Publish a state and return its correction."""
@@ -295,7 +295,7 @@ def test_outside_of_the_proved_region_is_said_beside_the_status(started: Started
                 sample = sample._replace(proportional_gain=proportional_gain)
             status = source.ask(next(number), sample, flags=int(record["flags"]) | Flag.ARMED).status
             assert CorrectionStatus(status & STATUS_MASK) <= CorrectionStatus.INFEASIBLE
-            said.append(bool(status & OUTSIDE_REGION))
+            said.append(bool(status & OUTSIDE_REGION_BIT))
         return sum(said[1000:])
 
     assert outside(100.0, 90.0) == 0

@@ -30,7 +30,7 @@ from hydro_filter.model.sample import POSITION, VELOCITY
 from hydro_filter.model.terms import hidden_state_indices
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.firmware import Records
+from hydro_sim.box.firmware import RecordArray
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
@@ -141,7 +141,7 @@ def test_bristles_bend_by_the_motion_that_was_measured() -> None:
     assert bent == pytest.approx(level * (1.0 - np.exp(-stiffness * moved / level)), rel=1e-3)
 
 
-Case = tuple[FloatArray, Records, float]
+Case = tuple[FloatArray, RecordArray, float]
 LOW = np.array([-800.0, -2e4, -800.0, -2e4, 1e6, 1e6, 0.005, -0.4])
 HIGH = np.array([800.0, 2e4, 800.0, 2e4, 15e6, 15e6, 0.075, 0.4])
 

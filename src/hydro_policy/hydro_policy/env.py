@@ -33,19 +33,19 @@ from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.sac.peers import policy_of
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange, TaskSettings, events
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, GainRange, TaskSettings, events
 from hydro_sim.excitation import Reference
 from hydro_sim.model.bench import NOMINAL
 
-ID = "hydro/ForceControl-v0"
+ENVIRONMENT_ID = "hydro/ForceControl-v0"
 
 LawName = Literal["paper", "wide", "compensated"]
 
-Values = npt.NDArray[np.float32]
-Marks = npt.NDArray[np.bool_]
+Float32Array = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
 
 
-class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[Any]]):
+class ForceControlVector(gymnasium.vector.VectorEnv[Float32Array, Float32Array, npt.NDArray[Any]]):
     """Vectorised force-control environment in one compiled loop; bench i of seed s is `ForceControl` of seed s + i.
 
     Parameters
@@ -105,18 +105,18 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         vector_bench = VectorBench([box_bench] * num_envs, [self._episodes.plant() for _ in range(num_envs)], config)
         self._environment = Environment(vector_bench, self.task, Law.COMPENSATED if law == "compensated" else Law.PAPER)
         self.num_envs, self._limit = num_envs, max_episode_steps
-        self.single_observation_space = Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32)
-        self.single_action_space = Box(-1.0, 1.0, (ACTIONS,), np.float32)
+        self.single_observation_space = Box(-np.inf, np.inf, (OBSERVATION_SIZE,), np.float32)
+        self.single_action_space = Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._seeds = [int(seed) for seed in self.np_random.integers(2**31, size=num_envs)]
         self._episode = np.zeros(num_envs, np.int64)
         self._steps = np.zeros(num_envs, np.int64)
-        self._ended: Marks = np.zeros(num_envs, bool)
+        self._ended: BoolArray = np.zeros(num_envs, bool)
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Values, dict[str, Any]]:
+    ) -> tuple[Float32Array, dict[str, Any]]:
         """Start new episodes on all benches, or on those of the mask `options["reset_mask"]`, shape (n,).
 
         `seed`: seed of references, benches and noise, `seed` + i on bench i, or one seed per bench; None: the next
@@ -131,14 +131,16 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         self._ended &= ~chosen
         return self._environment.observation.astype(np.float32), {}
 
-    def step(self, actions: Values) -> tuple[Values, npt.NDArray[Any], Marks, Marks, dict[str, Any]]:
+    def step(
+        self, actions: Float32Array
+    ) -> tuple[Float32Array, npt.NDArray[Any], BoolArray, BoolArray, dict[str, Any]]:
         """Advance all benches by 10 ms; `actions`, shape (n, 2), are clamped to [-1, 1]."""
         made = self._environment.step(np.clip(np.asarray(actions, np.float64), -1.0, 1.0), restart=False)
         self._steps += 1
         observation, reward, terminated = made.next_observation.astype(np.float32), made.reward, made.terminated
-        truncated: Marks = self._steps >= (np.inf if self._limit is None else self._limit)
+        truncated: BoolArray = self._steps >= (np.inf if self._limit is None else self._limit)
         info: dict[str, Any] = {}
-        begins: Marks = np.zeros(self.num_envs, bool)
+        begins: BoolArray = np.zeros(self.num_envs, bool)
         if self.autoreset_mode is AutoresetMode.NEXT_STEP:
             begins = self._ended
             reward, terminated, truncated = np.where(begins, 0.0, reward), terminated & ~begins, truncated & ~begins
@@ -170,12 +172,12 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Values, Values, npt.NDArray[
         reference = self._reference or events.reference(self.task, episode, seed)
         environment = self._environment
         reference = self._episodes.install(environment.vector_bench, index, reference, episode, seed)
-        environment.reset_one(index, reference, events.stream_seed(seed, episode, events.NOISE))
+        environment.reset_one(index, reference, events.stream_seed(seed, episode, events.NOISE_STREAM))
         self._episode[index] += 1
         self._steps[index] = 0
 
 
-class ForceControl(gymnasium.Env[Values, Values]):
+class ForceControl(gymnasium.Env[Float32Array, Float32Array]):
     """Force-control environment of one bench; `options`: of `ForceControlVector`, but `num_envs`, `autoreset_mode`."""
 
     metadata = {"render_modes": []}  # noqa: RUF012
@@ -185,14 +187,16 @@ class ForceControl(gymnasium.Env[Values, Values]):
         self.observation_space = self.benches.single_observation_space
         self.action_space = self.benches.single_action_space
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Values, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Float32Array, dict[str, Any]]:
         """Start a new episode: the first one of `seed`, or the next one of the present seed."""
         super().reset(seed=seed)
         return self.benches.reset(seed=seed)[0][0], {}
 
-    def step(self, action: Values) -> tuple[Values, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Advance by 10 ms; `action`, shape (2,), is clamped to [-1, 1]. Truncation is gymnasium's (`TimeLimit`)."""
-        observation, reward, terminated, truncated, info = self.benches.step(np.reshape(action, (1, ACTIONS)))
+        observation, reward, terminated, truncated, info = self.benches.step(np.reshape(action, (1, ACTION_SIZE)))
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def save_policy(self, learner: Any, path: str | Path) -> None:
@@ -202,10 +206,10 @@ class ForceControl(gymnasium.Env[Values, Values]):
 
 def register() -> None:
     """Register the environment, once; entry point of the group `gymnasium.envs`, which some gymnasium versions call."""
-    if ID in gymnasium.registry:
+    if ENVIRONMENT_ID in gymnasium.registry:
         return
     gymnasium.register(
-        ID,
+        ENVIRONMENT_ID,
         f"{__name__}:{ForceControl.__name__}",
         vector_entry_point=f"{__name__}:{ForceControlVector.__name__}",
         max_episode_steps=TaskSettings().steps_per_episode,

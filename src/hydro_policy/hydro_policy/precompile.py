@@ -15,7 +15,7 @@ from hydro_policy.envs import FILTERS, FilterName
 from hydro_policy.envs.vector_env import VectorBench, vector_filter
 from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
-from hydro_policy.task.mdp import ACTIONS
+from hydro_policy.task.mdp import ACTION_SIZE
 from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
@@ -30,7 +30,7 @@ def _vector_bench(plant: Callable[[], Plant], filter_kind: FilterName) -> None:
     bench = Bench.nominal()
     vector_bench = VectorBench([bench], [plant()], filters=vector_filter(filter_kind, bench, 1))
     vector_bench.reset(0, ReferenceSignal(), 0)
-    vector_bench.step(np.zeros((1, ACTIONS)))
+    vector_bench.step(np.zeros((1, ACTION_SIZE)))
 
 
 def _estimator() -> None:

@@ -47,7 +47,7 @@ The state of the box's integral after arming, or under other gains, decays with 
 (90, 15), at most 18 s.
 """
 
-EXAMINED = "policy"  # name of the policy in an examination's scores
+POLICY_NAME = "policy"  # name of the policy in an examination's scores
 
 
 @dataclass
@@ -139,7 +139,7 @@ class TrainingPlan(Plan):
 
     def add(self, score: Score) -> str:
         """Process a trial's score, as `Plan.add`; a stopped policy is rolled back to the last good one."""
-        if score.stopped and score.controller in (EXAMINED, self.explorer.name):
+        if score.stopped and score.controller in (POLICY_NAME, self.explorer.name):
             return self._stop(score.stopped)
         return super().add(score)
 
@@ -149,7 +149,7 @@ class TrainingPlan(Plan):
         while True:
             self.examination, self.scores, done = None, [], progress.episode
             if exam.every and progress.examined < done and (self.trained or done % exam.every == 0):
-                controllers: list[Controller] = [PolicyController(self.policy, task.gains, EXAMINED)]
+                controllers: list[Controller] = [PolicyController(self.policy, task.gains, POLICY_NAME)]
                 if reference_too := not progress.reference_rmse:
                     controllers.append(FixedGains(exam.reference_kp, exam.reference_ki, self.settings.base_gains))
                 self.examination = Comparison(
@@ -210,7 +210,7 @@ class TrainingPlan(Plan):
         """
         progress = self.progress
         reference = progress.reference_rmse or reference_rmse(self.settings.exam, scores)
-        if not any(run.disturbed for run in scores if run.controller != EXAMINED):
+        if not any(run.disturbed for run in scores if run.controller != POLICY_NAME):
             progress.reference_rmse = reference
         rmse, score, error = examination_score(scores, reference)
         beaten = sum(own < fixed for own, fixed in zip(rmse, reference, strict=True))
@@ -304,7 +304,7 @@ def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[floa
     nothing = settings.evaluation.amplitude / math.sqrt(2.0)
     return [
         float(np.mean([nothing if score.stopped else score.rmse for score in runs]))
-        for runs in _by_case([score for score in scores if score.controller != EXAMINED])
+        for runs in _by_case([score for score in scores if score.controller != POLICY_NAME])
     ]
 
 
@@ -315,7 +315,7 @@ def examination_score(scores: Sequence[Score], reference: Sequence[float]) -> tu
     is better on average. The error is from the scatter of repeats, 0 without; the reference's, common to all scores of
     a run, is excluded.
     """
-    runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == EXAMINED])]
+    runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == POLICY_NAME])]
     rmse = [float(np.mean(one)) for one in runs]
     ratios = [own / other for own, other in zip(rmse, reference, strict=True)]
     repeated = [(one, other) for one, other in zip(runs, reference, strict=True) if len(one) > 1]

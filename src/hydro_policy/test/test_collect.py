@@ -23,7 +23,7 @@ from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_bridge.ros.topics import REFERENCE, STATE, create_subscription
 from hydro_core.signals import Flag
 from hydro_policy.nodes.collect import SchedulePlan
-from hydro_policy.supervision.plant_supervisor import ARM_HINT, TOO_EARLY
+from hydro_policy.supervision.plant_supervisor import ARM_HINT, EARLY_ARMING_MESSAGE
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
 from tests.checks import ran, wait
@@ -84,7 +84,7 @@ def test_a_bench_armed_before_is_recorded_at_rest_before_a_person_is_asked_and_t
     output = io.StringIO()
     collect = Companion("hydro_policy", "collect", words, output=output.write)
     listener.wait(lambda: ARM_HINT in collect.last_line)
-    assert TOO_EARLY in output.getvalue() and not fresh(listener) & Flag.ARMED
+    assert EARLY_ARMING_MESSAGE in output.getvalue() and not fresh(listener) & Flag.ARMED
     subprocess.run(arm, timeout=30, check=True)
     listener.wait(lambda: not collect.running)
     assert collect.stop() == 0 and not fresh(listener) & Flag.ARMED

@@ -13,18 +13,24 @@ import pytest
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import NEUTRAL_COEFFICIENTS, CorrectionStatus, Flag, FloatArray, Law
 from hydro_filter.controller.loop_filter import Result
-from hydro_policy.compensation.estimator import BOX_SHARE, START, Compensator, CompensatorSettings, LoadCell
+from hydro_policy.compensation.estimator import (
+    BOX_SHARE,
+    INITIAL_COEFFICIENTS,
+    Compensator,
+    CompensatorSettings,
+    LoadCell,
+)
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import MISMATCH
+from hydro_policy.supervision.plant_supervisor import MISMATCH_MESSAGE
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import OfflineGraph
 
 TRUE = (1.02, 0.031, 4e-4, -7.0)
 SHARED = (1.0, 1.0, BOX_SHARE, 1.0)
-BEGUN = tuple(START[:4] * SHARED)
+BEGUN = tuple(INITIAL_COEFFICIENTS[:4] * SHARED)
 ACTIVE = np.array([True])
 OMEGA = 2.0 * np.pi
 LAW, FIXED = BoxLaw(), (90.0, 15.0)
@@ -270,7 +276,7 @@ def test_under_mismatch_the_law_s_base_gains_hold_and_its_run_begins_again(start
     graph.gained.clear()
     graph.run(session, 2.0, compensation=live)
     assert set(graph.gained) == {(int(Law.COMPENSATED), 0.0)} and not session.scores
-    assert session.supervisor.summary == "armed, waiting for a filter that fits" and MISMATCH in graph.sentences
+    assert session.supervisor.summary == "armed, waiting for a filter that fits" and MISMATCH_MESSAGE in graph.sentences
     graph.answer = fits
     graph.run(session, 1.0, compensation=live)
     assert not session.scores, "from its beginning"

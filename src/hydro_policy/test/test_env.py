@@ -19,11 +19,11 @@ from stable_baselines3.common.env_checker import check_env as check_for_baseline
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import nn
 
-from hydro_policy.env import ID
+from hydro_policy.env import ENVIRONMENT_ID
 from hydro_policy.envs.environment import Environment
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.sac.policy import load_policy
-from hydro_policy.task.mdp import OBSERVATIONS, TaskSettings, events
+from hydro_policy.task.mdp import OBSERVATION_SIZE, TaskSettings, events
 from hydro_sim.files.pairing import BoxIdentity, mismatch, read_provenance
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -35,7 +35,7 @@ TOO_HIGH = {"amplitude": 900.0, "frequency": 1.0}
 @pytest.mark.parametrize("law", ["paper", "wide", "compensated"])
 @pytest.mark.filterwarnings("ignore:.*Box observation space m.* value is")
 def test_checkers_of_gymnasium_and_stable_baselines3_pass(law: str) -> None:
-    environment = gymnasium.make(ID, law=law, randomise=law == "wide")
+    environment = gymnasium.make(ENVIRONMENT_ID, law=law, randomise=law == "wide")
     check_env(environment.unwrapped)
     check_for_baselines(environment.unwrapped)
 
@@ -48,8 +48,8 @@ def test_checkers_of_gymnasium_and_stable_baselines3_pass(law: str) -> None:
 )
 def test_benches_of_make_vec_are_single_environments_to_the_bit(options: dict[str, Any], mode: str) -> None:
     """Their episodes are truncated, or trips terminate them with the penalty."""
-    benches = gymnasium.make_vec(ID, num_envs=3, max_episode_steps=25, autoreset_mode=mode, **options)
-    make = [lambda: gymnasium.make(ID, max_episode_steps=25, **options)] * 3
+    benches = gymnasium.make_vec(ENVIRONMENT_ID, num_envs=3, max_episode_steps=25, autoreset_mode=mode, **options)
+    make = [lambda: gymnasium.make(ENVIRONMENT_ID, max_episode_steps=25, **options)] * 3
     singles = gymnasium.vector.SyncVectorEnv(make, autoreset_mode=mode)
     np.testing.assert_array_equal(benches.reset(seed=4)[0], singles.reset(seed=4)[0])
     rng, ended = np.random.default_rng(0), np.zeros(2, int)
@@ -67,11 +67,11 @@ def test_benches_of_make_vec_are_single_environments_to_the_bit(options: dict[st
 
 def test_episode_is_that_of_the_inner_environment() -> None:
     """Of pretraining's, of the same number and seed."""
-    environment, task, bench = gymnasium.make(ID), TaskSettings(), Bench.nominal()
+    environment, task, bench = gymnasium.make(ENVIRONMENT_ID), TaskSettings(), Bench.nominal()
     inner = Environment(VectorBench([bench], [AnalyticPlant(bench)]), task)
     seen = environment.reset(seed=7)[0], environment.reset()[0]
     for episode in (0, 1):
-        first = inner.reset([events.reference(task, episode, 7)], [events.stream_seed(7, episode, events.NOISE)])
+        first = inner.reset([events.reference(task, episode, 7)], [events.stream_seed(7, episode, events.NOISE_STREAM)])
         np.testing.assert_array_equal(seen[episode], first[0].astype(np.float32))
     for action in np.random.default_rng(1).uniform(-1, 1, (20, 2)).astype(np.float32):
         observation, reward, *_ = environment.step(action)
@@ -92,7 +92,7 @@ def test_episode_is_that_of_the_inner_environment() -> None:
 )
 def test_what_cannot_be_simulated_is_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises((ValueError, OSError), match=words):
-        gymnasium.make(ID, **options)
+        gymnasium.make(ENVIRONMENT_ID, **options)
 
 
 def skrl_agent(environment: Any, output: str = "tanh(ACTIONS)") -> Any:
@@ -108,7 +108,7 @@ def skrl_agent(environment: Any, output: str = "tanh(ACTIONS)") -> Any:
         observation_preprocessor_kwargs={"size": environment.observation_space},
     )
     agent = skrl_sac.SAC(models=models, cfg=cfg, device="cpu", **spaces)
-    agent.act(torch.zeros(1, OBSERVATIONS), None, timestep=1, timesteps=1)  # makes its layers
+    agent.act(torch.zeros(1, OBSERVATION_SIZE), None, timestep=1, timesteps=1)  # makes its layers
     agent._observation_preprocessor.running_mean += 0.3
     agent._observation_preprocessor.running_variance *= 4.0
     return agent
@@ -125,7 +125,7 @@ def baseline(environment: Any, kind: Any = SAC, **options: Any) -> Any:
 
 
 def test_what_is_deployed_acts_as_the_learner_did_normalisation_included(tmp_path: Path) -> None:
-    environment, path = gymnasium.make(ID, law="wide"), tmp_path / "policy.safetensors"
+    environment, path = gymnasium.make(ENVIRONMENT_ID, law="wide"), tmp_path / "policy.safetensors"
     drawn = np.random.default_rng(3).standard_normal((50, 13)).astype(np.float32)
     for kind in (SAC, TD3):
         model = baseline(environment, kind)
@@ -144,7 +144,7 @@ def test_what_is_deployed_acts_as_the_learner_did_normalisation_included(tmp_pat
 
 
 def test_what_cannot_be_deployed_is_refused_in_a_sentence(tmp_path: Path) -> None:
-    environment, path = gymnasium.make(ID), tmp_path / "policy.safetensors"
+    environment, path = gymnasium.make(ENVIRONMENT_ID), tmp_path / "policy.safetensors"
     refused = {
         "not squashed": baseline(environment, PPO),
         "has Flatten, Linear, Tanh": baseline(environment, activation_fn=nn.Tanh),
@@ -156,5 +156,5 @@ def test_what_cannot_be_deployed_is_refused_in_a_sentence(tmp_path: Path) -> Non
         with pytest.raises(ValueError, match=words):
             environment.unwrapped.save_policy(learner, path)
     with pytest.raises(ValueError, match="paper's law"):
-        gymnasium.make(ID, law="compensated").unwrapped.save_policy(baseline(environment), path)
+        gymnasium.make(ENVIRONMENT_ID, law="compensated").unwrapped.save_policy(baseline(environment), path)
     assert not path.exists()

@@ -29,8 +29,8 @@ from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task import recorded
 from hydro_policy.task.cases import EvaluationSettings, Score, Trace, score
-from hydro_policy.task.mdp import BASE
-from hydro_policy.training_plan import EXAMINED, significantly_better
+from hydro_policy.task.mdp import BASE_GAINS
+from hydro_policy.training_plan import POLICY_NAME, significantly_better
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -108,7 +108,7 @@ def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better(train
         plan.propose()
         runs = [(repeat, share * scatter * fixed) for repeat, scatter in enumerate((0.96, 1.04))]
         return plan.add_examination(
-            [scored(EXAMINED, f"{k}", rmse[k], repeat) for repeat, rmse in runs for k in range(4)]
+            [scored(POLICY_NAME, f"{k}", rmse[k], repeat) for repeat, rmse in runs for k in range(4)]
         )
 
     assert examined(0.5)
@@ -161,7 +161,7 @@ def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_tr
     bench = replace(Bench.nominal(), load_cell_bandwidth=25.0)  # unstable beyond some 100 1/s
     graph = OfflineGraph(AnalyticPlant(bench), bench, guard=GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0))
     evaluation = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=1.0)
-    plan = GridPlan(GridSettings(kp_min=60.0, ki_values=(15.0,), refinements=1), evaluation, BASE)
+    plan = GridPlan(GridSettings(kp_min=60.0, ki_values=(15.0,), refinements=1), evaluation, BASE_GAINS)
     session = TrialRunner(plan, PlantSupervisor(graph, True), monitor=SafetyMonitor())
     graph.run(session, 120.0)
     assert session.finished

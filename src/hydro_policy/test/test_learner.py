@@ -18,7 +18,7 @@ from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, load
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.sac import Sac, dump, restore
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from tests import checks
 
 SETTINGS = TrainingSettings(learning_starts=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
@@ -70,7 +70,7 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(run: RunDirectory) 
     assert not learner.alive
     checkpoint = load_checkpoint(run.latest)
     assert checkpoint.produced == 700 and checkpoint.trainer == {"episode": 5}
-    sac = Sac(OBSERVATIONS, ACTIONS, SETTINGS.sac)
+    sac = Sac(OBSERVATION_SIZE, ACTION_SIZE, SETTINGS.sac)
     restore(sac, checkpoint.learner)
     assert sac.updates == 600
     policy, _, notes = load_policy(run.policy)
@@ -88,7 +88,7 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(run: RunDirectory) 
 
 def test_a_learner_that_cannot_begin_says_why_at_once(run: RunDirectory) -> None:
     with pytest.raises(ValueError, match="not a whole agent"):
-        LearnerSupervisor(SETTINGS, run, start=dump(Sac(OBSERVATIONS, ACTIONS, SETTINGS.sac))[:-100])
+        LearnerSupervisor(SETTINGS, run, start=dump(Sac(OBSERVATION_SIZE, ACTION_SIZE, SETTINGS.sac))[:-100])
     settings = replace(SETTINGS)
     object.__setattr__(settings, "sac", SacSettings(batch_size=1024))  # as a setting that only the learner refuses
     learner = LearnerSupervisor(settings, run)

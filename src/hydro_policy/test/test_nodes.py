@@ -24,17 +24,17 @@ from hydro_bridge.ros.companion import CompanionError, executable_path
 from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.signals import Flag
-from hydro_filter.controller.factory import LEARNED
+from hydro_filter.controller.factory import SHIPPED_METRIC
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim
 from hydro_policy.evaluation.runner import Rest
 from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions, box_mismatch
+from hydro_policy.nodes.plant_options import NO_FILTER_WORDS, PlantOptions, box_mismatch
 from hydro_policy.nodes.plants import commands
 from hydro_policy.runs.run_directory import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import BASE, GainRange
+from hydro_policy.task.mdp import BASE_GAINS, GainRange
 from hydro_sim.files.learned_bench import shipped_bench
 from hydro_sim.files.pairing import BoxIdentity, Provenance
 from hydro_sim.model.bench import Bench
@@ -171,7 +171,7 @@ def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(nodes, capfd
 )
 def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything_is_sent(nodes, told, sentence) -> None:
     plant, node = nodes
-    node.box_fault = partial(box_mismatch, BoxIdentity.of_file(None, BASE))
+    node.box_fault = partial(box_mismatch, BoxIdentity.of_file(None, BASE_GAINS))
     state = create_publisher(plant, STATE)
     if told is not None:
         create_publisher(plant, BOX).publish(told)
@@ -188,11 +188,11 @@ def test_companions_of_each_plant_and_a_guard_that_is_opened_is_told_what_it_rel
 
     assert list(started("sim")) == list(started("bench")) == ["filtered_plant"]
     assert list(started("emulator")) == ["emulator", "filtered_plant"] and started("external") == {}
-    assert list(started("bench", filter=NO_FILTER)) == ["bridge"]
+    assert list(started("bench", filter=NO_FILTER_WORDS)) == ["bridge"]
     wide = GainRange(delta_kp_max=285.0)
     words = started("sim", wide)["filtered_plant"]
     assert "guard.delta_kp_max:=285.0" in words
-    assert words[-1] == f"guard.relies_on:=--metric {LEARNED}", "nothing opens the guard in silence"
+    assert words[-1] == f"guard.relies_on:=--metric {SHIPPED_METRIC}", "nothing opens the guard in silence"
     words = started("sim", wide, filter=("--contraction-rate", "2"))["filtered_plant"]
     assert "--filter=--contraction-rate 2" in words
     assert words[-1] == "guard.relies_on:=--metric learned --contraction-rate 2"

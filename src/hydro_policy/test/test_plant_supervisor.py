@@ -10,13 +10,13 @@ from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import (
     ARM_HINT,
+    EARLY_ARMING_MESSAGE,
     FILTER_HINT,
-    IDLE,
-    MISMATCH,
-    MODEL_FITS,
-    MODEL_UNCHECKED,
-    NO_FILTER,
-    TOO_EARLY,
+    IDLE_TIME_MAX,
+    MISMATCH_MESSAGE,
+    MODEL_FITS_MESSAGE,
+    MODEL_UNCHECKED_MESSAGE,
+    NO_FILTER_MESSAGE,
     TRIPS_MAX,
     PlantSupervisor,
 )
@@ -100,7 +100,7 @@ def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
     at = Watched()
     assert at.run(STALE, 89.0) == []
     assert at.said == [f"waiting for the filter, 90 s at most: {FILTER_HINT}"]
-    assert at.run(STALE, 92.0)[:2] == ANEW and at.said.count(NO_FILTER) == 1
+    assert at.run(STALE, 92.0)[:2] == ANEW and at.said.count(NO_FILTER_MESSAGE) == 1
     at.run(STALE | ARMED, 92.1)
     assert at.may_start
 
@@ -110,7 +110,7 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
     at = Watched(rearm, needs_learner=True)
     assert at.run(STALE, 30.0) == at.run(0, 60.0) == []
     assert at.supervisor.summary == "disarmed, waiting for the learner" and ARM_HINT not in "".join(at.said)
-    assert at.run(ARMED, 60.2) == [OFF] and TOO_EARLY in at.said, "a person has armed it before"
+    assert at.run(ARMED, 60.2) == [OFF] and EARLY_ARMING_MESSAGE in at.said, "a person has armed it before"
     at.learner = True
     assert at.run(0, 62.0)[:2] == (ANEW if rearm else [])
     assert (ARM_HINT in at.said[-1]) is not rearm
@@ -139,7 +139,7 @@ def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_i
 @pytest.mark.parametrize("rearm", [True, False])
 def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: bool) -> None:
     at = Watched(rearm)
-    assert at.run(ARMED, 0.5) == [OFF] and at.references == [ReferenceSignal()] and at.said == [TOO_EARLY]
+    assert at.run(ARMED, 0.5) == [OFF] and at.references == [ReferenceSignal()] and at.said == [EARLY_ARMING_MESSAGE]
     assert not at.may_start
     assert at.run(0, 1.0) == (ANEW if rearm else [])
     assert rearm or ARM_HINT in at.said[-1]
@@ -149,10 +149,10 @@ def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: b
 
 def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_armed_anew() -> None:
     at = armed()
-    assert at.run(ARMED, 1.0 + IDLE) == [] and at.may_start
-    assert at.run(ARMED, 1.3 + IDLE) == [OFF] and not at.may_start
+    assert at.run(ARMED, 1.0 + IDLE_TIME_MAX) == [] and at.may_start
+    assert at.run(ARMED, 1.3 + IDLE_TIME_MAX) == [OFF] and not at.may_start
     assert "while no controller acted: it is disarmed" in at.said[0]
-    assert at.run(0, 1.6 + IDLE) == ANEW
+    assert at.run(0, 1.6 + IDLE_TIME_MAX) == ANEW
 
 
 def test_a_controller_that_acts_keeps_the_plant_armed_whatever_is_missing() -> None:
@@ -209,7 +209,7 @@ def test_a_bypassed_filter_does_not_say_that_its_model_fits_and_is_waited_for_on
     at = Watched()
     at.supervisor.on_correction(CorrectionStatus.MISMATCH)
     at.supervisor.on_correction(CorrectionStatus.BYPASSED)
-    assert at.said == [MISMATCH, MODEL_UNCHECKED] and not at.supervisor.mismatched
+    assert at.said == [MISMATCH_MESSAGE, MODEL_UNCHECKED_MESSAGE] and not at.supervisor.mismatched
     assert at.run(STALE, 0.5) == ANEW, "its own log says that it decides nothing"
     at = Watched()
     at.supervisor.on_correction(CorrectionStatus.BYPASSED)
@@ -221,7 +221,7 @@ def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_chan
     at = Watched()
     for _ in range(3):
         at.supervisor.on_correction(CorrectionStatus.MISMATCH)
-    assert at.run(STALE, 200.0) == [] and NO_FILTER not in at.said, "it has answered"
+    assert at.run(STALE, 200.0) == [] and NO_FILTER_MESSAGE not in at.said, "it has answered"
     at.supervisor.on_correction(CorrectionStatus.PASS)
     assert at.run(0, 200.5) == ANEW
     at.run(ARMED, 201.0)
@@ -229,6 +229,7 @@ def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_chan
     at.supervisor.on_correction(CorrectionStatus.MISMATCH)
     at.run(ARMED | STALE, 201.1)
     assert not at.may_start
-    assert [said for said in at.said if said in (MISMATCH, MODEL_FITS)] == [MISMATCH, MODEL_FITS, MISMATCH]
+    said = [sentence for sentence in at.said if sentence in (MISMATCH_MESSAGE, MODEL_FITS_MESSAGE)]
+    assert said == [MISMATCH_MESSAGE, MODEL_FITS_MESSAGE, MISMATCH_MESSAGE]
     with pytest.raises(NotReadyError, match="says MISMATCH for 300 s"):
         at.run(ARMED | STALE, 503.0)

@@ -14,12 +14,12 @@ from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import SAMPLES_PER_STEP, Flag, FloatArray, Law, ReferenceSignal, Waveform
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.live import LiveCompensation
-from hydro_policy.compensation.residual import PAUSE, RESIDUAL_MAX, Network, PeriodDetector, Residual
+from hydro_policy.compensation.residual import PAUSE_STEPS_MAX, RESIDUAL_MAX, Network, PeriodDetector, Residual
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_policy.task.mdp import BASE
+from hydro_policy.task.mdp import BASE_GAINS
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import OfflineGraph
@@ -36,7 +36,7 @@ LAW = np.array([[1.0, 0.02, 5e-4, 0.0]])
 def run(residual: Residual | None, seconds: float = 7.0) -> tuple[FloatArray, FloatArray]:
     """Error [N] of each bench with sine and multisine, shape (6, samples), and w [N], shape (6, steps)."""
     fleet = VectorBench([BENCH] * 6, [AnalyticPlant(bench) for bench in BENCHES for _ in range(2)])
-    cases, gains = [Case("", SINE), Case("", MULTISINE)] * 3, vector_runs.fixed_gains(np.array(BASE))
+    cases, gains = [Case("", SINE), Case("", MULTISINE)] * 3, vector_runs.fixed_gains(np.array(BASE_GAINS))
     steps = vector_runs.run(fleet, cases, gains, EvaluationSettings(measure=5.0), 7, Compensator(6), residual)
     errors, values = [], []
     for step in islice(steps, round(100 * seconds)):
@@ -141,6 +141,6 @@ def test_nothing_that_is_no_number_gets_out() -> None:
         value = residual.step(*samples, LAW, counted)
         assert np.isfinite(residual.inputs).all() and value.tolist() == [0.0]
     assert residual.age[0] == 200, "a sample that is no number makes it pause"
-    for _ in range(PAUSE + 1):
+    for _ in range(PAUSE_STEPS_MAX + 1):
         assert not residual.step(*np.zeros((3, 1, SAMPLES_PER_STEP)), np.zeros((1, 4)), ~counted).any()
     assert residual.age[0] == 0, "it begins again after a long one"

@@ -18,7 +18,7 @@ from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FALLBACK, MISMATCH, MODEL_FITS
+from hydro_policy.supervision.plant_supervisor import FALLBACK_GAIN_CHANGES, MISMATCH_MESSAGE, MODEL_FITS_MESSAGE
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import GainRange, Step, StepClock
 from hydro_policy.training_plan import EXTRA_SETTLING_TIME
@@ -153,12 +153,12 @@ def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_i
     before, said = learner.replay.total_appended, len(graph.sentences)
     graph.answer = Result.uncorrected(CorrectionStatus.MISMATCH)
     graph.run(session, 0.1, learner)
-    assert [gains[:2] for gains in graph.gains_published[-8:]] == [FALLBACK] * 8
-    assert learner.replay.total_appended <= before + 1 and graph.sentences[said] == MISMATCH
+    assert [gains[:2] for gains in graph.gains_published[-8:]] == [FALLBACK_GAIN_CHANGES] * 8
+    assert learner.replay.total_appended <= before + 1 and graph.sentences[said] == MISMATCH_MESSAGE
     graph.run(session, 0.4, learner)
     graph.answer = PASSED
     graph.run(session, 3.0, learner)
-    assert session.finished and MODEL_FITS in graph.sentences and session.plan.progress.rollbacks == 0
+    assert session.finished and MODEL_FITS_MESSAGE in graph.sentences and session.plan.progress.rollbacks == 0
     assert session.plan.explorer.current.overridden_steps == pytest.approx(50, abs=2)
 
 

@@ -12,9 +12,9 @@ import pytest
 
 from hydro_core.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_policy.evaluation.report import best
-from hydro_policy.evaluation.runner import REPEATS_MAX, WATCHDOG_TRIP, Phase
+from hydro_policy.evaluation.runner import REPEATS_MAX, WATCHDOG_TRIP_MESSAGE, Phase
 from hydro_policy.runs.run_directory import RunRecord
-from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE
+from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE_MESSAGE
 from hydro_policy.task.mdp import StepClock, TaskSettings, rewards
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -99,7 +99,9 @@ def test_a_run_in_which_other_gains_acted_tells_nothing_of_its_controller(compar
     assert best(session) == "", "nothing is compared with what did not act"
 
 
-@pytest.mark.parametrize(("silence", "spoilt", "stopped"), [(0.3, 1, ""), (0.07, 1, ""), (0.3, 3, WATCHDOG_TRIP)])
+@pytest.mark.parametrize(
+    ("silence", "spoilt", "stopped"), [(0.3, 1, ""), (0.07, 1, ""), (0.3, 3, WATCHDOG_TRIP_MESSAGE)]
+)
 def test_a_run_in_which_the_machine_was_held_up_is_started_again(compare, silence: float, spoilt: int, stopped) -> None:
     """The box hears nothing in the first runs: for so long that it trips, or that base gains act."""
     graph, session = compare((90.0, 15.0))
@@ -141,7 +143,7 @@ def test_base_gains_without_a_filter_replace_none_but_themselves(compare) -> Non
 def test_a_bench_that_base_gains_do_not_hold_is_not_armed_for_ever(compare) -> None:
     graph, session = compare((90.0, 15.0), config=BoxConfig(load_force_limit=0.1), frequencies=(1.0, 2.0))
     graph.run(session, 60.0)
-    assert session.finished and session.scores[-1].stopped == BASE_GAINS_UNSTABLE
+    assert session.finished and session.scores[-1].stopped == BASE_GAINS_UNSTABLE_MESSAGE
     assert 1 <= graph.sentences.count("plant: tripped (force_limit)") <= 4
 
 

@@ -20,17 +20,17 @@ from hydro_policy.nodes.plant_options import plant_options_as_yaml
 from hydro_policy.nodes.trainer import parse_options, parser
 from hydro_policy.nodes.training import check_run, write_initial_checkpoint
 from hydro_policy.pretraining.configurations import configuration
-from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
+from hydro_policy.runs.initial_agent import AGENT_FILE, load_initial_agent, shipped_agent
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, GainRange
 
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_paper"))
 FILES: dict[str, tuple[Path, Callable[[Path], object]]] = {
     "policy": (SHIPPED / "policy.safetensors", load_policy),
-    "agent": (SHIPPED / AGENT, lambda path: load_initial_agent(path.parent)),
+    "agent": (SHIPPED / AGENT_FILE, lambda path: load_initial_agent(path.parent)),
     "metric": (shipped_metric(), ScheduledMetric.load),
 }
 
@@ -76,13 +76,13 @@ def test_a_run_killed_at_once_goes_on_and_a_damaged_checkpoint_is_refused_with_i
         np.save(tmp_path / "rows.npy", rows.astype(np.float32))
         return (tmp_path / "rows.npy").read_bytes()
 
-    whole = {name: (run.latest / name).read_bytes() for name in (AGENT, "replay.npy", "trainer.json")}
+    whole = {name: (run.latest / name).read_bytes() for name in (AGENT_FILE, "replay.npy", "trainer.json")}
     damaged = [{name: content[:length]} for name, content in whole.items() for length in (0, len(content) // 2)]
     damaged += [
         {"trainer.json": state(0, {"progress": {"episodes": 3}})},  # another state
         {"trainer.json": state(10, {}), "replay.npy": array(np.full((10, 30), np.nan))},
         {"replay.npy": array(np.zeros((0, 7)))},  # of another width
-        {f"../best/{AGENT}": whole[AGENT][:-100]},
+        {f"../best/{AGENT_FILE}": whole[AGENT_FILE][:-100]},
     ]
     for others in damaged:
         for name, content in (whole | others).items():
@@ -110,8 +110,8 @@ def test_a_resumed_run_gets_its_own_plant_back(tmp_path: Path) -> None:
 
 def trained(updates: int) -> tuple[Sac, ReplayBuffer]:
     sac, replay = (
-        Sac(OBSERVATIONS, ACTIONS, SacSettings(seed=4, batch_size=32)),
-        ReplayBuffer(OBSERVATIONS, ACTIONS, 300),
+        Sac(OBSERVATION_SIZE, ACTION_SIZE, SacSettings(seed=4, batch_size=32)),
+        ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, 300),
     )
     rows = np.random.default_rng(0).normal(size=(200, 30)).astype(np.float32)
     rows[:, -1] = 0.0
@@ -138,7 +138,7 @@ def test_the_acting_policy_equals_the_trained_actor(tmp_path: Path) -> None:
     policy.save(tmp_path / "policy.safetensors", GainRange(delta_kp_max=285.0), {"episode": 7})
     loaded, gains, notes = load_policy(tmp_path / "policy.safetensors")
     assert gains == GainRange(delta_kp_max=285.0) and notes == {"episode": 7}
-    observations = np.random.default_rng(1).normal(size=(500, OBSERVATIONS)).astype(np.float32)
+    observations = np.random.default_rng(1).normal(size=(500, OBSERVATION_SIZE)).astype(np.float32)
     layers = [sac.agent.actor.parameters[places[0]] for layer in sac.layers["actor"] for places in layer]
     hidden = np.maximum(np.maximum(observations @ layers[0] + layers[1], 0.0) @ layers[2] + layers[3], 0.0)
     expected = np.tanh((hidden @ layers[4] + layers[5])[:, :2])
@@ -148,9 +148,9 @@ def test_the_acting_policy_equals_the_trained_actor(tmp_path: Path) -> None:
 
 def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past(tmp_path: Path) -> None:
     settings = SacSettings(hidden_size=16, seed=5)
-    sac, again = (Sac(OBSERVATIONS, ACTIONS, settings) for _ in range(2))
+    sac, again = (Sac(OBSERVATION_SIZE, ACTION_SIZE, settings) for _ in range(2))
     sac.updates = 280_000
-    (tmp_path / AGENT).write_bytes(dump(sac))
+    (tmp_path / AGENT_FILE).write_bytes(dump(sac))
     policy = Policy(settings)
     policy.load_flat(sac.actor_parameters())
     policy.save(RunDirectory(tmp_path).policy, GainRange(delta_kp_max=285.0), {"task": {"trip_penalty": 100.0}})
@@ -163,6 +163,6 @@ def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past
     assert adopted.task.gains == GainRange(delta_kp_max=285.0)
     with pytest.raises(ValueError, match=r"holds no learner\.safetensors"):
         load_initial_agent(tmp_path / "nowhere")
-    (tmp_path / AGENT).write_bytes(b"no agent")
+    (tmp_path / AGENT_FILE).write_bytes(b"no agent")
     with pytest.raises(ValueError, match="is not an agent"):
         load_initial_agent(tmp_path)

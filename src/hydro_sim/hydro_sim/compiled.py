@@ -30,9 +30,9 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-STAMP = "sources.stamp"
+STAMP_FILE = "sources.stamp"
 
-Stats = dict[str, list[int]]
+SourceStats = dict[str, list[int]]
 """By source file: time of its last change [ns] and size [bytes]."""
 
 
@@ -51,7 +51,7 @@ def remove_stale_caches(*packages: Path) -> None:
     package, and those of the packages that it imports.
     """
     packages = tuple(package.resolve() for package in packages)  # a built package is a link to its sources
-    stamp = packages[0] / "__pycache__" / STAMP
+    stamp = packages[0] / "__pycache__" / STAMP_FILE
     present = file_stats(path for package in packages for path in _sources(package))
     with contextlib.suppress(OSError):
         stamp.parent.mkdir(exist_ok=True)
@@ -76,10 +76,14 @@ def remove_stale_caches(*packages: Path) -> None:
             json.dump({"all": present, "modules": modules}, file)
 
 
-def file_stats(paths: Iterable[Path]) -> Stats:
+def file_stats(paths: Iterable[Path]) -> SourceStats:
     """Return modification time [ns] and size [bytes] of files by path, to detect changes."""
-    found = {str(path): path.stat() for path in sorted(paths)}
-    return {path: [stat.st_mtime_ns, stat.st_size] for path, stat in found.items()}
+    found = {}
+    for path in sorted(paths):
+        with contextlib.suppress(FileNotFoundError):  # removed since it was listed
+            stat = path.stat()
+            found[str(path)] = [stat.st_mtime_ns, stat.st_size]
+    return found
 
 
 def imported_sources(modules: Iterable[Path], packages: tuple[Path, ...]) -> set[Path]:

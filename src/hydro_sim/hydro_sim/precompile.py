@@ -18,7 +18,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
-_SECONDS = 8.0
+_RUN_TIME = 8.0
 """Length [s] of the training recording: the shortest that leaves validation data."""
 
 
@@ -32,7 +32,7 @@ def _simulation() -> None:
 
 def _learning() -> None:
     reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
-    run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_SECONDS)
+    run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_RUN_TIME)
     data = recordings.split({"recording": simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), run)})
     found = bench_learning.learn(Bench.nominal(), data, count=4)
     scored = [ScoredRun(run=run, truth=None) for run in data.training]

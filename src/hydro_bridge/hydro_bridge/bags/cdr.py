@@ -25,13 +25,13 @@ STATE_TOPIC, STATE_TYPE = "/hydro/state", "hydro_msgs/msg/BenchState"
 ByteRows = npt.NDArray[np.uint8]
 """Serialized messages of equal length, shape (n, bytes)."""
 
-_NUMBERS = {
+_NUMBER_FORMATS = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
     "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_HEADER = "std_msgs/msg/Header"
-_ENCAPSULATION = 4
-_FRAME_ID = 16  # offset of frame_id's characters, encapsulation included
+_HEADER_TYPE = "std_msgs/msg/Header"
+_ENCAPSULATION_SIZE = 4
+_FRAME_ID_OFFSET = 16  # offset of frame_id's characters, encapsulation included
 
 
 class NotFixedError(ValueError):
@@ -57,15 +57,15 @@ class FixedLayout:
         place = 0
         if self.has_header:
             names, formats, offsets = (["sec", "nanosec"], ["<i4", "<u4"], [4, 8])
-            place = _FRAME_ID - _ENCAPSULATION + frame_id_size
+            place = _FRAME_ID_OFFSET - _ENCAPSULATION_SIZE + frame_id_size
         for name, code in self.fields:
             size = np.dtype(code).itemsize
             place = -(-place // size) * size
             names.append(name)
             formats.append("<" + code)
-            offsets.append(place + _ENCAPSULATION)
+            offsets.append(place + _ENCAPSULATION_SIZE)
             place += size
-        spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + _ENCAPSULATION}
+        spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + _ENCAPSULATION_SIZE}
         return np.dtype(spec)  # type: ignore[call-overload]
 
     def decode(self, rows: ByteRows, log_times: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
@@ -74,13 +74,13 @@ class FixedLayout:
         `rows`: shape (n, bytes). `log_times`: ns, shape (n,); used if the type has no header. Raises ValueError: the
         bytes are not plain CDR, little endian, of this type.
         """
-        if rows.shape[1] < (_FRAME_ID if self.has_header else _ENCAPSULATION):
+        if rows.shape[1] < (_FRAME_ID_OFFSET if self.has_header else _ENCAPSULATION_SIZE):
             raise ValueError("message too short")
         if (rows[:, :2] != (0, 1)).any():
             raise ValueError("not plain CDR, little endian")
         out, sizes = np.empty(len(rows), self.table), np.zeros(len(rows), np.uint32)
         if self.has_header:
-            sizes[:] = np.ascontiguousarray(rows[:, 12:_FRAME_ID]).view("<u4")[:, 0]
+            sizes[:] = np.ascontiguousarray(rows[:, 12:_FRAME_ID_OFFSET]).view("<u4")[:, 0]
         for size in np.unique(sizes):  # nearly always one
             wire, part = self.wire(int(size)), sizes == size
             if rows.shape[1] < wire.itemsize:
@@ -99,12 +99,12 @@ def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:
     """
     text = definition(type_name).text if text is None else text
     _, members = get_types_from_msg(text, type_name)[type_name]
-    has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == _HEADER
+    has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == _HEADER_TYPE
     fields = []
     for name, (_, kind) in members[has_header:]:
-        if not isinstance(kind, tuple) or kind[0] not in _NUMBERS:
+        if not isinstance(kind, tuple) or kind[0] not in _NUMBER_FORMATS:
             raise NotFixedError(f"{type_name}.{name} is not a number")
-        fields.append((name, _NUMBERS[str(kind[0])]))
+        fields.append((name, _NUMBER_FORMATS[str(kind[0])]))
     return FixedLayout(fields=tuple(fields), has_header=has_header)
 
 
@@ -120,6 +120,6 @@ def encode_states(states: StateArray, frame_id: str = "bench") -> ByteRows:
         values[name] = states[name]
     rows = values.view(np.uint8).reshape(len(states), wire.itemsize)
     rows[:, 1] = 1
-    rows[:, 12:_FRAME_ID] = np.frombuffer(np.uint32(len(text)).tobytes(), np.uint8)
-    rows[:, _FRAME_ID : _FRAME_ID + len(text)] = np.frombuffer(text, np.uint8)
+    rows[:, 12:_FRAME_ID_OFFSET] = np.frombuffer(np.uint32(len(text)).tobytes(), np.uint8)
+    rows[:, _FRAME_ID_OFFSET : _FRAME_ID_OFFSET + len(text)] = np.frombuffer(text, np.uint8)
     return rows

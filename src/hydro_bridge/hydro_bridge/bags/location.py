@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
 
-_PART = re.compile(r"^(?P<whole>.*)#t=(?P<begin>\d+\.?\d*)?(,(?P<end>\d+\.?\d*)?)?$")
-_STORED = re.compile(r"^s3:/+")
-_AHEAD = 4 << 20  # bytes read at once from a store, where each request has its latency
+_SECTION_PATTERN = re.compile(r"^(?P<whole>.*)#t=(?P<begin>\d+\.?\d*)?(,(?P<end>\d+\.?\d*)?)?$")
+_STORE_PATTERN = re.compile(r"^s3:/+")
+_READ_AHEAD_SIZE = 4 << 20  # bytes read at once from a store, where each request has its latency
 
 
 def split_location(path: Path | str) -> tuple[Path, tuple[float, float] | None]:
     """Split a location into the recording's path and the interval [s] that its `#t=` selects; None: all of it."""
-    found = _PART.match(str(path))
+    found = _SECTION_PATTERN.match(str(path))
     if found is None:
         return Path(path), None
     return Path(found["whole"]), (float(found["begin"] or 0.0), float(found["end"] or inf))
@@ -34,7 +34,7 @@ def split_location(path: Path | str) -> tuple[Path, tuple[float, float] | None]:
 
 def is_remote(path: Path | str) -> bool:
     """Return whether a location is in an S3 store rather than on disk."""
-    return _STORED.match(str(path)) is not None
+    return _STORE_PATTERN.match(str(path)) is not None
 
 
 def is_bag(path: Path | str) -> bool:
@@ -53,8 +53,8 @@ def open_file(path: Path) -> tuple[BinaryIO, int]:
     """Open a file on disk or in an S3 store; return the binary stream and its size in bytes. Raises OSError."""
     if not is_remote(path):
         return path.open("rb"), path.stat().st_size
-    file = _store().open_input_file(_STORED.sub("", str(path)))
-    return cast(BinaryIO, io.BufferedReader(file, _AHEAD)), file.size()
+    file = _store().open_input_file(_STORE_PATTERN.sub("", str(path)))
+    return cast(BinaryIO, io.BufferedReader(file, _READ_AHEAD_SIZE)), file.size()
 
 
 def list_remote_bags(word: str) -> list[Path]:
@@ -64,7 +64,7 @@ def list_remote_bags(word: str) -> list[Path]:
     whole, _ = split_location(word)
     if whole.suffix == ".mcap":
         return [Path(word)]
-    found: list[Any] = _store().get_file_info(FileSelector(_STORED.sub("", str(whole)), recursive=True))
+    found: list[Any] = _store().get_file_info(FileSelector(_STORE_PATTERN.sub("", str(whole)), recursive=True))
     return sorted(Path(f"s3:/{one.path}") for one in found if one.path.endswith(".mcap"))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE
-from hydro_bridge.bags.storage import BagSource, Table, decode_span
+from hydro_bridge.bags.storage import BagSource, TopicTable, decode_span
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.bags.writer import BagWriter
 from hydro_bridge.serial.stream import LinkCounts, SequenceTracker
@@ -60,7 +60,7 @@ class Recording:
     """Type of each topic that has messages."""
     qos: dict[str, TopicQos]
     """Offered quality of service of each topic."""
-    tables: dict[str, Table]
+    tables: dict[str, TopicTable]
     """Table of each topic whose type has numeric fields only."""
     extents: dict[str, dict[str, Extent]]
     """Extent of each field of each table, if `read_bag` was called with `rows`."""
@@ -71,7 +71,7 @@ class Recording:
     notes: tuple[str, ...]
     """Irregularities that the reader tolerated, a sentence each; empty for a complete recording."""
 
-    def __getitem__(self, topic: str) -> Table:
+    def __getitem__(self, topic: str) -> TopicTable:
         """Return the array of a topic; raises RecordingError if there is none."""
         if topic not in self.tables:
             there = ", ".join(sorted(self.topics)) or "nothing"
@@ -88,14 +88,14 @@ class Recording:
 class _Column:
     """Growing table, thinned out where `rows` is given."""
 
-    table: Table
+    table: TopicTable
     rows: int | None
     count: int = 0
     seen: int = 0
     every: int = 1
     extents: dict[str, Extent] = field(default_factory=dict)
 
-    def extend(self, piece: Table) -> None:
+    def extend(self, piece: TopicTable) -> None:
         if self.rows is not None:
             for name in piece.dtype.names or ():
                 self.extents[name] = self.extents.get(name, Extent(1)).merge(piece[name])
@@ -156,7 +156,7 @@ def read_bag(
 
 def stream_bag(
     path: Path | str, topic: str = STATE_TOPIC, notes: list[str] | None = None, *, skip_damaged: bool = False
-) -> Iterator[Table]:
+) -> Iterator[TopicTable]:
     """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`.
 
     `notes`: receives the tolerated irregularities (`Recording.notes`) once all is read.
@@ -198,7 +198,7 @@ def read_messages(path: Path | str, topic: str, *, skip_damaged: bool = False) -
         yield from source.messages(scan, channel, block, span)
 
 
-def as_states(table: Table, path: Path) -> StateArray:
+def as_states(table: TopicTable, path: Path) -> StateArray:
     """Return `STATE_DTYPE` records from a table that has its fields; raises RecordingError for another type."""
     if table.dtype == STATE_DTYPE:
         return table

@@ -22,13 +22,13 @@ import yaml
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from hydro_bridge.bags.storage import MESSAGE_HEAD, MIXED_FILES, McapScan, listed_topics, mcap_files
+from hydro_bridge.bags.storage import MESSAGE_HEAD, MIXED_FILES_NOTE, McapScan, listed_topics, mcap_files
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.bags.writer import TopicEntry, bag_metadata, try_lock
 
 BACKUP_FOLDER = "before_repair"
 """Sub-folder that keeps the original files."""
-_RECENT, _GROWS = 10.0, 1.5
+_RECENT_TIME, _GROWTH_WATCH_TIME = 10.0, 1.5
 """s since the last write within which a file is watched for growth, and duration of that."""
 
 
@@ -65,7 +65,7 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
     if folder.is_file():
         raise RecordingError(f"{folder} is a file: name the folder of the recording, with its .mcap alone in it")
     files, notes = mcap_files(folder)
-    if any(MIXED_FILES in note for note in notes):
+    if any(MIXED_FILES_NOTE in note for note in notes):
         raise RecordingError(f"{folder} holds files of several recordings: move each into a folder of its own first")
     if strange := sorted(path.name for path in set(folder.glob("*.mcap")) - set(files)):
         raise RecordingError(
@@ -191,8 +191,8 @@ def _at_rest(path: Path) -> Iterator[None]:
                         writer = entry.parent.parent.name
                         raise RecordingError(f"{path} is open for writing in process {writer}: end that first")
         before = path.stat()
-        if time.time() - before.st_mtime < _RECENT:  # perhaps written from another machine
-            time.sleep(_GROWS)
+        if time.time() - before.st_mtime < _RECENT_TIME:  # perhaps written from another machine
+            time.sleep(_GROWTH_WATCH_TIME)
             if path.stat().st_size != before.st_size:
                 raise RecordingError(f"{path} grows: end the recorder that writes it first")
         yield

@@ -31,7 +31,7 @@ from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
 from hydro_bridge.bags.location import is_remote, open_file, split_location
 from hydro_bridge.bags.types import RecordingError, UnknownTypeError, definition
 
-MIXED_FILES = ", of several recordings"
+MIXED_FILES_NOTE = ", of several recordings"
 """Part of the note on a folder whose file names belong to several recordings."""
 
 
@@ -56,7 +56,7 @@ def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
     if not (path / "metadata.yaml").is_file():
         files = sorted(path.glob("*.mcap"), key=_by_number)
         several = len({re.sub(r"(_\d+)?$", "", file.stem) for file in files}) > 1
-        notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (MIXED_FILES if several else "")]
+        notes = [f"{path} has no metadata.yaml: read every .mcap in it" + (MIXED_FILES_NOTE if several else "")]
     else:
         information = _information(path)
         storage = information.get("storage_identifier")
@@ -119,10 +119,10 @@ def listed_topics(folder: Path) -> list[tuple[str, str]]:
 
 
 _MAGIC = b"\x89MCAP0\r\n"
-_RECORD = Struct("<BQ")
+_RECORD_HEAD = Struct("<BQ")
 MESSAGE_HEAD = Struct("<HIQQ")
 """Channel, sequence, log time and publish time [ns] before the data of a message."""
-_LOOSE = 1 << 20  # bytes of messages outside chunks that are yielded together
+_LOOSE_BATCH_SIZE = 1 << 20  # bytes of messages outside chunks that are yielded together
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,15 +248,15 @@ class McapScan:
 
     def _blocks_of(self, stream: BinaryIO, chunks: Iterable[ChunkIndex]) -> Iterator[bytes]:
         for chunk in chunks:
-            stream.seek(chunk.chunk_start_offset + _RECORD.size)
-            yield from self._chunk(stream, chunk.chunk_length - _RECORD.size)
+            stream.seek(chunk.chunk_start_offset + _RECORD_HEAD.size)
+            yield from self._chunk(stream, chunk.chunk_length - _RECORD_HEAD.size)
 
     def _raw_blocks(self, stream: BinaryIO, size: int) -> Iterator[bytes]:
         loose = bytearray()
-        while len(head := stream.read(_RECORD.size)) == _RECORD.size:
-            opcode, length = _RECORD.unpack(head)
+        while len(head := stream.read(_RECORD_HEAD.size)) == _RECORD_HEAD.size:
+            opcode, length = _RECORD_HEAD.unpack(head)
             if opcode == 0 or stream.tell() + length > size:
-                self.unread = size - stream.tell() + _RECORD.size  # cut off here
+                self.unread = size - stream.tell() + _RECORD_HEAD.size  # cut off here
                 if self.skip_damaged:
                     with suppress(RecordingError):  # the chunks behind it, by the index, if there is one
                         chunks = self._indexed_chunks(stream, behind=stream.tell())
@@ -278,7 +278,7 @@ class McapScan:
                 break
             else:
                 stream.seek(length, 1)
-            if len(loose) > _LOOSE:
+            if len(loose) > _LOOSE_BATCH_SIZE:
                 yield bytes(loose)
                 loose.clear()
         if loose:
@@ -303,10 +303,10 @@ class McapScan:
         """Return the messages of each channel with `begin` <= log time < `end` [ns]; store schemas and channels."""
         places: dict[int, list[tuple[int, int, int]]] = {}
         place, size = 0, len(block)
-        record, message, kind = (_RECORD.unpack_from, MESSAGE_HEAD.unpack_from, int(Opcode.MESSAGE))
-        while place + _RECORD.size <= size:
+        record, message, kind = (_RECORD_HEAD.unpack_from, MESSAGE_HEAD.unpack_from, int(Opcode.MESSAGE))
+        while place + _RECORD_HEAD.size <= size:
             opcode, length = record(block, place)
-            place += _RECORD.size
+            place += _RECORD_HEAD.size
             if opcode == kind:
                 channel, _, log_time, _ = message(block, place)
                 entry = (place + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size, log_time)
@@ -339,7 +339,7 @@ class McapScan:
             self.attachments[attachment.name] = attachment.data
 
 
-Table = npt.NDArray[np.void]
+TopicTable = npt.NDArray[np.void]
 """Structured array of one topic: `time` [s], then the message's fields."""
 
 
@@ -453,7 +453,7 @@ class BagSource:
             yield 1e-9 * time_ns, self._types.deserialize_cdr(block[start : start + size], name)
 
 
-def decode_span(path: Path, topic: str, layout: FixedLayout, block: bytes, span: Span) -> Table:
+def decode_span(path: Path, topic: str, layout: FixedLayout, block: bytes, span: Span) -> TopicTable:
     """Return the table of one channel's messages in one block; raises RecordingError."""
     buffer = np.frombuffer(block, np.uint8)
     out = np.empty(len(span.starts), layout.table)

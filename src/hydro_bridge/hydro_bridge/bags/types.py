@@ -77,9 +77,9 @@ BUNDLED_TYPES = (
     "rcl_interfaces/msg/Log",
 )
 """Types whose definitions are shipped with this package."""
-_SCHEMAS = Path(__file__).with_name("schemas.json")
+_SCHEMA_FILE = Path(__file__).with_name("schemas.json")
 
-_RULE = "=" * 80
+_SEPARATOR = "=" * 80
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +102,7 @@ def definition(type_name: str) -> Definition:
 
     Raises UnknownTypeError: neither package data nor the ament index has it.
     """
-    packaged = json.loads(_SCHEMAS.read_text(encoding="utf-8"))
+    packaged = json.loads(_SCHEMA_FILE.read_text(encoding="utf-8"))
     return Definition(**packaged[type_name]) if type_name in packaged else installed_definition(type_name)
 
 
@@ -113,7 +113,7 @@ def installed_definition(type_name: str) -> Definition:
     nested = [entry["type_name"] for entry in description["type_description_msg"]["referenced_type_descriptions"]]
     parts = [_installed(type_name, ".msg").rstrip("\n")]
     for name in nested:
-        parts += [_RULE, f"MSG: {name.replace('/msg/', '/')}", _installed(name, ".msg").rstrip("\n")]
+        parts += [_SEPARATOR, f"MSG: {name.replace('/msg/', '/')}", _installed(name, ".msg").rstrip("\n")]
     return Definition(text="\n".join(parts) + "\n", type_hash=hashes[type_name])
 
 
@@ -129,8 +129,8 @@ def _installed(type_name: str, suffix: str) -> str:
 def main() -> None:
     """Regenerate the package data from the installed messages."""
     packaged = {name: vars(installed_definition(name)) for name in BUNDLED_TYPES}
-    _SCHEMAS.write_text(json.dumps(packaged, indent=1) + "\n", encoding="utf-8")
-    print(f"{_SCHEMAS}: {len(packaged)} types")
+    _SCHEMA_FILE.write_text(json.dumps(packaged, indent=1) + "\n", encoding="utf-8")
+    print(f"{_SCHEMA_FILE}: {len(packaged)} types")
 
 
 if __name__ == "__main__":

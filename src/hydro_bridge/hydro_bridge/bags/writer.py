@@ -26,7 +26,7 @@ from hydro_bridge.bags.types import RecordingError, TopicQos, definition
 from hydro_core.signals import StateArray
 
 VERSION = 9
-UNFINISHED = "recording was not finished"
+UNFINISHED_MARKER = "recording was not finished"
 """Value of `hydro` in the custom_data of metadata.yaml while the recording is in progress."""
 
 
@@ -103,7 +103,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._writer.add_attachment(0, 0, name, "text/plain" if name.endswith(".yaml") else "", data)
         if self._metadata:
             self._writer.add_metadata("hydro", self._metadata)
-        self._write_metadata_yaml({"hydro": UNFINISHED})
+        self._write_metadata_yaml({"hydro": UNFINISHED_MARKER})
         self.flush()
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | None = None) -> None:
@@ -122,7 +122,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._topics[topic] = TopicEntry(
             type_name=type_name, profiles=[qos.as_rosbag2()], type_hash=known.type_hash, channel=channel
         )
-        self._write_metadata_yaml({"hydro": UNFINISHED})
+        self._write_metadata_yaml({"hydro": UNFINISHED_MARKER})
 
     def write(self, topic: str, data: bytes, time_ns: int) -> None:
         """Add one serialized message (CDR) at log time `time_ns`."""

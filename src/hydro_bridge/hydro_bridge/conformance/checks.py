@@ -219,8 +219,8 @@ def check_bench_digest(host: Host) -> None:
         raise ViolationError(f"its bench is {told}, the file is {digest}")
 
 
-_REFERENCE = ("reference_force", "reference_force_rate")
-_CORRECTION_HOLD = 3500
+_REFERENCE_FIELDS = ("reference_force", "reference_force_rate")
+_CORRECTION_HOLD_TIME = 3500
 """us, duration for which the correction of a command acts."""
 
 
@@ -234,7 +234,7 @@ def check_valve_current(host: Host) -> None:
         command = commands.get(state.last_command)
         if n < host.step_first_state or not state.flags & Flag.ARMED or command is None:
             continue
-        delta = command.delta_u if state.time_us - since <= _CORRECTION_HOLD else 0.0
+        delta = command.delta_u if state.time_us - since <= _CORRECTION_HOLD_TIME else 0.0
         wanted = state_value(state, "nominal_valve_current") + delta
         clamped = min(max(wanted, -limit), limit)
         expect_close(state, "valve_current", clamped, 1e-7 + FLOAT32_TOLERANCE * abs(clamped), " A")
@@ -256,7 +256,9 @@ def check_force_law(host: Host, tolerance: float = 2e-7, share: float = 1e-4) ->
             integral, armed = 0.0, False
             continue
         armed, acting = True, state.law_state
-        names = dict(zip(STATE_FIELDS, state.values, strict=True)) | dict(zip(_REFERENCE, acting[1:3], strict=True))
+        names = dict(zip(STATE_FIELDS, state.values, strict=True)) | dict(
+            zip(_REFERENCE_FIELDS, acting[1:3], strict=True)
+        )
         action = names["integral_gain"] * integral if paper else integral
         scales = acting.velocity_compensation, acting.valve_gain_scale
         right = nominal_current(host.bench, names, action, host.feedback, scales)
@@ -290,13 +292,13 @@ def check_reference(host: Host, tolerance: float = 0.01, rate_tolerance: float =
 
     def judge(points: Sequence[Derivatives | None]) -> None:
         for state, point in zip(host.states, points, strict=True):
-            for name, right, off in zip(_REFERENCE, point or (), allowed, strict=False):
+            for name, right, off in zip(_REFERENCE_FIELDS, point or (), allowed, strict=False):
                 expect_close(state, name, right, off + 1e-4 * abs(right))
 
     _judge_armed(host, judge)
 
 
-_SMALL = 0.05
+_OVERLAP_SHARE_MAX = 0.05
 """Share of the largest current within which a valve may have overlap."""
 
 
@@ -312,7 +314,7 @@ def check_force_direction(host: Host, by: float) -> None:
         return
     largest = max(abs(state_value(state, "valve_current")) for state in states)
     drives = state_value(last, "valve_current") * asked > 0.0
-    if drives and abs(moved) < by and largest < _SMALL * host.info.valve_current_max:
+    if drives and abs(moved) < by and largest < _OVERLAP_SHARE_MAX * host.info.valve_current_max:
         why = "an overlap holds the piston there, or the valve is not connected: its sign is not proven"
         raise InconclusiveError(f"the force stood while the current stayed within {1e3 * largest:.2g} mA: {why}")
     raise ViolationError(f"asked for {asked:g} N, the force went by {moved:g} N")
@@ -376,9 +378,9 @@ def check_law_limits(host: Host) -> None:
             raise ViolationError(f"f_c is {acting.compensated_reference:g} N while it is disarmed")
 
 
-_CLOSE = 2e-6
+_SHAPING_TOLERANCE = 2e-6
 """Rounding of float32 in a value of the shaping, relative to its limits."""
-_KINK = 4e-3
+_LOW_PASS_TIME = 4e-3
 """Time constant [s] of the low-pass of f_r'' in f_c."""
 
 
@@ -407,7 +409,7 @@ def check_compensated_reference(host: Host, tolerance: float = 0.02) -> None:
     law, commands = host.law, {each.sequence: each.command for each in host.sent}
     assert law is not None, "its case needs a compensated law"
     low, safe, high, rate = law.shaping_limits
-    room = [_CLOSE * max(abs(least), abs(most)) for least, most in zip(low, high, strict=True)]
+    room = [_SHAPING_TOLERANCE * max(abs(least), abs(most)) for least, most in zip(low, high, strict=True)]
     tolerance *= host.force_scale
 
     def judge(points: Sequence[Derivatives | None]) -> None:
@@ -430,11 +432,11 @@ def check_compensated_reference(host: Host, tolerance: float = 0.02) -> None:
                     told = f"{right:g} is right: {last:g} before, {new:g} wanted"
                     raise ViolationError(f"{number:g} acts in STATE {state.sequence}, {told}")
             middle = second + 0.5 * SAMPLE_PERIOD * (point[3] + third)
-            second = middle + (point[2] - middle) * SAMPLE_PERIOD / (SAMPLE_PERIOD + _KINK)
+            second = middle + (point[2] - middle) * SAMPLE_PERIOD / (SAMPLE_PERIOD + _LOW_PASS_TIME)
             third = point[3]
-            force, force_rate = (state_value(state, name) for name in _REFERENCE)
+            force, force_rate = (state_value(state, name) for name in _REFERENCE_FIELDS)
             terms = (force, force_rate, second, 1.0)
-            slopes = (force_rate, point[2], third + (point[2] - second) / _KINK, 0.0)
+            slopes = (force_rate, point[2], third + (point[2] - second) / _LOW_PASS_TIME, 0.0)
             right = sum(a * term for a, term in zip(now[:4], terms, strict=True))
             moved = (
                 sum((a - last) * term for a, last, term in zip(now[:4], old[:4], terms, strict=True)) / SAMPLE_PERIOD

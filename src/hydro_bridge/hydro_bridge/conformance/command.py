@@ -163,7 +163,7 @@ def _converse(case: Case, host: Host) -> tuple[str, str]:
     return (FAIL, silent) if silent else (PASS, "; ".join(notes))
 
 
-_LATE = 3
+_INCONCLUSIVE_STATUS = 3
 """Exit status where nothing failed and something was not judged; 2 is that of a wrong command line."""
 
 COLUMNS = {
@@ -231,4 +231,4 @@ def main() -> int:
     for result in results:
         table.add(case=result.case.id, result=result.outcome, found=result.reason, says=result.case.says)
     table.show(options.json)
-    return 1 if FAIL in found else _LATE if INCONCLUSIVE in found else 0
+    return 1 if FAIL in found else _INCONCLUSIVE_STATUS if INCONCLUSIVE in found else 0

@@ -22,10 +22,10 @@ from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
 from hydro_core.signals import Command, Law, Waveform
 
-_CIRCLE = 1 << 32
-_PATIENCE = 1.0
+_SEQUENCE_MODULUS = 1 << 32
+_SILENCE_MAX = 1.0
 """s without a STATE after which a box counts as silent."""
-_LOOK = 0.005
+_READ_TIME_MAX = 0.005
 """s, longest wait of one read of the line."""
 READ_INTERVAL_MAX = 0.015
 """s, longest interval between two reads of a host that is in time: a read ends whatever the box does."""
@@ -134,7 +134,7 @@ class Host:
     def send(self, sequence: int | None = None, **changes: Any) -> None:
         """Send the last command with changes, under the next sequence number unless one is given."""
         self.command = apply_changes(self.command, changes)
-        self.sequence = (self.sequence + 1 if sequence is None else sequence) % _CIRCLE
+        self.sequence = (self.sequence + 1 if sequence is None else sequence) % _SEQUENCE_MODULUS
         self.sent.append(SentCommand(self.sequence, self.command, len(self.states)))
         self.line.write(protocol.encode_command(self.sequence, int(1e6 * self.clock()), self.command))
 
@@ -145,7 +145,7 @@ class Host:
         """
         wanted, last = len(self.states) + samples, self.clock()
         while len(self.states) < wanted:
-            data = self.line.read(_LOOK)
+            data = self.line.read(_READ_TIME_MAX)
             now = self.clock()
             gap = 0.0 if self.last_read is None else now - self.last_read
             self.longest_read_gap = max(self.longest_read_gap, gap)
@@ -166,19 +166,19 @@ class Host:
                     last = self.clock()
                     if each is not None and len(self.states) <= wanted:
                         each()
-            if self.clock() - last > _PATIENCE:
+            if self.clock() - last > _SILENCE_MAX:
                 if self.decoder.foreign_version is not None and not self.states:
                     raise NoFrameError(protocol.version_mismatch_message(self.decoder.foreign_version))
                 if self.decoder.counts.frames:
-                    raise NoStateError(f"the box sent no STATE for {_PATIENCE:g} s")
-                raise NoFrameError(no_frames_message(self.decoder.counts, LinkCounts(), _PATIENCE))
+                    raise NoStateError(f"the box sent no STATE for {_SILENCE_MAX:g} s")
+                raise NoFrameError(no_frames_message(self.decoder.counts, LinkCounts(), _SILENCE_MAX))
 
 
 _LOAD_FORCE_LIMIT = 700.0
 """N, of the nominal bench's box."""
-_UNPLAYABLE = 1e6
+_UNSCALED_FORCE_MIN = 1e6
 """Force [N] from which a value in a case applies to any box, unscaled."""
-_FORCES = ("amplitude", "offset")
+_FORCE_FIELDS = ("amplitude", "offset")
 
 
 def apply_changes(command: Command, changes: Mapping[str, Any]) -> Command:
@@ -191,15 +191,19 @@ def apply_changes(command: Command, changes: Mapping[str, Any]) -> Command:
     return replace(command, reference=replace(command.reference, **shape), **own)
 
 
-_TIME, _WAVEFORM, _VERSION, _TYPE = 8, 34, 0, 1
+_TIME_OFFSET, _WAVEFORM_OFFSET, _VERSION_OFFSET, _TYPE_OFFSET = 8, 34, 0, 1
 """Byte offsets in a frame's body."""
-_CHANGED = {"waveform 4": (_WAVEFORM, 4), "version 9": (_VERSION, 9), "type 200": (_TYPE, 200)}
+_FRAME_CHANGES = {
+    "waveform 4": (_WAVEFORM_OFFSET, 4),
+    "version 9": (_VERSION_OFFSET, 9),
+    "type 200": (_TYPE_OFFSET, 200),
+}
 """Offset and value of each change; the types from 200 are free for experiments."""
 
 
 REPLY_SAMPLES = 300
 """Samples within which a HELLO must be answered, and a command confirmed."""
-_APART = 1000
+_SESSION_OFFSET = 1000
 """Offset of a session's sequence numbers from those of the previous session."""
 
 
@@ -214,7 +218,9 @@ def open_session(host: Host) -> None:
     else:
         raise NoStateError(f"the box answered no HELLO within {3 * REPLY_SAMPLES} samples")
     host.receive(2)
-    host.sequence = (host.states[-1].last_command + _APART) % _CIRCLE  # not a number of the previous session
+    host.sequence = (
+        host.states[-1].last_command + _SESSION_OFFSET
+    ) % _SEQUENCE_MODULUS  # not a number of the previous session
     host.command = Command()
     host.begin_step()
     host.send()
@@ -300,7 +306,7 @@ def _garbage(host: Host, words: dict[str, Any]) -> None:
 def _damaged(host: Host, words: dict[str, Any]) -> None:
     """Send a command that would change the gains, damaged in a way that a box must detect.
 
-    `how`: `bit flipped` and `truncated`, or with a valid check sum `too long`, `too short`, or one of `_CHANGED`.
+    `how`: `bit flipped` and `truncated`, or with a valid check sum `too long`, `too short`, or one of `_FRAME_CHANGES`.
     """
     changes, how = {key: value for key, value in words.items() if key != "how"}, words["how"]
     frame = protocol.encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
@@ -309,7 +315,7 @@ def _damaged(host: Host, words: dict[str, Any]) -> None:
     if how == "truncated":
         frame = frame[:-9] + b"\0"
     elif how == "bit flipped":
-        raw[_TIME] ^= 0x10
+        raw[_TIME_OFFSET] ^= 0x10
         frame = b"\0" + cobs.encode(bytes(raw)) + b"\0"
     else:
         if how == "too long":
@@ -317,7 +323,7 @@ def _damaged(host: Host, words: dict[str, Any]) -> None:
         elif how == "too short":
             del body[-4:]
         else:
-            place, value = _CHANGED[how]
+            place, value = _FRAME_CHANGES[how]
             body[place] = value
         frame = protocol.encode_frame(bytes(body))
     host.begin_step()
@@ -334,7 +340,7 @@ def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
     for key, value in changes.items():
         if key not in ("waveform", "law") and isinstance(value, str):
             changes[key] = getattr(host.details, value)
-        elif key in _FORCES and abs(value) < _UNPLAYABLE:
+        elif key in _FORCE_FIELDS and abs(value) < _UNSCALED_FORCE_MIN:
             changes[key] = host.force_scale * value
         elif key == "delta_u":
             changes[key] = host.correction_scale * value

@@ -13,8 +13,8 @@ from hydro_core.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 FADE_TIME = 0.3
 """Duration of a cross-fade [s]."""
 
-_RATIOS = tuple(map(sqrt, (1.0, 3.0, 7.0, 13.0)))
-_WEIGHTS = tuple(1.0 / ratio / sum(1.0 / other for other in _RATIOS) for ratio in _RATIOS)
+_FREQUENCY_RATIOS = tuple(map(sqrt, (1.0, 3.0, 7.0, 13.0)))
+_AMPLITUDE_WEIGHTS = tuple(1.0 / ratio / sum(1.0 / other for other in _FREQUENCY_RATIOS) for ratio in _FREQUENCY_RATIOS)
 
 Derivatives = tuple[float, ...]
 """Value [N] and its first three derivatives by time [s]."""
@@ -29,8 +29,11 @@ def evaluate_signal(signal: ReferenceSignal, time: float) -> Derivatives:
     elif signal.waveform is Waveform.SINE:
         form = _sine(angle, omega)
     elif signal.waveform is Waveform.MULTISINE:
-        inner = [ratio * omega * time + (i + 1) * signal.phase for i, ratio in enumerate(_RATIOS)]
-        parts = [_sine(each, ratio * omega, w) for w, ratio, each in zip(_WEIGHTS, _RATIOS, inner, strict=True)]
+        inner = [ratio * omega * time + (i + 1) * signal.phase for i, ratio in enumerate(_FREQUENCY_RATIOS)]
+        parts = [
+            _sine(each, ratio * omega, w)
+            for w, ratio, each in zip(_AMPLITUDE_WEIGHTS, _FREQUENCY_RATIOS, inner, strict=True)
+        ]
         form = tuple(map(sum, zip(*parts, strict=True)))
     else:  # from -1 to 1 in the eighth of a period after angle 0, and back after pi
         turn = angle / (2.0 * pi) % 1.0
@@ -60,7 +63,7 @@ def cross_fade(old: Derivatives, new: Derivatives, time: float, end: float) -> D
     return tuple(old[n] + sum(comb(n, j) * share[j] * gap[n - j] for j in range(n + 1)) for n in range(4))
 
 
-FLOOR_SHARE = 0.1
+FORCE_GAIN_SHARE_MIN = 0.1
 """Lower bound of g, relative to g of the bench at rest."""
 
 
@@ -90,11 +93,11 @@ def nominal_current(
     """Return the nominal current [A] for `values` of one STATE, by name; `reference_force` and its rate are f_c, f_c'.
 
     `integral` is I [N/s], `force` the name of the feedback force's field, `scales` are C_1 and C_2. g is limited below
-    by `FLOOR_SHARE` of its value for the bench at rest: p_a = alpha p_b, p_a + p_b = p_s, the spring relaxed.
+    by `FORCE_GAIN_SHARE_MIN` of its value for the bench at rest: p_a = alpha p_b, p_a + p_b = p_s, the spring relaxed.
     """
     alpha = bench["area_ratio"]
     pressure_b = bench["supply_pressure"] / (1.0 + alpha)
-    floor = FLOOR_SHARE * _gain(bench, bench["spring_rest_position"], (alpha * pressure_b, pressure_b), 1.0)
+    floor = FORCE_GAIN_SHARE_MIN * _gain(bench, bench["spring_rest_position"], (alpha * pressure_b, pressure_b), 1.0)
     position = min(max(values["piston_position"], 0.0), bench["stroke"])
     volume_a, volume_b = _volumes(bench, position)
     stiffness = bench["bulk_modulus"] * bench["piston_area"] ** 2 * (1 / volume_a + alpha**2 / volume_b)
@@ -110,7 +113,7 @@ def force_gain(bench: Mapping[str, Any]) -> float:
     return float(_gain(bench, bench["stroke"] / 2, (bench["supply_pressure"] / 2,) * 2, 1.0))
 
 
-_ROUNDING = 1e-6
+_FADE_TIME_TOLERANCE = 1e-6
 """s: rounding of the clock decides whether a fade ends at its 300th or 301st sample."""
 
 
@@ -128,7 +131,7 @@ def expected_references(host: Host) -> Iterator[list[Derivatives | None]]:
     """Yield the expected reference at each state (None: disarmed), once for each rounding of a fade's end."""
     reach = host.details.force_range or 1e6
     commands = {each.sequence: each.command for each in host.sent}
-    for fade in (FADE_TIME - _ROUNDING, FADE_TIME + _ROUNDING):
+    for fade in (FADE_TIME - _FADE_TIME_TOLERANCE, FADE_TIME + _FADE_TIME_TOLERANCE):
         wanted, points = ReferenceSignal(), list[Derivatives | None]()
         old = new = (wanted, 0.0)  # with the time of acceptance, s
         for state in host.states:

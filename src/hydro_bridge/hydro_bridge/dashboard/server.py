@@ -56,9 +56,9 @@ from websockets.http11 import Request, Response
 from hydro_bridge.pages import environment
 from hydro_core.errors import UserError
 
-_TEXT = Annotated[str, msgspec.Meta(max_length=100)]
+_ShortText = Annotated[str, msgspec.Meta(max_length=100)]
 COMMANDS = ("disarm", "arm", "override", "release", "end", "freeze", "adapt")
-SIZE_MAX = 1000
+COMMAND_SIZE_MAX = 1000
 """Maximum size of a command, bytes."""
 
 
@@ -69,12 +69,12 @@ class RefusedError(Exception):
 class PageCommand(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A command sent by a page."""
 
-    command: _TEXT
+    command: _ShortText
     number: int = 0
     """Number given by the page and returned with the answer."""
-    epoch: _TEXT = ""
+    epoch: _ShortText = ""
     """Epoch of the session that the page showed, in decimal: JavaScript would round it as a number."""
-    token: _TEXT = ""
+    token: _ShortText = ""
     kp: float = math.nan
     """Total K_p [1/s] of an override."""
     ki: float = math.nan
@@ -128,10 +128,12 @@ BACKLOG_MAX = 256 * 1024
 COMMAND_TIMEOUT = 3.0
 """s, time-out of a command."""
 
-_PENDING = 20  # pending commands of one viewer
-_FILES = ("page.css", "page.js", "plots.js", "series.js", "uPlot.iife.min.js", "uPlot.min.css")
-_KINDS = {".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8"}
-_POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data:; connect-src 'self'"
+_PENDING_MAX = 20  # pending commands of one viewer
+_PAGE_FILES = ("page.css", "page.js", "plots.js", "series.js", "uPlot.iife.min.js", "uPlot.min.css")
+_CONTENT_TYPES = {".css": "text/css; charset=utf-8", ".js": "text/javascript; charset=utf-8"}
+_CONTENT_SECURITY_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data:; connect-src 'self'"
+)
 
 Message = str | bytes
 
@@ -147,7 +149,9 @@ class PageServer:
     def __init__(self, act: Callable[[Message], Future[str]], host: str = "127.0.0.1", port: int | None = None) -> None:
         self._act, self._host = act, host
         folder, page = resources.files("hydro_bridge.dashboard") / "page", environment("hydro_bridge", "dashboard/page")
-        self._files = {f"/{name}": ((folder / name).read_bytes(), _KINDS[Path(name).suffix]) for name in _FILES}
+        self._files = {
+            f"/{name}": ((folder / name).read_bytes(), _CONTENT_TYPES[Path(name).suffix]) for name in _PAGE_FILES
+        }
         index = page.get_template("index.html").render(title="hydro")
         self._files["/"] = (index.encode(), "text/html; charset=utf-8")
         self._viewers: set[ServerConnection] = set()
@@ -191,7 +195,7 @@ class PageServer:
 
     async def _listen(self, host: str, port: int | None) -> Server:
         listen = partial(
-            serve, self._attend, host, process_request=self._answer, compression=None, max_size=SIZE_MAX,
+            serve, self._attend, host, process_request=self._answer, compression=None, max_size=COMMAND_SIZE_MAX,
             ping_interval=5.0, ping_timeout=5.0, close_timeout=0.5, server_header=None,
         )  # fmt: skip
         try:
@@ -212,7 +216,7 @@ class PageServer:
             return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS_MAX} viewers look already\n")
         if path not in self._files:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
-        return file_response(*self._files[path], _POLICY)
+        return file_response(*self._files[path], _CONTENT_SECURITY_POLICY)
 
     async def _attend(self, viewer: ServerConnection) -> None:
         with self._lock:
@@ -220,7 +224,7 @@ class PageServer:
         tasks: set[asyncio.Task[None]] = set()
         try:
             async for text in viewer:
-                if len(tasks) >= _PENDING:  # reading pauses meanwhile
+                if len(tasks) >= _PENDING_MAX:  # reading pauses meanwhile
                     await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 tasks.add(task := asyncio.create_task(self._command(viewer, text)))
                 task.add_done_callback(tasks.discard)

@@ -35,7 +35,7 @@ from hydro_core.clock import BoxClock
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import STATE_FIELDS, Command, Flag, Law
 
-NO_COMPENSATED_LAW = "only the paper's force law can be run: the box offers no other"
+NO_COMPENSATED_LAW_MESSAGE = "only the paper's force law can be run: the box offers no other"
 
 
 def incomplete_handshake(details: BoxDetails | None) -> str:
@@ -44,22 +44,23 @@ def incomplete_handshake(details: BoxDetails | None) -> str:
     return f"the box sends no {missing} behind its {said}: no command is sent"
 
 
-NO_HELLO_REPLY = (
+NO_HELLO_REPLY_MESSAGE = (
     "frames of a box come, and it does not answer: does the line to it work, and does nobody else talk to it?"
 )
 
 SAMPLE_AGE_MAX = 0.1
 """Largest age [s] of the last sample at which its content still holds; for a box in real time."""
 
-_RECENT = 256  # number of samples and commands kept
-_WRAP = 0xFFFFFFFF
+_HISTORY_LENGTH = 256  # number of samples and commands kept
+_SEQUENCE_MASK = 0xFFFFFFFF
 
 
-_NOMINAL = STATE_FIELDS.index("nominal_valve_current")
+_NOMINAL_CURRENT_INDEX = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
 _SIGN_PERIOD = 1.0
-_GRACE, _EMULATOR = 2.0, 20.0  # s from the start for which a missing port is no fault; an emulator loads longer
+_PORT_GRACE_TIME = 2.0  # s from the start for which a missing port is no fault
+_EMULATOR_GRACE_TIME = 20.0  # s, the same for an emulator's port: it loads longer
 
 
 class _MuteError(PortLostError):
@@ -130,7 +131,7 @@ class Link(PlantInterface):
         self.counts = LinkCounts()
         self.statistics = LinkStatistics()
         self._arrived: dict[int, float] = {}  # s of the monotonic clock, by sequence of the last samples
-        self._sent: deque[tuple[int, float]] = deque(maxlen=_RECENT)  # last commands that no sample confirms
+        self._sent: deque[tuple[int, float]] = deque(maxlen=_HISTORY_LENGTH)  # last commands that no sample confirms
         self.clock = BoxClock()
         self.box: BoxInfo | None = None
         self.details: BoxDetails | None = None
@@ -179,7 +180,7 @@ class Link(PlantInterface):
         """Keep the line open until `stop`; body of the serial thread."""
         backoff, path = self.port.settings.backoff_first, self.port.settings.path
         begin, waiting = time.monotonic(), False
-        grace = _GRACE if path.startswith("/dev/") else _EMULATOR
+        grace = _PORT_GRACE_TIME if path.startswith("/dev/") else _EMULATOR_GRACE_TIME
         while not self._stopping.is_set():
             try:
                 self.port.open()
@@ -190,7 +191,7 @@ class Link(PlantInterface):
                 waited = time.monotonic() - begin
                 if not foreign and (self._connected_before or isinstance(error, _MuteError) or waited > grace):
                     self._report_fault(str(error))
-                elif not waiting and not foreign and waited > _GRACE:
+                elif not waiting and not foreign and waited > _PORT_GRACE_TIME:
                     waiting = True
                     self._log(f"waiting for {path} to appear")
             if self.state is LinkState.CONNECTED:
@@ -225,7 +226,7 @@ class Link(PlantInterface):
             if self.state is not LinkState.CONNECTED:
                 return
             now = self.now()
-            self._sequence = (self._sequence + 1) & _WRAP
+            self._sequence = (self._sequence + 1) & _SEQUENCE_MASK
             command = self.guard.command(now)
             if command.law is not Law.PAPER and self.law is None:
                 command = Command()  # this box would add the changes to the paper's gains
@@ -284,7 +285,7 @@ class Link(PlantInterface):
                 if self._decoder.foreign_version is not None:
                     self._report_fault(protocol.version_mismatch_message(self._decoder.foreign_version))
                 elif frames and self._greeted is None and now - opened > self.port.settings.silence_max:
-                    self._report_fault(NO_HELLO_REPLY)
+                    self._report_fault(NO_HELLO_REPLY_MESSAGE)
             waits = self.state is LinkState.CONNECTED and self.paced
             if time.monotonic() - alive > (limit := (self.lock_step if waits else self.port).settings.silence_max):
                 raise _MuteError(f"{self.port.settings.path}: {no_frames_message(self.counts, self._framed, limit)}")
@@ -340,12 +341,12 @@ class Link(PlantInterface):
             self._offset_us = max(self._offset_us, self._box_us - frame.time_us)  # a restarted box begins anew
             self._box_us = frame.time_us + self._offset_us
             self._arrived[frame.sequence] = now
-            self._arrived.pop((frame.sequence - _RECENT) & _WRAP, None)
-            while self._sent and (frame.last_command - self._sent[0][0]) & _WRAP < _RECENT:
+            self._arrived.pop((frame.sequence - _HISTORY_LENGTH) & _SEQUENCE_MASK, None)
+            while self._sent and (frame.last_command - self._sent[0][0]) & _SEQUENCE_MASK < _HISTORY_LENGTH:
                 confirmed, sent = self._sent.popleft()
                 if confirmed == frame.last_command:
                     self.statistics.round_trip.add(now - sent)
-            self.guard.add_sample(frame.sequence, frame.values[_NOMINAL])
+            self.guard.add_sample(frame.sequence, frame.values[_NOMINAL_CURRENT_INDEX])
         before, self.refused = self.refused[1], (frame.refused, frame.refused_references)
         if before == 0 and frame.refused_references > 0:  # once per connection; the counts are on /diagnostics
             self._warn("the box refused a reference and keeps the one before")
@@ -381,7 +382,7 @@ class Link(PlantInterface):
         self._connected_before, self._corrected, self.last_fault = True, False, ""
         self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}; disarmed")
         if law is None:
-            self._log(NO_COMPENSATED_LAW)
+            self._log(NO_COMPENSATED_LAW_MESSAGE)
         changed = [
             f"{name} {before:g} -> {after:g}"
             for (name, before), after in zip(vars(wanted).items(), vars(limits).values(), strict=True)

@@ -124,7 +124,7 @@ def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode
     answer /hydro/arm as well. A missing port may still appear: the link waits for it.
     """
     options = parser().parse_args(own)
-    site.apply_site_option(options, bench=site.BENCH)
+    site.apply_site_option(options, bench=site.BENCH_FILE)
     settings = PortSettings(path=options.port, baud=options.baud)
     file = options.bench or bench_digest.shipped_bench_file()
     bench = bench_digest.read_box_bench(file) if file else None

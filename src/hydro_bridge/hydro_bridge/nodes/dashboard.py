@@ -29,7 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.bags.cdr import fixed_layout
 from hydro_bridge.dashboard import series, status
-from hydro_bridge.dashboard.series import SLOT_TIME, Downsampler
+from hydro_bridge.dashboard.series import BIN_WIDTH, Downsampler
 from hydro_bridge.dashboard.server import (
     COMMAND_TIMEOUT,
     PORT,
@@ -62,10 +62,10 @@ class SampleReceiver:
         qos = QoSProfile(depth=QUEUE_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         self._queues = {}
         for topic in (topics.STATE, topics.CORRECTION, topics.LAW_STATE):
-            kind = topics.GRAPH[topic][0]
+            kind = topics.RECORDED_TOPICS[topic][0]
             self._queues[topic] = self.mailbox.subscribe(topic, kind, qos), fixed_layout(topics.type_name(kind))
         self._sequence = -1
-        self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES)
+        self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES_COLUMNS)
         """Downsamplers of the samples, of the corrections and of the compensated law."""
         self.decided: Counter[int] = Counter()
         """Number of corrections of each status since this was last cleared."""
@@ -107,19 +107,19 @@ class SampleReceiver:
             self.series[number].add(table["time"], series.column_values(number, table))
 
 
-_WHO = "a person, by the live page"
-_NO_PLANT = "no plant runs here that could be told"
-_NO_RUN = "nobody commands the plant: no run is active here"
-_NO_ESTIMATOR = "no run here fits the coefficients of the compensated law"
+_CALLER_NAME = "a person, by the live page"
+_NO_PLANT_MESSAGE = "no plant runs here that could be told"
+_NO_RUN_MESSAGE = "nobody commands the plant: no run is active here"
+_NO_ESTIMATOR_MESSAGE = "no run here fits the coefficients of the compensated law"
 
 
 HOST = "127.0.0.1"
-PERIOD = 0.05
+FRAME_PERIOD = 0.05
 """s between two frames."""
 
-_WORDS_EVERY = 10  # frames: twice a second
-_UNWATCHED = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE_DEPTH`
-_SHOWN = (topics.STATE, topics.CORRECTION, topics.GAINS, topics.REFERENCE)
+_STATUS_INTERVAL = 10  # frames: twice a second
+_UNWATCHED_INTERVAL = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE_DEPTH`
+_SHOWN_TOPICS = (topics.STATE, topics.CORRECTION, topics.GAINS, topics.REFERENCE)
 _NODES_MAX, _VALUES_MAX = 32, 60  # nodes whose diagnostics are kept, those heard last, and values of each
 
 
@@ -141,7 +141,7 @@ class DashboardNode(Node):
         self._words_heard = create_subscription(self, topics.AUTHORITY, self._on_authority)
         subscribe_to_box(self, self._on_box)
         for topic, hear in ((topics.TRAINING, self._on_training), (topics.DIAGNOSTICS, self._on_diagnostics)):
-            kind, offered = topics.GRAPH[topic]
+            kind, offered = topics.RECORDED_TOPICS[topic]
             qos = QoSProfile(depth=offered.depth, reliability=ReliabilityPolicy.BEST_EFFORT)
             self.create_subscription(kind, topic, hear, qos)
         self._claim = self.create_client(Claim, topics.CLAIM_SERVICE)
@@ -150,7 +150,7 @@ class DashboardNode(Node):
         self._freeze = self.create_client(SetBool, topics.FREEZE_SERVICE)
         self._token = secrets.token_urlsafe(9)  # for those who may do more than disarm
         self._server = PageServer(self._act, host, port)
-        self.create_timer(PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(FRAME_PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         warn_of_duplicate_nodes(
             self, f"another live page runs here: both show the plant, this one at {self._server.address}"
@@ -205,17 +205,21 @@ class DashboardNode(Node):
         """Return the service of a command, the request, and the message for an absent service."""
         name, holder = command.command, self._authority.holder
         if name == "disarm":
-            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_WHO), _NO_PLANT
+            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_CALLER_NAME), _NO_PLANT_MESSAGE
         if name == "arm":
-            return self._claim, Claim.Request(act=Claim.Request.ARM, name=_WHO, epoch=int(command.epoch)), _NO_PLANT
+            return (
+                self._claim,
+                Claim.Request(act=Claim.Request.ARM, name=_CALLER_NAME, epoch=int(command.epoch)),
+                _NO_PLANT_MESSAGE,
+            )
         if name == "end":
-            return self._end, Trigger.Request(), _NO_RUN
+            return self._end, Trigger.Request(), _NO_RUN_MESSAGE
         if name in ("freeze", "adapt"):
-            return self._freeze, SetBool.Request(data=name == "freeze"), _NO_ESTIMATOR
-        gains = OverrideGains.Request(active=name == "override", name=_WHO, whom=holder)
+            return self._freeze, SetBool.Request(data=name == "freeze"), _NO_ESTIMATOR_MESSAGE
+        gains = OverrideGains.Request(active=name == "override", name=_CALLER_NAME, whom=holder)
         if gains.active:
             gains.proportional_gain, gains.integral_gain, gains.seconds = command.kp, command.ki, command.seconds
-        return self._override, gains, _NO_RUN
+        return self._override, gains, _NO_RUN_MESSAGE
 
     def _status(self) -> Status:
         values = {
@@ -229,26 +233,26 @@ class DashboardNode(Node):
 
     def _frame(self) -> None:
         self._frames += 1
-        if not self._server.viewers and self._frames % _UNWATCHED:
+        if not self._server.viewers and self._frames % _UNWATCHED_INTERVAL:
             return
         now = time.monotonic()
         self._samples.poll(now)
         self._believe()
         frames: list[str | bytes] = []
         for index, thinned in enumerate(self._samples.series):
-            slots = thinned.poll()
-            if self._server.viewers and len(slots.values):
-                frames.append(slots.encode(index))
+            bins = thinned.poll()
+            if self._server.viewers and len(bins.values):
+                frames.append(bins.encode(index))
         if self._server.viewers:
             frames.append(status.encode_message("pulse", self._pulse(now)))
-            if self._frames % _WORDS_EVERY == 0:
+            if self._frames % _STATUS_INTERVAL == 0:
                 frames.append(status.encode_message("words", self._words(now)))
         self._server.publish(frames, partial(self._welcome, now))
 
     def _welcome(self, now: float) -> list[str | bytes]:
         """Return the initial content of a page: names and units, the last minute, the status texts."""
         return [
-            status.encode_message("hello", {"slot": SLOT_TIME, "series": series.column_descriptions()}),
+            status.encode_message("hello", {"bin_width": BIN_WIDTH, "series": series.column_descriptions()}),
             *(thinned.history().encode(index) for index, thinned in enumerate(self._samples.series)),
             status.encode_message("pulse", self._pulse(now)),
             status.encode_message("words", self._words(now)),
@@ -268,7 +272,7 @@ class DashboardNode(Node):
 
     def _words(self, now: float) -> dict[str, Any]:
         decided, self._samples.decided = self._samples.decided, Counter()
-        publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in _SHOWN}
+        publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in _SHOWN_TOPICS}
         published = {topic: sorted({info.node_name for info in found}) for topic, found in publishers.items()}
         return {
             "box": self._box,

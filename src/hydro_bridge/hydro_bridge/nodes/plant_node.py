@@ -53,9 +53,9 @@ from hydro_bridge.ros.diagnostics import (
     with_publisher_conflicts,
 )
 from hydro_bridge.ros.messages import (
-    CORRECTIONS,
-    LAW_STATES,
-    STATES,
+    CORRECTION_CODEC,
+    LAW_STATE_CODEC,
+    STATE_CODEC,
     box_to_message,
     law_command_from_message,
     law_to_message,
@@ -72,7 +72,7 @@ from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
 ARM_SERVICE_REFUSAL = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
-_LOOK = 0.1  # s between two checks of the publishers
+_CHECK_PERIOD = 0.1  # s between two checks of the publishers
 
 
 class Corrector(Protocol):
@@ -88,7 +88,7 @@ class Corrector(Protocol):
         """Publish the last correction."""
 
 
-_TROUBLED = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
+_TROUBLE_FLAGS = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
 
 
 def arming_state(flags: int) -> str:
@@ -119,7 +119,7 @@ class LeaseServer:
         self._tell()
         node.create_service(SetBool, topics.ARM_SERVICE, self._on_arm)
         node.create_service(Claim, topics.CLAIM_SERVICE, self._on_claim)
-        node.create_timer(_LOOK, self._look, clock=steady)
+        node.create_timer(_CHECK_PERIOD, self._look, clock=steady)
         node.create_timer(1.0, self._tell_refused, clock=steady)
 
     def accepts(self, topic: str, epoch: int) -> bool:
@@ -133,7 +133,7 @@ class LeaseServer:
 
     def conflicts(self) -> str:
         """Return a sentence about the topics with more than one publisher; empty if there is none."""
-        return publisher_conflicts(self._node, *topics.COMMANDS, topics.STATE, topics.AUTHORITY)
+        return publisher_conflicts(self._node, *topics.COMMAND_TOPICS, topics.STATE, topics.AUTHORITY)
 
     def track_arming(self) -> None:
         """Track arming, and end the session on a disarm, whoever requested it, and on a trip."""
@@ -300,7 +300,7 @@ class PlantNode(Node):
         self.lease_server = LeaseServer(self, plant, lambda: bool(self._flags & Flag.TRIPPED))
         subscriptions = self.lease_server.subscriptions  # no callback runs before the node is spun
         if self._corrector is None:
-            subscriptions[topics.CORRECTION] = subscribe(self, topics.CORRECTION, CORRECTIONS, self._on_correction)
+            subscriptions[topics.CORRECTION] = subscribe(self, topics.CORRECTION, CORRECTION_CODEC, self._on_correction)
         for topic in (topics.GAINS, topics.REFERENCE, topics.LAW):
             subscriptions[topic] = create_subscription(self, topic, partial(self._on_command, topic))
         self._answers = create_subscription(self, topics.ANSWERED, self._on_answered)
@@ -330,9 +330,9 @@ class PlantNode(Node):
         """Correct a sample by the filter in this process, if there is one, before the sample is published."""
         if self._corrector is None:
             return
-        state, acting = STATES.record(stamp_ns, sequence, *values, flags), None
+        state, acting = STATE_CODEC.record(stamp_ns, sequence, *values, flags), None
         if law is not None and law.law is not Law.PAPER:
-            acting = LAW_STATES.unpack(pack_law_state(stamp_ns, sequence, law))
+            acting = LAW_STATE_CODEC.unpack(pack_law_state(stamp_ns, sequence, law))
         try:
             correction = self._corrector.correct(state, acting, self.lease_server.lease.epoch)
         except Exception as error:
@@ -359,7 +359,7 @@ class PlantNode(Node):
                 self._clock_publisher.publish(self._clock_message)
         if law is not None and law.law is not Law.PAPER:
             self._law_publisher.publish(pack_law_state(stamp_ns, sequence, law))
-        self._publisher.publish(STATES.pack(stamp_ns, sequence, *values, flags))
+        self._publisher.publish(STATE_CODEC.pack(stamp_ns, sequence, *values, flags))
         if self._corrector is not None:
             self._corrector.publish()
 
@@ -418,12 +418,12 @@ class PlantNode(Node):
             guard, aborted = asdict(plant.guard.counts), plant.guard.abort_reason
         required = plant.guard.settings.require_filter
         message = status.message + ("" if required else ", FILTER NOT REQUIRED") + (f": {aborted}" if aborted else "")
-        least = Level.WARN if aborted or not required or plant.flags & _TROUBLED else Level.OK
+        least = Level.WARN if aborted or not required or plant.flags & _TROUBLE_FLAGS else Level.OK
         values = {"flags": flag_names(plant.flags), "require filter": required, **status.values}
         values |= {f"guard {name}": count for name, count in guard.items()}
         lease = self.lease_server.lease
         values |= {"authority": lease.holder or "nobody"}
-        values |= {f"refused {topic}": lease.refused[topic] for topic in topics.COMMANDS}
+        values |= {f"refused {topic}": lease.refused[topic] for topic in topics.COMMAND_TOPICS}
         if self._defect:
             least, message = Level.ERROR, f"{message}, NOTHING IS CORRECTED: {self._defect}"
         status = Status(level=max(status.level, least), message=message, values=values)

@@ -25,17 +25,17 @@ from hydro_bridge.bags.writer import BagWriter, code_version
 from hydro_bridge.plant_clock import RECORDER_WINDOW
 from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
-from hydro_bridge.ros.messages import STATES
+from hydro_bridge.ros.messages import STATE_CODEC
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
-from hydro_bridge.ros.topics import GRAPH, STATE, Mailbox, type_name
+from hydro_bridge.ros.topics import RECORDED_TOPICS, STATE, Mailbox, type_name
 from hydro_bridge.serial.stream import SequenceTracker
 from hydro_core.cli.console import command, writable_folder
 from hydro_core.signals import Flag
 
-_QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
-_PERIOD = 0.05  # s between two fetches
+_QUEUE_DEPTH = 2000  # queued messages per topic while the disk is slow: 2 s of samples
+_FETCH_PERIOD = 0.05  # s between two fetches
 _FLUSH_PERIOD = 0.5  # s: longest loss through `kill -9`; at worst twice that on a slow disk
-_NICE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
+_NICE_VALUE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
 
 
 class RecorderNode(Node):
@@ -50,23 +50,23 @@ class RecorderNode(Node):
 
     def __init__(self, make_writer: Callable[[], BagWriter], *, realtime: bool) -> None:
         super().__init__("recorder")
-        scheduling = request_realtime(realtime=realtime, nice=_NICE)  # before samples arrive
-        self._writer, self._messages, self._bytes = make_writer(), dict.fromkeys(GRAPH, 0), 0
+        scheduling = request_realtime(realtime=realtime, nice=_NICE_VALUE)  # before samples arrive
+        self._writer, self._messages, self._bytes = make_writer(), dict.fromkeys(RECORDED_TOPICS, 0), 0
         self._tracker = SequenceTracker()
         """Sequence numbers of the samples of /hydro/state."""
         self._newest = -1  # sample
         self.failed = False
         self.done: Future = Future()
         self._mailbox, self._heard = Mailbox("recorder"), dict[str, Subscription]()
-        for topic, (kind, offered) in GRAPH.items():
+        for topic, (kind, offered) in RECORDED_TOPICS.items():
             reliability, durability = offered.reliability, offered.durability
-            qos = QoSProfile(depth=_QUEUE, reliability=reliability, durability=durability)
+            qos = QoSProfile(depth=_QUEUE_DEPTH, reliability=reliability, durability=durability)
             names = reliability.name.lower(), durability.name.lower()
             recorded = TopicQos(reliability=names[0], durability=names[1], depth=offered.depth or 10)
             self._writer.add_topic(topic, type_name(kind), recorded)
             self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_PERIOD, self._fetch, clock=steady)
+        self.create_timer(_FETCH_PERIOD, self._fetch, clock=steady)
         self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
@@ -91,7 +91,7 @@ class RecorderNode(Node):
         arrived = [
             (time_ns, topic, data)
             for topic, subscription in self._heard.items()
-            for data, time_ns in self._mailbox.fetch(subscription, _QUEUE)
+            for data, time_ns in self._mailbox.fetch(subscription, _QUEUE_DEPTH)
         ]
         for time_ns, topic, data in sorted(arrived, key=itemgetter(0)):
             self._write(self._take, topic, data, time_ns)
@@ -100,7 +100,7 @@ class RecorderNode(Node):
             self._answered = self._newest
 
     def _take(self, topic: str, data: bytes, time_ns: int) -> None:
-        if topic == STATE and (state := STATES.unpack(data)) is not None:
+        if topic == STATE and (state := STATE_CODEC.unpack(data)) is not None:
             self._newest = state.sequence
             self._tracker.accept(state.sequence)
             before, self._paced = self._paced, bool(state.flags & Flag.PACED)

@@ -24,15 +24,15 @@ from hydro_bridge.bags.monotonic_times import MonotonicTimes
 from hydro_bridge.bags.recording import read_bag, read_serialized
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
-from hydro_bridge.ros.messages import STATES
+from hydro_bridge.ros.messages import STATE_CODEC
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
 from hydro_core.cli.console import bounded_number, command
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
-_STAMP = Struct("<iI")
-TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
+_STAMP_FORMAT = Struct("<iI")
+REPLAYED_TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded; each message has a header."""
 GAP_MAX = 10.0
 """Longest gap [s] between two messages that is replayed; longer ones are skipped."""
@@ -45,7 +45,7 @@ def replay(
     speed: float = 1.0,
     note: Callable[[str], None] = lambda sentence: None,
 ) -> None:
-    """Pass the messages of `TOPICS` to `publish` at their original intervals, each stamped with its due time.
+    """Pass the messages of `REPLAYED_TOPICS` to `publish` at their original intervals, each stamped with its due time.
 
     Returns at the end of the recording, or once `stopping` is set. `speed`: recorded seconds per second, above 0.
     `note`: called with a sentence on each gap that is skipped. Raises RecordingError.
@@ -53,7 +53,7 @@ def replay(
     clock, first, told = MonotonicTimes(GAP_MAX), None, 0
     began, began_ns = time.monotonic(), time.time_ns()
     for topic, _, log_time, data in read_serialized(path):
-        if topic not in TOPICS:
+        if topic not in REPLAYED_TOPICS:
             continue
         now = float(clock.convert(np.array([1e-9 * log_time]))[0])
         first = now if first is None else first
@@ -63,7 +63,7 @@ def replay(
         ahead = (now - first) / speed
         if stopping.wait(max(0.0, began + ahead - time.monotonic())):
             return
-        stamp = _STAMP.pack(*divmod(began_ns + int(1e9 * ahead), 1_000_000_000))  # in little-endian CDR
+        stamp = _STAMP_FORMAT.pack(*divmod(began_ns + int(1e9 * ahead), 1_000_000_000))  # in little-endian CDR
         publish(topic, data[:4] + stamp + data[12:])
 
 
@@ -73,7 +73,7 @@ class ReplayerNode(Node):
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
         self._bag, self._speed, self._loop = options.bag, options.speed, options.loop
-        self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in TOPICS}
+        self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in REPLAYED_TOPICS}
         self.create_service(SetBool, ARM_SERVICE, self._refuse)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse)
         self._published, self._stopping = 0, Event()
@@ -108,8 +108,8 @@ class ReplayerNode(Node):
         self.get_logger().info(f"{self._published} messages replayed")
 
     def _publish(self, topic: str, data: bytes) -> None:
-        if topic == STATE and (state := STATES.unpack(data)) is not None and state.flags & Flag.PACED:
-            data = STATES.pack(*state[:-1], state.flags & ~Flag.PACED)  # a recording waits for no answers
+        if topic == STATE and (state := STATE_CODEC.unpack(data)) is not None and state.flags & Flag.PACED:
+            data = STATE_CODEC.pack(*state[:-1], state.flags & ~Flag.PACED)  # a recording waits for no answers
         self._publishers_by_topic[topic].publish(data)
         self._published += 1
 

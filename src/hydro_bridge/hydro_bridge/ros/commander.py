@@ -29,15 +29,15 @@ from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
 _RENEWAL_PERIOD = 0.5  # s between two requests; a lease lapses after 3 s of silence
-_ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
-_DISARMED_WITHIN = 2.0  # s, for the last request to the plant
-_HEARD_WITHIN = Duration(seconds=0.1)  # for the last reference: undelivered messages are lost with their publisher
+_ANSWER_TIMEOUT = 3.0  # s; a plant that has ended no longer answers
+_DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
+_DELIVERY_TIMEOUT = Duration(seconds=0.1)  # for the last reference: undelivered messages are lost with their publisher
 LEASE_WAIT_MAX = 600.0
 """Longest wait [s] for the lease while another node holds it."""
-LEASE_ANSWER_MAX = 30.0
+LEASE_ANSWER_TIMEOUT = 30.0
 """Longest wait [s] for a plant that does not report on its lease."""
-NO_LEASE_ANSWER = "the plant does not say who may command it (/hydro/claim)"
-UNCONFIRMED = (
+NO_LEASE_ANSWER_MESSAGE = "the plant does not say who may command it (/hydro/claim)"
+DISARM_UNCONFIRMED_MESSAGE = (
     "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms after 10 s; to "
     "be sure, `ros2 run hydro_bridge arm --off`"
 )
@@ -107,7 +107,7 @@ class Commander:
 
     def renew_lease(self, now: float) -> None:
         """Take or renew the lease; call several times a second, `now` by the monotonic clock [s]."""
-        waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_WITHIN
+        waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_TIMEOUT
         if waiting or now < self._asked + _RENEWAL_PERIOD or not self._claims.service_is_ready():
             return
         self._asked, self._known = now, self.epoch
@@ -116,18 +116,19 @@ class Commander:
     def check_timeout(self, now: float) -> None:
         """Warn once of each reason why this node lacks the lease on a present plant; call as often as `renew_lease`.
 
-        Raises NotReadyError: the plant is silent for `LEASE_ANSWER_MAX`, or another node holds it for `lease_wait_max`.
+        Raises NotReadyError: the plant is silent for `LEASE_ANSWER_TIMEOUT`, or another node holds it for
+        `lease_wait_max`.
         """
         if self.holds_lease:
             self._waits_since, self._told = inf, ""
             return
         self._waits_since = min(self._waits_since, now)
-        within = self._lease_wait_max if self._refusal else LEASE_ANSWER_MAX
+        within = self._lease_wait_max if self._refusal else LEASE_ANSWER_TIMEOUT
         if self._refusal and self._refusal != self._told:
             self._warn(f"{self._refusal}; {self._node.get_name()} waits, {within:g} s at most")
         self._told = self._refusal
         if now - self._waits_since > within:
-            raise NotReadyError(f"{self._refusal or NO_LEASE_ANSWER}, still after {within:g} s")
+            raise NotReadyError(f"{self._refusal or NO_LEASE_ANSWER_MESSAGE}, still after {within:g} s")
 
     def publish_gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> None:
         """Publish gain changes [1/s], [1/s^2] if this node holds the lease."""
@@ -198,8 +199,8 @@ class Commander:
             return ""
         answer = self.release(heir)
         if answer is not None:
-            node_executor(self._node).spin_until_future_complete(answer, timeout_sec=_DISARMED_WITHIN)
-        return "" if answer is not None and answer.done() and answer.result().success else UNCONFIRMED
+            node_executor(self._node).spin_until_future_complete(answer, timeout_sec=_DISARM_TIMEOUT)
+        return "" if answer is not None and answer.done() and answer.result().success else DISARM_UNCONFIRMED_MESSAGE
 
     def _ask(self, act: int, *, whom: str = "", callback: Callable[[Future], None] = lambda answer: None) -> Future:
         self.flush()  # commands decided earlier go out first
@@ -246,7 +247,7 @@ class Commander:
         for topic, publisher in self._publishers.items():
             if topic == topics.REFERENCE:
                 with suppress(RuntimeError):  # not every middleware supports it
-                    publisher.wait_for_all_acked(_HEARD_WITHIN)
+                    publisher.wait_for_all_acked(_DELIVERY_TIMEOUT)
             self._node.destroy_publisher(publisher)
         self._publishers = {}
         if self._end_service is not None:

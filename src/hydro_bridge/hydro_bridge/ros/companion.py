@@ -187,7 +187,7 @@ class RecorderMonitor:
 
 DASHBOARD_VARIABLE = "HYDRO_DASHBOARD"
 DASHBOARD_NODE = "dashboard"
-_ADDRESS = "the live page: "
+_ADDRESS_PREFIX = "the live page: "
 
 
 def dashboard_enabled() -> bool:
@@ -220,7 +220,7 @@ def start_dashboard(
         return
 
     def take(line: str) -> None:
-        if _ADDRESS not in line:
+        if _ADDRESS_PREFIX not in line:
             log(line)
             return
         with suppress(OSError, ValueError):  # the terminal has gone

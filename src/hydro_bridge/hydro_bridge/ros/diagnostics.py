@@ -102,7 +102,7 @@ class RosoutLogger:
         self.log(sentence, logger=f".{CALL_LOGGER}")
 
 
-_PERIOD = 1.0  # s
+_PUBLISH_PERIOD = 1.0  # s
 
 
 def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
@@ -113,4 +113,4 @@ def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
             node.get_logger().warning(sentence)
             timer.cancel()
 
-    timer = node.create_timer(_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    timer = node.create_timer(_PUBLISH_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))

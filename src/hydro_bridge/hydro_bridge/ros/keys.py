@@ -12,11 +12,11 @@ import os
 
 from hydro_core.settings import SettingsError
 
-ENABLE = "ROS_SECURITY_ENABLE"
-STRATEGY = "ROS_SECURITY_STRATEGY"
-KEYSTORE = "ROS_SECURITY_KEYSTORE"
+ENABLE_VARIABLE = "ROS_SECURITY_ENABLE"
+STRATEGY_VARIABLE = "ROS_SECURITY_STRATEGY"
+KEYSTORE_VARIABLE = "ROS_SECURITY_KEYSTORE"
 ENFORCE = "Enforce"
-_MEANT = {ENABLE: ("true", "false"), STRATEGY: (ENFORCE, "Permissive")}
+_VALID_VALUES = {ENABLE_VARIABLE: ("true", "false"), STRATEGY_VARIABLE: (ENFORCE, "Permissive")}
 
 
 def enclave_name(executable: str) -> str:
@@ -29,10 +29,10 @@ def security_enabled() -> bool:
 
     Raises SettingsError: a variable has a value that ROS would read as off.
     """
-    for variable, meant in _MEANT.items():
+    for variable, meant in _VALID_VALUES.items():
         if (value := os.environ.get(variable, "")) and value not in meant:
             raise SettingsError(f"{variable}={value}: ROS knows {' and '.join(meant)} only, to the letter")
-    if os.environ.get(ENABLE) != "true":
+    if os.environ.get(ENABLE_VARIABLE) != "true":
         return False
-    os.environ.setdefault(STRATEGY, ENFORCE)
+    os.environ.setdefault(STRATEGY_VARIABLE, ENFORCE)
     return True

@@ -16,14 +16,14 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from hydro_bridge.ros.topics import BOX, GRAPH, create_subscription
+from hydro_bridge.ros.topics import BOX, RECORDED_TOPICS, create_subscription
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, LawState
 from hydro_core.signals import Law, LawCommand, ReferenceSignal, Waveform
 from hydro_msgs import msg
 
 FRAME_ID = "bench"
-_CODES = {"boolean": "?", "uint8": "B", "uint32": "I", "uint64": "Q", "double": "d"}
+_FORMAT_CODES = {"boolean": "?", "uint8": "B", "uint32": "I", "uint64": "Q", "double": "d"}
 
 
 class Codec:
@@ -40,7 +40,7 @@ class Codec:
         frame = FRAME_ID.encode() + b"\0"
         form, place = f"{len(frame)}s", 12 + len(frame)  # behind sec, nanosec and the size of frame_id
         for _, name in members:
-            code = _CODES[name]
+            code = _FORMAT_CODES[name]
             gap = -place % (size := Struct("<" + code).size)
             form, place = f"{form}{gap}x{code}", place + gap + size
         self._head = b"\0\1\0\0", len(frame), frame
@@ -66,17 +66,17 @@ class Codec:
         return self.record(1_000_000_000 * stamp.sec + stamp.nanosec, *numbers)
 
 
-STATES, CORRECTIONS, LAW_STATES = Codec(msg.BenchState), Codec(msg.Correction), Codec(msg.LawState)
+STATE_CODEC, CORRECTION_CODEC, LAW_STATE_CODEC = Codec(msg.BenchState), Codec(msg.Correction), Codec(msg.LawState)
 
 
 def subscribe(node: Node, topic: str, codec: Codec, callback: Callable[[Any], None]) -> Subscription:
-    """Call `callback` with the record of each message of a topic of `GRAPH`; malformed messages are dropped."""
+    """Call `callback` with the record of each message of one of `RECORDED_TOPICS`; malformed messages are dropped."""
 
     def take(data: bytes) -> None:
         if (record := codec.unpack(data)) is not None:
             callback(record)
 
-    return node.create_subscription(codec.kind, topic, take, GRAPH[topic][1], raw=True)
+    return node.create_subscription(codec.kind, topic, take, RECORDED_TOPICS[topic][1], raw=True)
 
 
 def seconds(stamp: Any) -> float:
@@ -84,29 +84,33 @@ def seconds(stamp: Any) -> float:
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-_SHAPE = ("amplitude", "offset", "frequency", "phase")
+_SIGNAL_FIELDS = ("amplitude", "offset", "frequency", "phase")
 
 
 def reference_from_message(message: msg.ReferenceSignal) -> ReferenceSignal | None:
     """Return a message's `ReferenceSignal`; None for an unknown waveform."""
     if message.waveform not in tuple(Waveform):
         return None
-    return ReferenceSignal(waveform=Waveform(message.waveform), **{name: getattr(message, name) for name in _SHAPE})
+    return ReferenceSignal(
+        waveform=Waveform(message.waveform), **{name: getattr(message, name) for name in _SIGNAL_FIELDS}
+    )
 
 
 def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> msg.ReferenceSignal:
     """Return the message of a reference; `epoch` is that of the session."""
-    numbers = {name: float(getattr(signal, name)) for name in _SHAPE}
+    numbers = {name: float(getattr(signal, name)) for name in _SIGNAL_FIELDS}
     return msg.ReferenceSignal(waveform=int(signal.waveform), epoch=epoch, **numbers)
 
 
-_NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.default, float))
-_TEXTS = ("plant", "bench_digest", "bench")
+_NUMBER_FIELDS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.default, float))
+_TEXT_FIELDS = ("plant", "bench_digest", "bench")
 
 
 def box_to_message(box: BoxDescription, stamp: Any) -> msg.BoxInfo:
     """Return the message that describes a box; `stamp` is a builtin_interfaces/Time."""
-    values = {name: float(getattr(box.info, name)) for name in _NUMBERS} | {name: getattr(box, name) for name in _TEXTS}
+    values = {name: float(getattr(box.info, name)) for name in _NUMBER_FIELDS} | {
+        name: getattr(box, name) for name in _TEXT_FIELDS
+    }
     message = msg.BoxInfo(firmware=box.info.name, integral=box.info.integral, **values)
     message.header.stamp = stamp
     return message
@@ -135,7 +139,7 @@ def pack_law_state(stamp: int, sequence: int, state: LawState) -> bytes:
     """Return the serialized LawState of sample `sequence`; `stamp` in ns."""
     followed = state.compensated_reference, state.compensated_reference_rate
     scales = state.velocity_compensation, state.valve_gain_scale
-    return LAW_STATES.pack(stamp, sequence, int(state.law), *followed, *state.coefficients, *scales)
+    return LAW_STATE_CODEC.pack(stamp, sequence, int(state.law), *followed, *state.coefficients, *scales)
 
 
 def law_state_from_message(message: Any) -> LawState:
@@ -149,8 +153,8 @@ def subscribe_to_box(node: Node, on_box: Callable[[BoxDescription], None]) -> Su
     """Call `on_box` with the box's description as soon as the plant node is discovered, and at each change."""
 
     def take(message: msg.BoxInfo) -> None:
-        numbers = {name: getattr(message, name) for name in _NUMBERS}
+        numbers = {name: getattr(message, name) for name in _NUMBER_FIELDS}
         info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
-        on_box(BoxDescription(info=info, **{name: getattr(message, name) for name in _TEXTS}))
+        on_box(BoxDescription(info=info, **{name: getattr(message, name) for name in _TEXT_FIELDS}))
 
     return create_subscription(node, BOX, take)

@@ -2,10 +2,10 @@
 """Life cycle of a node: discovery range, parameters, scheduling, spinning until a signal or shutdown.
 
 Discovery (network.md) stays on this machine, unless the user chooses otherwise by ROS's own variable,
-`DISCOVERY_RANGE`. LOCALHOST stops Fast DDS from multicasting, but not from listening on all addresses, and adds shared
-memory, in which a plant's thread waits up to 333 ms for a new participant
-(docs/decisions/0059-found-within-half-a-second.md). For Fast DDS everything is therefore set in `FASTDDS_PROFILES`:
-UDP, the loopback interface, no multicast; and the middleware is told to add nothing.
+`DISCOVERY_RANGE_VARIABLE`. LOCALHOST stops Fast DDS from multicasting, but not from listening on all addresses, and
+adds shared memory, in which a plant's thread waits up to 333 ms for a new participant
+(docs/decisions/0059-found-within-half-a-second.md). For Fast DDS everything is therefore set in
+`FASTDDS_PROFILES_VARIABLE`: UDP, the loopback interface, no multicast; and the middleware is told to add nothing.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from hydro_bridge.ros.keys import KEYSTORE, enclave_name, security_enabled
+from hydro_bridge.ros.keys import KEYSTORE_VARIABLE, enclave_name, security_enabled
 from hydro_bridge.ros.topics import ACCESS_RIGHTS, hidden_node
 from hydro_core.errors import UserError
 from hydro_core.process import startup, termination
 from hydro_core.process.realtime import limit_run_time
 from hydro_core.settings import SettingsError, check, convert, describe
 
-DISCOVERY_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-FASTDDS_PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+DISCOVERY_RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+FASTDDS_PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 LOCALHOST = "LOCALHOST"
 SYSTEM_DEFAULT = "SYSTEM_DEFAULT"
 """Discovery range with which a middleware leaves its configuration as it is."""
 DOMAIN_MAX = 232
 """Largest ROS_DOMAIN_ID: beyond, DDS has no ports."""
-_OLD_RANGE = "ROS_LOCALHOST_ONLY"  # takes precedence over `DISCOVERY_RANGE` if set; deprecated
+_LOCALHOST_ONLY_VARIABLE = "ROS_LOCALHOST_ONLY"  # takes precedence over `DISCOVERY_RANGE_VARIABLE` if set; deprecated
 
 
 def restrict_to_localhost() -> None:
@@ -62,16 +62,16 @@ def restrict_to_localhost() -> None:
     """
     if trouble := startup.missing_middleware():
         raise UserError(trouble)
-    here = os.environ.setdefault(DISCOVERY_RANGE, LOCALHOST) == LOCALHOST
+    here = os.environ.setdefault(DISCOVERY_RANGE_VARIABLE, LOCALHOST) == LOCALHOST
     profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))
-    ours = os.environ.setdefault(FASTDDS_PROFILES, profile) == profile
+    ours = os.environ.setdefault(FASTDDS_PROFILES_VARIABLE, profile) == profile
     if here and ours and get_rmw_implementation_identifier().startswith("rmw_fastrtps"):
-        os.environ[DISCOVERY_RANGE] = SYSTEM_DEFAULT  # the profile restricts it to this machine
-        os.environ.pop(_OLD_RANGE, None)
+        os.environ[DISCOVERY_RANGE_VARIABLE] = SYSTEM_DEFAULT  # the profile restricts it to this machine
+        os.environ.pop(_LOCALHOST_ONLY_VARIABLE, None)
 
 
 T = TypeVar("T")
-N = TypeVar("N", bound=Node)
+NodeType = TypeVar("NodeType", bound=Node)
 
 
 def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
@@ -151,7 +151,7 @@ def _sections(content: Any, above: str = "") -> Iterator[str]:
                 yield from _sections(value, f"{above}/{str(key).strip('/')}")
 
 
-PRIORITY = 20
+REALTIME_PRIORITY = 20
 """Priority under SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
 
 
@@ -179,13 +179,13 @@ def request_realtime(*, realtime: bool, nice: int | None = None) -> str:
             return f"ordinary scheduling, nice {nice}"
         limit_run_time()
         for thread in threads:
-            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(PRIORITY))
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(REALTIME_PRIORITY))
     except OSError as error:
         return f"ordinary scheduling, {'SCHED_FIFO' if nice is None else f'nice {nice}'} was refused: {error.strerror}"
-    return f"SCHED_FIFO, priority {PRIORITY}"
+    return f"SCHED_FIFO, priority {REALTIME_PRIORITY}"
 
 
-_SLICE = 0.2
+_WAIT_SLICE = 0.2
 
 
 def ros_arguments() -> tuple[list[str], list[str]]:
@@ -222,8 +222,9 @@ def running_ros(ros: Sequence[str] = ()) -> Iterator[None]:
             sentence = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
             if not keys:
                 raise SettingsError(f"ROS refuses its arguments: {sentence}") from None
+            keystore = os.environ.get(KEYSTORE_VARIABLE) or "not set"
             raise SettingsError(
-                f"ROS does not start with keys ({KEYSTORE}: {os.environ.get(KEYSTORE) or 'not set'}): {sentence}; "
+                f"ROS does not start with keys ({KEYSTORE_VARIABLE}: {keystore}): {sentence}; "
                 "`ros2 security` makes them, as docs/manual/explanation/network.md says"
             ) from None
         yield
@@ -279,7 +280,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
             while not ended and not done.done() and rclpy.ok():
                 # In slices: without a deadline this executor (rclpy 7.1) keeps a core busy, may run no callback at all,
                 # and gives Python no chance to take a signal.
-                executor.spin_until_future_complete(done, timeout_sec=_SLICE)
+                executor.spin_until_future_complete(done, timeout_sec=_WAIT_SLICE)
     finally:
         termination.restore_handlers(before)
     return bool(ended)
@@ -312,7 +313,7 @@ def call_service(
             node.destroy_node()
 
 
-def run_node(make: Callable[[], N], ros: Sequence[str] = ()) -> N:
+def run_node(make: Callable[[], NodeType], ros: Sequence[str] = ()) -> NodeType:
     """Start ROS, create the node, spin it, and shut down in order; return it, destroyed, for its results.
 
     `make`: creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that

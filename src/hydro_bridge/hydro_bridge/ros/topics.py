@@ -38,9 +38,9 @@ DIAGNOSTICS = "/diagnostics"
 LOG = "/rosout"
 """ROS's own topic: log messages of every node, and its service calls (`hydro_bridge.ros.diagnostics`)."""
 CLOCK = "/clock"
-"""ROS's own topic, published by a plant that runs by its own clock; not in GRAPH, since it is not recorded."""
+"""ROS's own topic, published by a plant that runs by its own clock; not in `RECORDED_TOPICS`."""
 ANSWERED = "/hydro/answered"
-"""Acknowledgement of samples by a node (`hydro_bridge.plant_clock`); not in GRAPH, since it is not recorded."""
+"""Acknowledgement of samples by a node (`hydro_bridge.plant_clock`); not in `RECORDED_TOPICS`."""
 ARM_SERVICE = "/hydro/arm"
 CLAIM_SERVICE = "/hydro/claim"
 OVERRIDE_SERVICE = "/hydro/override"
@@ -58,32 +58,32 @@ def qos_profile(depth: int, *, reliable: bool, latched: bool = False) -> QoSProf
     )
 
 
-_SAMPLES = qos_profile(200, reliable=False)  # an old sample has no value; 200 ms of samples for a delayed reader
-_LATCHED = qos_profile(1, reliable=True, latched=True)
-_EVENTS = qos_profile(10, reliable=True)
+_SAMPLE_QOS = qos_profile(200, reliable=False)  # an old sample has no value; 200 ms of samples for a delayed reader
+_LATCHED_QOS = qos_profile(1, reliable=True, latched=True)
+_EVENT_QOS = qos_profile(10, reliable=True)
 
-GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
-    STATE: (msg.BenchState, _SAMPLES),
-    BOX: (msg.BoxInfo, _LATCHED),
-    BOX_LAW: (msg.BoxLaw, _LATCHED),
-    LAW_STATE: (msg.LawState, _SAMPLES),
-    AUTHORITY: (msg.Authority, _LATCHED),
+RECORDED_TOPICS: dict[str, tuple[type[Any], QoSProfile]] = {
+    STATE: (msg.BenchState, _SAMPLE_QOS),
+    BOX: (msg.BoxInfo, _LATCHED_QOS),
+    BOX_LAW: (msg.BoxLaw, _LATCHED_QOS),
+    LAW_STATE: (msg.LawState, _SAMPLE_QOS),
+    AUTHORITY: (msg.Authority, _LATCHED_QOS),
     CORRECTION: (msg.Correction, qos_profile(50, reliable=False)),
-    GAINS: (msg.Gains, _EVENTS),
-    LAW: (msg.LawCommand, _EVENTS),
-    REFERENCE: (msg.ReferenceSignal, _LATCHED),
-    TRAINING: (msg.TrainingStatus, _EVENTS),
+    GAINS: (msg.Gains, _EVENT_QOS),
+    LAW: (msg.LawCommand, _EVENT_QOS),
+    REFERENCE: (msg.ReferenceSignal, _LATCHED_QOS),
+    TRAINING: (msg.TrainingStatus, _EVENT_QOS),
     POLICY: (msg.PolicyStep, qos_profile(100, reliable=True)),
-    DIAGNOSTICS: (DiagnosticArray, _EVENTS),
+    DIAGNOSTICS: (DiagnosticArray, _EVENT_QOS),
     LOG: (Log, qos_profile(1000, reliable=True, latched=True)),
 }
 """Type and quality of service of every topic that is recorded."""
 
-_ALL = {
-    **GRAPH,
+_ALL_TOPICS = {
+    **RECORDED_TOPICS,
     # Published by several nodes, none of which may displace another's message.
     ANSWERED: (msg.Answered, qos_profile(10, reliable=True, latched=True)),
-    CLOCK: (Clock, _EVENTS),
+    CLOCK: (Clock, _EVENT_QOS),
 }
 
 
@@ -94,13 +94,13 @@ def type_name(kind: type[Any]) -> str:
 
 def create_publisher(node: Node, topic: str) -> Publisher:
     """Create a publisher of a topic of the graph."""
-    kind, qos = _ALL[topic]
+    kind, qos = _ALL_TOPICS[topic]
     return node.create_publisher(kind, topic, qos)
 
 
 def create_subscription(node: Node, topic: str, callback: Callable[[Any], None]) -> Subscription:
     """Create a subscription to a topic of the graph."""
-    kind, qos = _ALL[topic]
+    kind, qos = _ALL_TOPICS[topic]
     return node.create_subscription(kind, topic, callback, qos)
 
 
@@ -149,7 +149,7 @@ class Mailbox:
         self._node.destroy_node()
 
 
-COMMANDS = (GAINS, REFERENCE, CORRECTION, LAW)
+COMMAND_TOPICS = (GAINS, REFERENCE, CORRECTION, LAW)
 """Topics that command a plant: one publisher each, or nothing is armed."""
 
 PARAMETER_EVENTS = "/parameter_events"
@@ -183,30 +183,30 @@ def _with_rclpy(name: str, rights: AccessRights) -> AccessRights:
     return replace(rights, publishes=(*rights.publishes, LOG, PARAMETER_EVENTS), answers=(*rights.answers, *services))
 
 
-_ARMING = (ARM_SERVICE, CLAIM_SERVICE)
+_ARMING_SERVICES = (ARM_SERVICE, CLAIM_SERVICE)
 """Services of a plant. Our own programs call the second, under their names; the first is open to all."""
-_PLANT = AccessRights(
+_PLANT_RIGHTS = AccessRights(
     publishes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS, CLOCK),
-    subscribes=(*COMMANDS, ANSWERED),
-    answers=_ARMING,
+    subscribes=(*COMMAND_TOPICS, ANSWERED),
+    answers=_ARMING_SERVICES,
 )
 
-_CONTROLLER = AccessRights(
+_CONTROLLER_RIGHTS = AccessRights(
     publishes=(GAINS, LAW, REFERENCE, DIAGNOSTICS, ANSWERED),
     subscribes=(STATE, LAW_STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
     answers=(OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
     calls=(CLAIM_SERVICE,),
 )
-_OWN = {
-    "bridge": _PLANT,
-    "sim": _PLANT,
-    "replayer": AccessRights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING),
+_RIGHTS_BY_EXECUTABLE = {
+    "bridge": _PLANT_RIGHTS,
+    "sim": _PLANT_RIGHTS,
+    "replayer": AccessRights(publishes=(STATE, LAW_STATE, BOX, BOX_LAW, DIAGNOSTICS), answers=_ARMING_SERVICES),
     "filter": AccessRights(
         publishes=(CORRECTION, DIAGNOSTICS, ANSWERED), subscribes=(STATE, LAW_STATE, BOX, AUTHORITY)
     ),
-    "trainer": replace(_CONTROLLER, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
-    "evaluate": _CONTROLLER,
-    "commission": _CONTROLLER,
+    "trainer": replace(_CONTROLLER_RIGHTS, publishes=(GAINS, LAW, REFERENCE, TRAINING, POLICY, DIAGNOSTICS, ANSWERED)),
+    "evaluate": _CONTROLLER_RIGHTS,
+    "commission": _CONTROLLER_RIGHTS,
     "collect": AccessRights(
         publishes=(GAINS, REFERENCE, ANSWERED),
         subscribes=(STATE, BOX, BOX_LAW, AUTHORITY, DIAGNOSTICS),
@@ -220,28 +220,30 @@ _OWN = {
     ),
     "arm": AccessRights(calls=(CLAIM_SERVICE,)),
     "override": AccessRights(calls=(OVERRIDE_SERVICE,)),
-    "watch": AccessRights(subscribes=(*GRAPH, CLOCK)),
+    "watch": AccessRights(subscribes=(*RECORDED_TOPICS, CLOCK)),
 }  # fmt: skip
-_NODES = {"watch": "_ros2cli_*"}
+_NODE_NAMES = {"watch": "_ros2cli_*"}
 """Name of a node where it is not that of its executable."""
 
-_FILTERED = replace(_PLANT, subscribes=tuple(topic for topic in _PLANT.subscribes if topic != CORRECTION))
-_TOGETHER = {
-    "bridge": _FILTERED,
-    "sim": _FILTERED,
+_FILTERED_PLANT_RIGHTS = replace(
+    _PLANT_RIGHTS, subscribes=tuple(topic for topic in _PLANT_RIGHTS.subscribes if topic != CORRECTION)
+)
+_FILTERED_PLANT_NODES = {
+    "bridge": _FILTERED_PLANT_RIGHTS,
+    "sim": _FILTERED_PLANT_RIGHTS,
     "filter": AccessRights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(BOX,)),
 }
 """Nodes of `filtered_plant`, one of the plants and the filter: messages between the two stay in the process."""
 
 ACCESS_RIGHTS: Mapping[str, dict[str, AccessRights]] = {
     **{
-        executable: {(name := _NODES.get(executable, executable)): _with_rclpy(name, rights)}
-        for executable, rights in _OWN.items()
+        executable: {(name := _NODE_NAMES.get(executable, executable)): _with_rclpy(name, rights)}
+        for executable, rights in _RIGHTS_BY_EXECUTABLE.items()
     },
-    "filtered_plant": {name: _with_rclpy(name, rights) for name, rights in _TOGETHER.items()},
+    "filtered_plant": {name: _with_rclpy(name, rights) for name, rights in _FILTERED_PLANT_NODES.items()},
 }
 for _name, _topics in {
-    "recorder": tuple(GRAPH),
+    "recorder": tuple(RECORDED_TOPICS),
     "dashboard": (STATE, LAW_STATE, CORRECTION),
     "trainer": (CORRECTION,),
     "evaluate": (CORRECTION,),

@@ -15,13 +15,13 @@ from hydro_bridge.serial.protocol import BoxDetails, BoxInfo
 from hydro_core.files import bench_digest
 from hydro_core.signals import SAMPLE_PERIOD
 
-NO_BOX = (
+NO_BOX_MESSAGE = (
     "no node says on /hydro/box what the box is and believes: start a bridge or a sim of this version, "
     "or a replayer on a recording that has it"
 )
 
 
-_FLOAT32 = 1e-6  # relative: HELLO carries float32
+_FLOAT32_TOLERANCE = 1e-6  # relative: HELLO carries float32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,9 @@ class BoxDescription:
 def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement for arming that the plant's node has published the box's description."""
     hint = "its node publishes it on /hydro/box"
-    return Requirement(name="the box's description", ready=ready, hint=hint, timeout=5.0, timeout_message=NO_BOX)
+    return Requirement(
+        name="the box's description", ready=ready, hint=hint, timeout=5.0, timeout_message=NO_BOX_MESSAGE
+    )
 
 
 def describe_box(
@@ -61,7 +63,7 @@ def describe_box(
         return BoxDescription(info=info, plant=plant, bench_digest=believed)
     numbers = dict(bench)
     told = numbers.get("valve_current_max")
-    if told is None or not isclose(info.valve_current_max, told, rel_tol=_FLOAT32):
+    if told is None or not isclose(info.valve_current_max, told, rel_tol=_FLOAT32_TOLERANCE):
         numbers["valve_current_max"] = info.valve_current_max
     text = yaml.safe_dump(numbers, sort_keys=False)
     return BoxDescription(info=info, plant=plant, bench_digest=bench_digest.digest(numbers), bench=text)
@@ -73,8 +75,8 @@ def bench_mismatches(info: BoxInfo, bench: Mapping[str, Any] | None, details: Bo
     believed, told = details.bench_digest if details else "", bench.get("valve_current_max")
     if believed and bench and believed != (digest := bench_digest.digest(bench)):
         found.append(f"its force law believes the bench {believed}, the bench file is {digest}")
-    if told is not None and not isclose(info.valve_current_max, told, rel_tol=_FLOAT32):
+    if told is not None and not isclose(info.valve_current_max, told, rel_tol=_FLOAT32_TOLERANCE):
         found.append(f"its valve_current_max is {info.valve_current_max:g} A, the bench file says {told:g} A")
-    if not isclose(info.sample_period, SAMPLE_PERIOD, rel_tol=_FLOAT32):
+    if not isclose(info.sample_period, SAMPLE_PERIOD, rel_tol=_FLOAT32_TOLERANCE):
         found.append(f"its sample period is {info.sample_period:g} s, here {SAMPLE_PERIOD:g} s is expected")
     return "; ".join(found)

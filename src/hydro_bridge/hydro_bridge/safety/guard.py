@@ -34,19 +34,19 @@ for the running law; MISMATCH: its model or metric is not this bench's."""
 _SAMPLES_KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
 
-_SHAPING = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
+_SHAPING_FIELDS = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
 
-NOT_OFFERED = "the compensated law is refused: this box does not offer it (protocol.md)"
-LAW_CHANGE_REFUSED = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
-UNFILTERED_LAW = (
+LAW_NOT_OFFERED_MESSAGE = "the compensated law is refused: this box does not offer it (protocol.md)"
+LAW_CHANGE_MESSAGE = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
+UNFILTERED_LAW_MESSAGE = (
     "compensated law: its gains pass within the law's own limits, whether or not the filter decides "
     "(guard.require_filter is about the paper's law)"
 )
-UNSOUND_LAW = "the box tells limits of its compensated law that are no limits: that law is not used"
-MISMATCHED_LAW = "the filter said that its model is not this bench's: base gains of the compensated law"
-STALE_LAW = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
+UNSOUND_LAW_MESSAGE = "the box tells limits of its compensated law that are no limits: that law is not used"
+MISMATCHED_LAW_MESSAGE = "the filter said that its model is not this bench's: base gains of the compensated law"
+STALE_LAW_MESSAGE = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
 
-MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
+MISMATCH_MESSAGE = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
 
 
 def safe_command(law: BoxLaw) -> LawCommand:
@@ -163,8 +163,8 @@ class CommandGuard:
         """
         changes = wanted.law is not self._law.law
         missing = wanted.law is Law.COMPENSATED and self.box_law is None
-        self._tell("law offered", missing, NOT_OFFERED, "the force law is one that the box offers again")
-        self._tell("law armed", changes and self.armed, LAW_CHANGE_REFUSED, "the present force law is commanded again")
+        self._tell("law offered", missing, LAW_NOT_OFFERED_MESSAGE, "the force law is one that the box offers again")
+        self._tell("law armed", changes and self.armed, LAW_CHANGE_MESSAGE, "the present force law is commanded again")
         if missing or (changes and self.armed):
             self.counts.laws_refused += 1
             return
@@ -175,12 +175,12 @@ class CommandGuard:
             return
         if changes:
             self._gains, self._gains_at = (0.0, 0.0), -inf  # they were added to another law's base gains
-            self._events[UNFILTERED_LAW if wanted.law is Law.COMPENSATED else "the paper's law again"] = False
+            self._events[UNFILTERED_LAW_MESSAGE if wanted.law is Law.COMPENSATED else "the paper's law again"] = False
         if self.box_law is None or wanted.law is Law.PAPER:
             self._law = LawCommand()
         else:
             low, _, high, _ = self.box_law.shaping_limits
-            a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, _SHAPING, wanted.shaping, low, high)
+            a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, _SHAPING_FIELDS, wanted.shaping, low, high)
             self._law = LawCommand(
                 law=wanted.law, coefficients=(a_0, a_1, a_2, a_3), velocity_compensation=c_1, valve_gain_scale=c_2
             )
@@ -197,7 +197,7 @@ class CommandGuard:
             ordered = all(least <= number <= most for least, number, most in zip(low, safe, high, strict=True))
             gains = law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
             sound = bool(np.isfinite(np.hstack(astuple(law))).all()) and ordered and gains
-        self._tell("law record", not sound, UNSOUND_LAW, "the box's record of its compensated law is sound")
+        self._tell("law record", not sound, UNSOUND_LAW_MESSAGE, "the box's record of its compensated law is sound")
         self.box_law = law if sound else None
         self.release_law()
 
@@ -315,7 +315,9 @@ class CommandGuard:
         if self.armed and self._gained:
             missed = f"no gains for {1e3 * self.settings.gains_age_max:g} ms: base gains are in force"
             self._tell("stale gains", not gained, missed, "gains are fresh again")
-        self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
+        self._tell(
+            "mismatch", self._mismatched, MISMATCH_MESSAGE, "the filter's model fits again: gains as wide as before"
+        )
         passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
         gains, narrow = passed, UNFILTERED_LIMITS
         if self._mismatched:
@@ -331,8 +333,8 @@ class CommandGuard:
         fresh = gained and self.correction_fresh(now)
         self.counts.stale_law += not fresh
         stale = self.armed and self._gained and not fresh
-        self._tell("stale law", stale, STALE_LAW, "the compensated law is commanded")
-        self._tell("mismatch", self._mismatched, MISMATCHED_LAW, "the filter's model fits again")
+        self._tell("stale law", stale, STALE_LAW_MESSAGE, "the compensated law is commanded")
+        self._tell("mismatch", self._mismatched, MISMATCHED_LAW_MESSAGE, "the filter's model fits again")
         gains = (0.0, 0.0) if self._mismatched else self._gains
         self.counts.narrowed += gains != self._gains
         return (self._law, gains) if fresh else (safe_command(self.box_law or BoxLaw()), (0.0, 0.0))

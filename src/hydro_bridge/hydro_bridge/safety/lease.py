@@ -30,7 +30,7 @@ HANDOVER_TIME = 10.0
 DISARMED_BY_PERSON = "a person disarmed the plant: arm it on the live page, or by `ros2 run hydro_bridge arm`"
 """Refusal of a holder's request to arm a plant that a person has disarmed."""
 
-_LATE = 0.5  # s in which commands of the previous epoch count as late, not as foreign
+_LATE_COMMAND_TIME = 0.5  # s in which commands of the previous epoch count as late, not as foreign
 
 
 class Lease:
@@ -108,7 +108,7 @@ class Lease:
             if renews:
                 self._renewed = now
             return True
-        if not (epoch == self._before and now - self._ended <= _LATE):
+        if not (epoch == self._before and now - self._ended <= _LATE_COMMAND_TIME):
             self.refused[topic] += 1
         return False
 

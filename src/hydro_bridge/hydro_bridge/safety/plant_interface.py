@@ -13,7 +13,7 @@ from hydro_bridge.safety.guard import CommandGuard
 from hydro_core.clock import HostClock
 from hydro_core.signals import Flag, flag_names
 
-Log = Callable[[str], None]
+LogFunction = Callable[[str], None]
 
 
 class PlantInterface(ABC):
@@ -29,7 +29,7 @@ class PlantInterface(ABC):
     """Reason why a present plant sends no samples; empty: it sends them."""
 
     def __init__(
-        self, guard: CommandGuard, log: Log, warn: Log | None = None, lock_step: LockStep | None = None
+        self, guard: CommandGuard, log: LogFunction, warn: LogFunction | None = None, lock_step: LockStep | None = None
     ) -> None:
         self.guard, self.lock_step = guard, lock_step or LockStep(LockStepSettings(), log)
         self.lock = threading.Lock()

@@ -17,7 +17,7 @@ from hydro_core.errors import UserError
 from hydro_core.settings import check, quantity
 
 _READ_SIZE = 65536
-_TAKEN = (errno.EAGAIN, errno.EBUSY)
+_TAKEN_ERRNOS = (errno.EAGAIN, errno.EBUSY)
 
 
 class PortLostError(UserError):
@@ -71,7 +71,7 @@ class Port:
             self._serial = serial.Serial(path, self.settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             number = getattr(error, "errno", None)
-            if number in _TAKEN:
+            if number in _TAKEN_ERRNOS:
                 raise PortTakenError(f"{path} is in use by another program") from None
             reason = f"cannot be opened: {_text(error)}"
             if number == errno.ENOENT:

@@ -20,7 +20,15 @@ from zlib import crc32
 
 from cobs import cobs
 
-from hydro_core.signals import NEUTRAL_COEFFICIENTS, STATE_FIELDS, Coefficients, Command, Law, ReferenceSignal, Waveform
+from hydro_core.signals import (
+    NEUTRAL_COEFFICIENTS,
+    STATE_FIELDS,
+    Command,
+    Law,
+    ReferenceCoefficients,
+    ReferenceSignal,
+    Waveform,
+)
 
 VERSION = 3
 """Protocol version of all frames but HELLO; frames of other versions are rejected."""
@@ -90,7 +98,7 @@ class BoxInfo:
     """Form of the force law's integral, one of `INTEGRAL_FORMS`; empty: not reported."""
 
 
-FEEDBACKS = ("", "load", "hydraulic")
+FEEDBACK_FORCES = ("", "load", "hydraulic")
 """Feedback forces of a law, by their number in DETAILS; empty: not reported."""
 
 
@@ -103,7 +111,7 @@ class BoxDetails:
     bench_digest: str = ""
     """Digest of the bench file used by its force law, 12 hexadecimal digits."""
     feedback: str = ""
-    """Feedback force of its law, one of `FEEDBACKS`."""
+    """Feedback force of its law, one of `FEEDBACK_FORCES`."""
     laws: int = 0
     """Force laws that it offers, bit n for the `Law` n; 0: the paper's only."""
     load_force_limit: float = 0.0
@@ -164,11 +172,11 @@ class BoxLaw:
     """Rate limit of C_1 and C_2 [1/s]."""
     reference_max: float = 700.0
     """Saturation of the magnitude of f_c [N]."""
-    coefficient_min: Coefficients = (0.8, -0.02, -0.001, -60.0)
+    coefficient_min: ReferenceCoefficients = (0.8, -0.02, -0.001, -60.0)
     """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N]."""
-    coefficient_max: Coefficients = (1.25, 0.15, 0.002, 60.0)
+    coefficient_max: ReferenceCoefficients = (1.25, 0.15, 0.002, 60.0)
     """Upper limits of a_0 to a_3, in the same units."""
-    coefficient_rate: Coefficients = (0.5, 0.1, 0.005, 2000.0)
+    coefficient_rate: ReferenceCoefficients = (0.5, 0.1, 0.005, 2000.0)
     """Rate limits of a_0 to a_3 [1/s], [-], [s], [N/s]."""
 
     @classmethod
@@ -193,7 +201,7 @@ class BoxLaw:
     def scaled(self, force: float, gain: float) -> BoxLaw:
         """Return the law with its forces scaled by `force` and its gains by `gain`."""
 
-        def level(numbers: Coefficients) -> Coefficients:
+        def level(numbers: ReferenceCoefficients) -> ReferenceCoefficients:
             return (*numbers[:3], force * numbers[3])
 
         return replace(
@@ -222,7 +230,7 @@ class LawState(NamedTuple):
     """f_c [N]."""
     compensated_reference_rate: float = 0.0
     """f_c' [N/s]."""
-    coefficients: Coefficients = NEUTRAL_COEFFICIENTS
+    coefficients: ReferenceCoefficients = NEUTRAL_COEFFICIENTS
     velocity_compensation: float = 1.0
     """C_1 [-]."""
     valve_gain_scale: float = 1.0
@@ -294,9 +302,9 @@ class CommandFrame(NamedTuple):
 
 Frame = Hello | State | Details | LawFrame | ClockFrame | CommandFrame
 
-HANDSHAKE = 0
+HANDSHAKE_VERSION = 0
 """Version byte of HELLO frames: their layout is the same in all versions, so that any two ends can negotiate."""
-MAX_ENCODED = 160
+ENCODED_SIZE_MAX = 160
 """Maximum number of bytes between two delimiters; more is noise."""
 
 _HEADER = Struct("<BBIQ")
@@ -309,7 +317,7 @@ _LAYOUTS = {
     FrameType.CLOCK: Struct("<BBIQI"),
 }
 _CRC = Struct("<I")
-_ARM, _FILTER_FRESH = 1, 2
+_ARM_BIT, _FILTER_FRESH_BIT = 1, 2
 _FEED_FORWARD = 0.0
 """Reserved field of a COMMAND."""
 
@@ -336,7 +344,7 @@ def encode_state(
 def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     """Encode COMMAND; `time_us` is the host's clock."""
     reference = command.reference
-    bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
+    bits = _ARM_BIT * command.arm | _FILTER_FRESH_BIT * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     signal = (reference.waveform, reference.amplitude, reference.offset, reference.frequency, reference.phase)
     values = (bits, command.corrected_sequence, *numbers, *signal, command.law, *command.shaping, _FEED_FORWARD)
@@ -356,7 +364,7 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, lo
 def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
     """Encode DETAILS, which follow each HELLO of a box."""
     epoch, digest, feedback, laws, *numbers = astuple(details)
-    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), laws)
+    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACK_FORCES.index(feedback), laws)
     return _encode(FrameType.DETAILS, sequence, time_us, *who, *numbers)
 
 
@@ -387,7 +395,7 @@ def decode(encoded: bytes) -> Frame:
     if len(body) < _HEADER.size:
         raise MalformedError(f"{len(body)} bytes are too few for a header")
     version, kind = body[0], body[1]
-    if version != (HANDSHAKE if kind == FrameType.HELLO else VERSION):
+    if version != (HANDSHAKE_VERSION if kind == FrameType.HELLO else VERSION):
         raise WrongVersionError(version)
     if kind not in _READERS:
         raise UnknownFrameError(f"frame type {kind}")
@@ -415,7 +423,7 @@ def encode_frame(body: bytes) -> bytes:
 
 def _encode(kind: FrameType, sequence: int, time_us: int, *values: Any) -> bytes:
     """Return a frame; numbers beyond the range of float32 become infinite."""
-    head = (HANDSHAKE if kind is FrameType.HELLO else VERSION, kind, sequence & 0xFFFFFFFF, time_us)
+    head = (HANDSHAKE_VERSION if kind is FrameType.HELLO else VERSION, kind, sequence & 0xFFFFFFFF, time_us)
     try:
         return encode_frame(_LAYOUTS[kind].pack(*head, *values))
     except OverflowError:
@@ -451,7 +459,7 @@ def _read_state(sequence: int, time_us: int, *rest: Any) -> State:
 def _read_details(
     sequence: int, time_us: int, epoch: int, digest: bytes, feedback: int, laws: int, *rest: float
 ) -> Details:
-    force = FEEDBACKS[feedback] if feedback < len(FEEDBACKS) else ""
+    force = FEEDBACK_FORCES[feedback] if feedback < len(FEEDBACK_FORCES) else ""
     numbers = dict(zip([entry.name for entry in fields(BoxDetails)][4:], rest, strict=True))
     details = BoxDetails(epoch=epoch, bench_digest=_text(digest), feedback=force, laws=laws, **numbers)
     return Details(sequence, time_us, details)
@@ -469,7 +477,7 @@ def _read_command(sequence: int, time_us: int, *rest: Any) -> CommandFrame:
     if waveform > Waveform.SMOOTH_STEP:
         raise MalformedError(f"waveform {waveform}")
     command = Command(
-        arm=bool(bits & _ARM),
+        arm=bool(bits & _ARM_BIT),
         delta_kp=delta_kp,
         delta_ki=delta_ki,
         delta_u=delta_u,
@@ -477,7 +485,7 @@ def _read_command(sequence: int, time_us: int, *rest: Any) -> CommandFrame:
             waveform=Waveform(waveform), amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
         ),
         corrected_sequence=corrects,
-        filter_fresh=bool(bits & _FILTER_FRESH),
+        filter_fresh=bool(bits & _FILTER_FRESH_BIT),
         law=_known_law(law),
         coefficients=(a_0, a_1, a_2, a_3),
         velocity_compensation=c_1,

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from hydro_bridge.serial import protocol
 
-_WRAP = 1 << 32
+_SEQUENCE_MODULUS = 1 << 32
 
 
 @dataclass(kw_only=True)
@@ -57,7 +57,7 @@ def no_frames_message(counts: LinkCounts, before: LinkCounts, seconds: float) ->
 
 @dataclass
 class Decoder:
-    """Splits bytes into frames, in bounded memory: at most `protocol.MAX_ENCODED` bytes are kept without a delimiter.
+    """Splits bytes into frames, in bounded memory: at most `protocol.ENCODED_SIZE_MAX` bytes stay without a delimiter.
 
     Bytes before the first delimiter belong to a frame cut off when the port was opened: discarded without an error.
     """
@@ -76,7 +76,7 @@ class Decoder:
         *pieces, self._pending = (self._pending + data).split(b"\0")
         if pieces and (self._overlong or self._opening):
             pieces[0], self._overlong, self._opening = b"", False, False
-        if len(self._pending) > protocol.MAX_ENCODED:
+        if len(self._pending) > protocol.ENCODED_SIZE_MAX:
             if not self._overlong:
                 self._bad(crc=False)
             self._pending, self._overlong = b"", True
@@ -129,9 +129,9 @@ class SequenceTracker:
         if self._newest is None:
             self._newest, self._seen = sequence, 1
             return True
-        ahead = (sequence - self._newest) % _WRAP
-        if ahead == 0 or ahead >= _WRAP - self.window:
-            seen = self._seen >> (behind := -ahead % _WRAP) & 1
+        ahead = (sequence - self._newest) % _SEQUENCE_MODULUS
+        if ahead == 0 or ahead >= _SEQUENCE_MODULUS - self.window:
+            seen = self._seen >> (behind := -ahead % _SEQUENCE_MODULUS) & 1
             self.counts.duplicates += seen
             self.counts.reordered += not seen
             self._seen |= 1 << behind

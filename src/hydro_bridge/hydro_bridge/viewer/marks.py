@@ -46,8 +46,8 @@ MARKS_MAX = 20_000
 
 CALL_LOGGER = "calls"
 """Name of call messages, as in `hydro_bridge.ros.diagnostics`."""
-_TRAINERS = ("trainer", "evaluate")
-_WARN = 30
+_TRAINER_NODES = ("trainer", "evaluate")
+_WARN_LEVEL = 30
 
 
 @dataclass(frozen=True)
@@ -146,9 +146,9 @@ class MarkCollector:
 
     def add_diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
         """Add the marks of a diagnostics status of the node `name`."""
-        if name not in _TRAINERS:
+        if name not in _TRAINER_NODES:
             return
-        for key, (kind, sentence) in _DIAGNOSTICS.items():
+        for key, (kind, sentence) in _DIAGNOSTIC_MARKS.items():
             if key not in values:
                 continue
             now, before = values[key], self._said.get(f"{name} {key}")
@@ -161,7 +161,7 @@ class MarkCollector:
         node, _, last = name.rpartition(".")
         if last == CALL_LOGGER:
             self.add(time, "call", f"{node} was asked: {sentence}")
-        elif level >= _WARN:
+        elif level >= _WARN_LEVEL:
             self.add(time, "log", f"{name}: {sentence}")
 
     def add(self, time: float, kind: str, text: str) -> None:
@@ -172,7 +172,7 @@ class MarkCollector:
             self.dropped += 1
 
 
-_DIAGNOSTICS: dict[str, tuple[str, Callable[[str], str]]] = {
+_DIAGNOSTIC_MARKS: dict[str, tuple[str, Callable[[str], str]]] = {
     "rollbacks": ("rollback", lambda said: f"rolled back to the best policy, {said} times in all"),
     "override": ("override", lambda said: "gains given back" if said == "no" else f"gains by hand: {said}"),
     "examination": ("examination", lambda said: said),
@@ -181,21 +181,21 @@ _DIAGNOSTICS: dict[str, tuple[str, Callable[[str], str]]] = {
 
 
 REPORT_FILE = "report.json"
-_SAME = 1e-3  # s between two stamps of one sample
+_SAME_SAMPLE_TIME = 1e-3  # s between two stamps of one sample
 
 
-Windows = list[tuple[str, float | None, list[Mark]]]
+ReportWindows = list[tuple[str, float | None, list[Mark]]]
 """Name of each recording of a report, stamp [s] of the first sample of a bag, and its windows, in s from that."""
 
 
-def select_windows(windows: Windows, bag: Path, begin: float) -> list[Mark]:
+def select_windows(windows: ReportWindows, bag: Path, begin: float) -> list[Mark]:
     """Return the windows of the recording whose first sample has the stamp `begin` [s]; ties are broken by name."""
-    alike = [entry for entry in windows if entry[1] is not None and abs(entry[1] - begin) < _SAME]
+    alike = [entry for entry in windows if entry[1] is not None and abs(entry[1] - begin) < _SAME_SAMPLE_TIME]
     named = [entry for entry in alike if len(alike) == 1 or Path(entry[0]).name in (bag.name, bag.stem)]
     return named[0][2] if len(named) == 1 else []
 
 
-def read_windows(report: Path) -> Windows:
+def read_windows(report: Path) -> ReportWindows:
     """Read the windows of each recording from a diagnosis' report.json.
 
     Raises RecordingError: the file cannot be read, or is not the report of a diagnosis.

@@ -86,7 +86,7 @@ def refresh_index(run: Path) -> None:
             write_index(folder)
 
 
-_KINDS = {
+_KIND_FILES = {
     "training": "run.json",
     "diagnosis": "report.json",
     "proof": "proof.html",
@@ -99,7 +99,7 @@ _KINDS = {
 
 
 def _entry(folder: Path, run: Path) -> RunEntry | None:
-    kind = next((kind for kind, file in _KINDS.items() if (run / file).is_file()), "")
+    kind = next((kind for kind, file in _KIND_FILES.items() if (run / file).is_file()), "")
     if not kind:
         return None
     bags = [run] if kind == "recording" else sorted(path.parent for path in run.glob("*/metadata.yaml"))
@@ -111,7 +111,7 @@ def _entry(folder: Path, run: Path) -> RunEntry | None:
     def relative(paths: list[Path]) -> tuple[str, ...]:
         return tuple(path.relative_to(folder).as_posix() for path in paths)
 
-    changed = max(path.stat().st_mtime for path in (run, run / _KINDS[kind]))
+    changed = max(path.stat().st_mtime for path in (run, run / _KIND_FILES[kind]))
     return RunEntry(
         name=run.name,
         kind=kind,

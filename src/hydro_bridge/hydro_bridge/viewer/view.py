@@ -79,7 +79,7 @@ TOPIC_CONTENTS = {
 }
 """Content of the page that depends on each topic."""
 
-_NEEDED = {
+_REQUIRED_FIELDS = {
     STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
     CORRECTION_TOPIC: frozenset(column.field for column in series.CORRECTION_COLUMNS),
     LAW_TOPIC: frozenset(column.field for column in series.LAW_COLUMNS),
@@ -88,9 +88,9 @@ _NEEDED = {
     ),
     POLICY_TOPIC: frozenset({"weights"}),
 }
-_SERIES = (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)
-"""Topics of `series.SERIES`, with the samples' stamps."""
-_OBJECTS = {
+_SERIES_TOPICS = (STATE_TOPIC, CORRECTION_TOPIC, LAW_TOPIC)
+"""Topics of `series.SERIES_COLUMNS`, with the samples' stamps."""
+_OBJECT_TYPES = {
     AUTHORITY_TOPIC: "hydro_msgs/msg/Authority",
     DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
     LOG_TOPIC: "rcl_interfaces/msg/Log",
@@ -105,10 +105,10 @@ class RecordingPage:
     begin: float
     """s since 1970 of the first sample; all other times count from it."""
     seconds: float
-    slot: float
-    """Duration of a slot [s]."""
+    bin_width: float
+    """Width of a bin [s]."""
     values: tuple[npt.NDArray[np.float32], ...]
-    """States, corrections and laws: minimum and maximum, shape (slots, columns, 2)."""
+    """States, corrections and laws: minimum and maximum, shape (bins, columns, 2)."""
     marks: list[Mark]
     curve: dict[str, Any]
     """Learning curve, as drawn by the live page."""
@@ -130,7 +130,7 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     windows = [] if report is None else read_windows(report)
     source = BagSource(Path(path))
     marks, curve, clock = MarkCollector(), status.LearningCurve(), SampleClock()
-    clocks = {topic: MonotonicTimes(GAP_MAX) for topic in _SERIES}
+    clocks = {topic: MonotonicTimes(GAP_MAX) for topic in _SERIES_TOPICS}
     thinners: tuple[series.GrowingDownsampler, ...] = ()  # none before the first sample
     first = 0.0  # s, of the first sample
     messages: Counter[str] = Counter()
@@ -139,9 +139,9 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     for scan, channel, block, part in source.spans():
         topic = channel.topic
         messages[topic] += len(part.starts)
-        if topic in _OBJECTS:
+        if topic in _OBJECT_TYPES:
             try:
-                if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
+                if source.type_of(scan, channel)[0] != _OBJECT_TYPES[topic]:
                     raise AttributeError
                 for logged, message in source.messages(scan, channel, block, part):
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
@@ -155,10 +155,10 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
                             marks.add_diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
             except AttributeError:  # another type, or fields of another version
                 foreign.add(topic)
-        if topic not in _NEEDED:
+        if topic not in _REQUIRED_FIELDS:
             continue
         layout = source.layout(scan, channel)
-        if layout is None or not _NEEDED[topic] <= set(layout.table.names or ()):
+        if layout is None or not _REQUIRED_FIELDS[topic] <= set(layout.table.names or ()):
             foreign.add(topic)
             continue
         table = decode_span(scan.path, topic, layout, block, part)
@@ -171,13 +171,15 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
             table = as_states(table, source.path)
             if not thinners and len(table):
                 first = float(table["time"][0])
-                thinners = tuple(series.GrowingDownsampler(len(columns), first + span[0]) for columns in series.SERIES)
+                thinners = tuple(
+                    series.GrowingDownsampler(len(columns), first + span[0]) for columns in series.SERIES_COLUMNS
+                )
         since = table["time"] - first
         table = table[(since >= span[0]) & (since <= span[1])]
         if not (thinners and len(table)):
             continue
-        if topic in _SERIES:
-            number = _SERIES.index(topic)
+        if topic in _SERIES_TOPICS:
+            number = _SERIES_TOPICS.index(topic)
             thinners[number].add(table["time"], series.column_values(number, table))
         if topic == STATE_TOPIC:
             marks.add_states(table)
@@ -193,8 +195,8 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
         raise source.missing_topic_error(STATE_TOPIC, messages)
     for mark in select_windows(windows, Path(path), first):
         marks.add(first + mark.time, mark.kind, mark.text)
-    begin, slot = first + span[0], max(thinner.slot for thinner in thinners)
-    values, seconds = tuple(thinner.values(slot) for thinner in thinners), thinners[0].end - begin
+    begin, bin_width = first + span[0], max(thinner.bin_width for thinner in thinners)
+    values, seconds = tuple(thinner.values(bin_width) for thinner in thinners), thinners[0].end - begin
     if not len(values[0]):
         raise RecordingError(f"{source.path} has no samples from {span[0]:g} to {span[1]:g} s")
     notes = [*source.notes]
@@ -209,7 +211,7 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
         path=source.path,
         begin=begin,
         seconds=seconds,
-        slot=slot,
+        bin_width=bin_width,
         values=values,
         marks=marks.crop(begin, seconds),
         curve=curve.content(),
@@ -220,19 +222,25 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     )
 
 
-_POLICY = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:"
+_CONTENT_SECURITY_POLICY = (
+    "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsafe-inline'; img-src data:"
+)
 
 
 def render_page(recorded: RecordingPage) -> str:
     """Return the page as HTML."""
     folder = recorded.path.resolve()
     name = f"{folder.parent.name}/{folder.name}" if folder.parent.name else folder.name
-    facts = {"length": f"{recorded.seconds:.1f} s", "finest detail": f"{1e3 * recorded.slot:g} ms", **recorded.metadata}
+    facts = {
+        "length": f"{recorded.seconds:.1f} s",
+        "finest detail": f"{1e3 * recorded.bin_width:g} ms",
+        **recorded.metadata,
+    }
     if recorded.attachments:
         facts["attached"] = ", ".join(recorded.attachments)
     about = {
         "seconds": recorded.seconds,
-        "slot": recorded.slot,
+        "bin_width": recorded.bin_width,
         "series": series.column_descriptions(),
         "marks": [{"time": round(mark.time, 3), "kind": mark.kind, "text": mark.text} for mark in recorded.marks],
         "curve": recorded.curve,
@@ -246,7 +254,7 @@ def render_page(recorded: RecordingPage) -> str:
     zipped = (gzip.compress(np.ascontiguousarray(table, "<f4").tobytes(), 6, mtime=0) for table in recorded.values)
     states, corrections, laws = (base64.b64encode(content).decode() for content in zipped)
     return environment("hydro_bridge", "viewer/page").get_template("view.html").render(
-        policy=_POLICY,
+        policy=_CONTENT_SECURITY_POLICY,
         title=f"{name} - hydro",
         name=name,
         begin=datetime.fromtimestamp(recorded.begin, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC"),

@@ -32,16 +32,16 @@ __all__ = [
 ]  # fmt: skip
 
 T = TypeVar("T")
-N = TypeVar("N", int, float)
+Number = TypeVar("Number", int, float)
 
 
-def bounded_number(low: N, high: float = inf) -> Callable[[str], N]:
+def bounded_number(low: Number, high: float = inf) -> Callable[[str], Number]:
     """Return an argparse type: a finite number from `low` to `high`, of the type of `low`."""
     wanted = ("a whole number, " if isinstance(low, int) else "") + (
         f"{low:g} or more" if high == inf else f"{low:g} to {high:g}"
     )
 
-    def convert(text: str) -> N:
+    def convert(text: str) -> Number:
         with suppress(ValueError):
             if low <= (value := type(low)(text)) <= high and value < inf:
                 return value
@@ -223,14 +223,14 @@ def format_cell(value: Any) -> str:
 
 FIXED_ON_RESUME: Any = object()
 """Marker in `begun` of an option for new runs only: any value on resume is refused."""
-_UNSAID = object()
+_NOT_GIVEN = object()
 
 
 def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> dict[str, Any]:
     """Return the options given explicitly in `words`, by name; those left at their defaults are omitted."""
     names = vars(parser.parse_args(words))
-    said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, _UNSAID))))
-    return {name: value for name, value in said.items() if value is not _UNSAID}
+    said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, _NOT_GIVEN))))
+    return {name: value for name, value in said.items() if value is not _NOT_GIVEN}
 
 
 def refuse_changed_options(

@@ -28,9 +28,9 @@ from tqdm import tqdm
 from hydro_core.cli.console import bounded_number, progress
 from hydro_core.errors import UserError, is_file_error, user_message
 
-Arguments = Mapping[str, tuple[Any, ...]]
+JobArguments = Mapping[str, tuple[Any, ...]]
 """Arguments of each job, by its name."""
-Results = Generator[tuple[str, Any, Exception | None], None, None]
+JobResults = Generator[tuple[str, Any, Exception | None], None, None]
 SCHEDULER_TIMEOUT, WORKER_TIMEOUT = 10.0, 600.0
 """Time-outs [s] for a scheduler's answer, and for its first worker, which a cluster's queue may delay."""
 DASK_SETTINGS = {
@@ -65,7 +65,7 @@ def job_options(asked: argparse.Namespace) -> dict[str, Any]:
 
 
 def run(
-    function: Callable[..., Any], arguments: Arguments, *, processes: int = 0, scheduler: str | None = None,
+    function: Callable[..., Any], arguments: JobArguments, *, processes: int = 0, scheduler: str | None = None,
     results_file: Path | None = None, label: str = "jobs", unit: str = "job",
 ) -> Iterator[tuple[str, Any]]:  # fmt: skip
     """Yield name and result, `function(*arguments[name])`, of each job as it ends.
@@ -115,13 +115,13 @@ def run(
         raise JobsError({name: errors[name] for name in arguments if name in errors}, len(arguments))
 
 
-def run_all(function: Callable[..., Any], arguments: Arguments, **how: Any) -> dict[str, Any]:
+def run_all(function: Callable[..., Any], arguments: JobArguments, **how: Any) -> dict[str, Any]:
     """Return the results of `run` by name, in the order of the names."""
     found = dict(run(function, arguments, **how))
     return {name: found[name] for name in arguments}
 
 
-def _here(function: Callable[..., Any], missing: Arguments) -> Results:
+def _here(function: Callable[..., Any], missing: JobArguments) -> JobResults:
     for name, values in missing.items():
         try:
             value = function(*values)
@@ -131,7 +131,9 @@ def _here(function: Callable[..., Any], missing: Arguments) -> Results:
             yield name, value, None
 
 
-def _side_by_side(function: Callable[..., Any], missing: Arguments, processes: int, scheduler: str | None) -> Results:
+def _side_by_side(
+    function: Callable[..., Any], missing: JobArguments, processes: int, scheduler: str | None
+) -> JobResults:
     """A worker has one job at a time: if it is killed, it was by that one."""
     import dask
     from distributed import CancelledError, Client, KilledWorker, LocalCluster, as_completed

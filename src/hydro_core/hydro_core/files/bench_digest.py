@@ -18,10 +18,10 @@ import yaml
 
 from hydro_core.errors import UserError
 
-_LISTS = ("effects", "closures")
-_ABOUT = "learned"
+_LIST_KEYS = ("effects", "closures")
+_DESCRIPTION_KEY = "learned"
 """Key under which `learn` describes its file; not part of the bench."""
-_UNSET: tuple[Any, ...] = (None, [], ())
+_UNSET_VALUES: tuple[Any, ...] = (None, [], ())
 
 DIGEST_LENGTH = 12
 """Hexadecimal digits of a digest: enough to detect mistaken pairings, not attacks."""
@@ -29,8 +29,8 @@ DIGEST_LENGTH = 12
 
 def digest(bench: Mapping[str, Any]) -> str:
     """Return a bench's digest: the first 12 digits of the SHA-256 of its keys and values, unset ones omitted."""
-    said = {key: value for key, value in bench.items() if value not in _UNSET and key != _ABOUT}
-    numbers = {key: value if key in _LISTS else float(value) for key, value in said.items()}
+    said = {key: value for key, value in bench.items() if value not in _UNSET_VALUES and key != _DESCRIPTION_KEY}
+    numbers = {key: value if key in _LIST_KEYS else float(value) for key, value in said.items()}
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGEST_LENGTH]
 
 
@@ -41,11 +41,11 @@ def read_parameters(path: str | Path) -> dict[str, Any]:
     """
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        numbers: dict[str, Any] = {str(key): value for key, value in content.items() if key != _ABOUT}
+        numbers: dict[str, Any] = {str(key): value for key, value in content.items() if key != _DESCRIPTION_KEY}
         for key, value in numbers.items():
-            if isinstance(value, bool) and key not in _LISTS:
+            if isinstance(value, bool) and key not in _LIST_KEYS:
                 raise ValueError(f"{value!r} is not a number")
-            if value is not None and key not in _LISTS:
+            if value is not None and key not in _LIST_KEYS:
                 numbers[key] = float(value)  # PyYAML (YAML 1.1) reads some numbers as text, such as 1e9
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
@@ -60,7 +60,7 @@ def read_box_bench(path: str | Path) -> dict[str, Any]:
     Raises UserError: as `read_parameters`, or the file has effects or closures.
     """
     numbers = read_parameters(path)
-    if found := [key for key in _LISTS if numbers.get(key)]:
+    if found := [key for key in _LIST_KEYS if numbers.get(key)]:
         told = f"{path} has {' and '.join(found)}, which no force law believes"
         raise UserError(
             f"{told}: it is the model of a bench (--model of filter and sim), name the box's own bench.yaml"

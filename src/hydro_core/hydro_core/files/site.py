@@ -17,8 +17,8 @@ from pathlib import Path
 
 from hydro_core.errors import UserError
 
-BENCH, MODEL, METRIC = "bench.yaml", "corrected.yaml", "metric.safetensors"
-RECORDINGS, REPORTS, RECORD = "recordings", "reports", "commission.json"
+BENCH_FILE, MODEL_FILE, METRIC_FILE = "bench.yaml", "corrected.yaml", "metric.safetensors"
+RECORDINGS_FOLDER, REPORTS_FOLDER, RECORD_FILE = "recordings", "reports", "commission.json"
 
 RECOMMISSION_HINT = (
     "after a change of spring, supply, oil or valve `ros2 run hydro_policy commission --again --site DIR` makes model "
@@ -35,7 +35,7 @@ def add_site_option(parser: argparse._ActionsContainer, taken: str) -> None:
 def base_gains(folder: Path) -> list[float] | None:
     """Return the base gains K_p [1/s] and K_i [1/s^2] that the box of a site reported; None: not known yet."""
     try:
-        found = json.loads((folder / RECORD).read_text(encoding="utf-8"))["base_gains"]
+        found = json.loads((folder / RECORD_FILE).read_text(encoding="utf-8"))["base_gains"]
         return [float(value) for value in found] or None
     except (OSError, ValueError, KeyError, TypeError):
         return None
@@ -53,7 +53,9 @@ def apply_site_option(options: argparse.Namespace, **files: str) -> None:
     for option, words in files.items():
         if getattr(options, option):
             raise UserError(f"--{option} is told by --site {options.site}: leave one of them out")
-        found = [str(folder / name) if name in (BENCH, MODEL, METRIC) else name for name in words.split()]
+        found = [
+            str(folder / name) if name in (BENCH_FILE, MODEL_FILE, METRIC_FILE) else name for name in words.split()
+        ]
         for path in map(Path, found):
             if path.is_absolute() and not path.is_file():
                 raise UserError(f"{path} is not there: `ros2 run hydro_policy commission` has not got that far")

@@ -13,7 +13,7 @@ import numpy as np
 
 MAX_MAGNITUDE = 1e30
 """Largest valid number, in SI units or normalized; a larger one means a damaged file, and its square would overflow."""
-BOUNDS = ("low", "high")
+BOUND_TENSORS = ("low", "high")
 """Names of tensors that may be infinite, which means unbounded."""
 
 
@@ -27,7 +27,7 @@ def check_finite(tensors: Mapping[str, Any]) -> None:
         array = np.asarray(tensor)
         if array.dtype.kind != "f":
             continue
-        wrong = np.isnan(array) if name in BOUNDS else ~(np.abs(array) <= MAX_MAGNITUDE)
+        wrong = np.isnan(array) if name in BOUND_TENSORS else ~(np.abs(array) <= MAX_MAGNITUDE)
         if wrong.any():
             raise InvalidTensorError(
                 f"{name} holds {int(wrong.sum())} of {array.size} values that are no usable numbers"

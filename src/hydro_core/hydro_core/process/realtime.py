@@ -2,9 +2,9 @@
 """Latencies, periodic deadlines, exact timers, and a run-time limit that keeps SCHED_FIFO from hanging the machine.
 
 A busy-looping real-time thread blocks its core for all others, including the shell that would end it. RLIMIT_RTTIME
-counts the CPU time of a real-time thread since it last slept. At `RUN_TIME_MAX` the kernel sends SIGXCPU: the process
-drops to ordinary scheduling and ends cleanly (`Terminated`). A compiled loop, which Python cannot interrupt,
-is killed at `KILL_TIME`; the box trips 200 ms after its last command.
+counts the CPU time of a real-time thread since it last slept. At `CPU_TIME_SOFT_LIMIT` the kernel sends SIGXCPU: the
+process drops to ordinary scheduling and ends cleanly (`Terminated`). A compiled loop, which Python cannot interrupt, is
+killed at `CPU_TIME_HARD_LIMIT`; the box trips 200 ms after its last command.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from hydro_core.process.termination import Terminated
 
-_BINS = 20_000
+_BIN_COUNT = 20_000
 
 
 @dataclass
@@ -34,13 +34,13 @@ class Latency:
     count: int = 0
     longest: float = 0.0
     """Longest duration [s]."""
-    _bins: array[int] = field(default_factory=lambda: array("q", bytes(8 * _BINS)))  # numpy reads it in place
+    _bins: array[int] = field(default_factory=lambda: array("q", bytes(8 * _BIN_COUNT)))  # numpy reads it in place
 
     def add(self, seconds: float) -> None:
         """Count one duration."""
         self.count += 1
         self.longest = max(self.longest, seconds)
-        self._bins[min(_BINS - 1, max(0, int(seconds * 1e6)))] += 1
+        self._bins[min(_BIN_COUNT - 1, max(0, int(seconds * 1e6)))] += 1
 
     def percentile(self, percent: float) -> float:
         """Return the `percent`-th percentile of the durations [s], to 1 us; NaN without data."""
@@ -48,7 +48,7 @@ class Latency:
             return float("nan")
         below = np.cumsum(np.frombuffer(self._bins, np.int64))
         place = int(np.searchsorted(below, percent / 100 * self.count))
-        return self.longest if place >= _BINS - 1 else (place + 1) * 1e-6
+        return self.longest if place >= _BIN_COUNT - 1 else (place + 1) * 1e-6
 
     def summary(self) -> str:
         """Return the 50th, 99th and 99.9th percentiles and the maximum [ms] as text; `none` without data."""
@@ -58,9 +58,9 @@ class Latency:
         return f"{shown}  max {1e3 * self.longest:.3f} ms"
 
 
-RUN_TIME_MAX = 1.0
+CPU_TIME_SOFT_LIMIT = 1.0
 """Uninterrupted CPU time [s] at which SIGXCPU is sent: a hundred times the need of any of our processes."""
-KILL_TIME = 3.0
+CPU_TIME_HARD_LIMIT = 3.0
 """Uninterrupted CPU time [s] at which the kernel kills the process."""
 _PR_SET_TIMERSLACK = 29
 
@@ -71,10 +71,14 @@ def limit_run_time() -> None:
     No effect under ordinary scheduling. The signal is handled if this is called in the main thread.
     """
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
-    most = round(1e6 * KILL_TIME) if hard == resource.RLIM_INFINITY else min(hard, round(1e6 * KILL_TIME))
+    most = (
+        round(1e6 * CPU_TIME_HARD_LIMIT)
+        if hard == resource.RLIM_INFINITY
+        else min(hard, round(1e6 * CPU_TIME_HARD_LIMIT))
+    )
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGXCPU, _end)
-    resource.setrlimit(resource.RLIMIT_RTTIME, (min(round(1e6 * RUN_TIME_MAX), most), most))
+    resource.setrlimit(resource.RLIMIT_RTTIME, (min(round(1e6 * CPU_TIME_SOFT_LIMIT), most), most))
 
 
 def disable_timer_slack() -> None:
@@ -94,7 +98,7 @@ def drop_realtime() -> None:
 def _end(number: int, _: FrameType | None) -> None:
     drop_realtime()
     raise Terminated(
-        number, f"ran {RUN_TIME_MAX:g} s by SCHED_FIFO without a pause: something in it spins; it ends here"
+        number, f"ran {CPU_TIME_SOFT_LIMIT:g} s by SCHED_FIFO without a pause: something in it spins; it ends here"
     )
 
 

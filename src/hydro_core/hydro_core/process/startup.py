@@ -16,20 +16,30 @@ from pathlib import Path
 from hydro_core.errors import UserError
 from hydro_core.process import termination
 
-RMW = "RMW_IMPLEMENTATION"
-_INDEX = "share/ament_index/resource_index/rmw_typesupport"
-_ROS = ("rclpy", "hydro_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces", "rosgraph_msgs", "ament_index_python")
-_CHOOSER = "rmw_implementation"  # listed in the index as well, but not a middleware
+RMW_VARIABLE = "RMW_IMPLEMENTATION"
+_TYPESUPPORT_INDEX = "share/ament_index/resource_index/rmw_typesupport"
+_ROS_PACKAGES = (
+    "rclpy",
+    "hydro_msgs",
+    "std_srvs",
+    "diagnostic_msgs",
+    "rcl_interfaces",
+    "rosgraph_msgs",
+    "ament_index_python",
+)
+_RMW_SELECTOR = "rmw_implementation"  # listed in the index as well, but not a middleware
 
 
 def missing_middleware() -> str:
     """Return an error message if the selected ROS middleware is not installed; empty if it is, or is the default."""
-    wanted = os.environ.get(RMW, "")
+    wanted = os.environ.get(RMW_VARIABLE, "")
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    installed = sorted({path.name for prefix in prefixes for path in (prefix / _INDEX).glob("*")} - {_CHOOSER})
+    installed = sorted(
+        {path.name for prefix in prefixes for path in (prefix / _TYPESUPPORT_INDEX).glob("*")} - {_RMW_SELECTOR}
+    )
     if not wanted or not installed or wanted in installed:
         return ""
-    return f"{RMW} is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
+    return f"{RMW_VARIABLE} is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
 
 
 def missing_working_directory() -> str:
@@ -81,7 +91,7 @@ class LazyMain:
         except UserError as error:  # in a user's file read during the import, such as an effect
             termination.print_error(str(error))
         except ModuleNotFoundError as error:
-            if (error.name or "").partition(".")[0] not in _ROS:
+            if (error.name or "").partition(".")[0] not in _ROS_PACKAGES:
                 raise
             missing = f"there is no {error.name} here: source a workspace"
             termination.print_error(f"this command is a ROS 2 node, and {missing}")

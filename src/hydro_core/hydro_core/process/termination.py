@@ -21,10 +21,10 @@ from types import FrameType
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_INSIST_AFTER = 0.05  # s
-_DROPPED_AFTER = 0.5  # s after which an exception that nobody handles was dropped
-_IMPORT_SYSTEM = "<frozen importlib._bootstrap>"  # file of its code objects
-Handlers = Mapping[int, Any]
+_RETRY_DELAY = 0.05  # s
+_DROPPED_EXCEPTION_DELAY = 0.5  # s after which an exception that nobody handles was dropped
+_IMPORT_SYSTEM_FILE = "<frozen importlib._bootstrap>"  # file of its code objects
+SignalHandlers = Mapping[int, Any]
 """Signal handlers by signal number, as returned by `signal.signal`."""
 
 
@@ -41,7 +41,7 @@ def exit_status(interruption: KeyboardInterrupt) -> int:
     return 128 + (interruption.number if isinstance(interruption, Terminated) else signal.SIGINT)
 
 
-def install_handlers(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
+def install_handlers(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> SignalHandlers:
     """Install `handler` for `SIGNALS` in the main thread; return the previous handlers, for `restore_handlers`.
 
     An ignored SIGHUP stays ignored: a program started with nohup is to outlive the terminal.
@@ -52,7 +52,7 @@ def install_handlers(handler: Callable[[int, FrameType | None], Any] | signal.Ha
     return {number: signal.signal(number, handler) for number in wanted}
 
 
-def restore_handlers(before: Handlers) -> None:
+def restore_handlers(before: SignalHandlers) -> None:
     """Reinstall the previous signal handlers."""
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -65,17 +65,17 @@ def raise_terminated(number: int, _: FrameType | None = None) -> None:
     one in their initialisation (torch's terminates the process). Compiled code may also drop the exception (in an
     attribute look-up, for one): unless it is being handled half a second later, it is raised again.
     """
-    if os.getpid() != _program:
+    if os.getpid() != _process_id:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
-    importing = any(frame.f_code.co_filename == _IMPORT_SYSTEM for frame, _ in walk_stack(sys._getframe()))
+    importing = any(frame.f_code.co_filename == _IMPORT_SYSTEM_FILE for frame, _ in walk_stack(sys._getframe()))
     if importing or signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
-        _raise_later(number, _INSIST_AFTER)
+        _raise_later(number, _RETRY_DELAY)
         return
     detach_closed_terminal()
-    global _ended
-    _ended = True
-    _raise_later(number, _DROPPED_AFTER)
+    global _terminated
+    _terminated = True
+    _raise_later(number, _DROPPED_EXCEPTION_DELAY)
     raise Terminated(number)
 
 
@@ -99,22 +99,24 @@ def signals_as_exceptions() -> Iterator[None]:
     Where Python cannot raise an exception (finalizers, the compiler's callbacks into Python) it drops it: `Terminated`
     is then raised again. The AttributeError of a half-constructed object's finalizer is not reported.
     """
-    global _program, _ended
-    _program, _ended = os.getpid(), False
+    global _process_id, _terminated
+    _process_id, _terminated = os.getpid(), False
     before, dropped = install_handlers(raise_terminated), sys.unraisablehook
 
     def insist(what: sys.UnraisableHookArgs) -> None:
         error = what.exc_value
         if isinstance(error, Terminated):
-            _raise_later(error.number, _INSIST_AFTER)
-        elif not (_ended and isinstance(error, AttributeError) and getattr(what.object, "__name__", "") == "__del__"):
+            _raise_later(error.number, _RETRY_DELAY)
+        elif not (
+            _terminated and isinstance(error, AttributeError) and getattr(what.object, "__name__", "") == "__del__"
+        ):
             dropped(what)
 
     sys.unraisablehook = insist
     try:
         yield
     finally:
-        if not _ended:
+        if not _terminated:
             sys.unraisablehook = dropped
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         restore_handlers(before)
@@ -163,5 +165,5 @@ def _handled() -> bool:
     return error is not None
 
 
-_program = os.getpid()
-_ended = False  # whether `Terminated` was raised
+_process_id = os.getpid()
+_terminated = False  # whether `Terminated` was raised

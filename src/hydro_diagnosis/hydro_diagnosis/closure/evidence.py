@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
-from hydro_diagnosis.estimation.fit import FORM_ERROR, Fit, fit, held_out_deviance, orthogonal
+from hydro_diagnosis.estimation.fit import FORM_ERROR_SHARE, Fit, fit, held_out_deviance, orthogonal
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_diagnosis.significance import QUANTILE, TIE_RATIO, UNIDENTIFIED_HALF_WIDTH, VERY_STRONG_EVIDENCE
@@ -89,7 +89,7 @@ def _columns(
         yield np.column_stack([problem.residual((*others, EffectHypothesis(effect, one))) - before for one in moved])
 
 
-THRESHOLD = 3.0 * VERY_STRONG_EVIDENCE
+EVIDENCE_THRESHOLD = 3.0 * VERY_STRONG_EVIDENCE
 """Least gain of a term in held-out deviance, and of any claim in BIC."""
 
 
@@ -108,13 +108,13 @@ def prune_terms(problem: Problem, found: Fit, keep_named: bool = False) -> Fit:
 
 
 def _pays(problem: Problem, without: Fit, found: Fit, claim: EffectHypothesis) -> bool:
-    if without.score - found.score < THRESHOLD or within_form_error(problem, without, found):
+    if without.score - found.score < EVIDENCE_THRESHOLD or within_form_error(problem, without, found):
         return False
     if not is_closure(claim.effect):
         return True
     if not has_identified_shapes(problem, found, claim) or equals_ruled_out(problem, found, claim):
         return False
-    return held_out_gain(problem, without, found) >= THRESHOLD
+    return held_out_gain(problem, without, found) >= EVIDENCE_THRESHOLD
 
 
 def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
@@ -135,4 +135,4 @@ def within_form_error(problem: Problem, before: Fit, after: Fit) -> bool:
     channel = problem.layout.channel
     signature = np.bincount(channel, np.square(problem.residual(named) - before.residual), len(CHANNELS))
     added = np.bincount(channel, np.square(before.residual) - np.square(after.residual), len(CHANNELS))
-    return bool(np.all(added <= FORM_ERROR**2 * signature + THRESHOLD))
+    return bool(np.all(added <= FORM_ERROR_SHARE**2 * signature + EVIDENCE_THRESHOLD))

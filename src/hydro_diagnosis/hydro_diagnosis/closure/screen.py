@@ -20,7 +20,7 @@ from hydro_diagnosis.curves import spline_basis
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
 from hydro_diagnosis.estimation.fit import MIN_COLUMN_LENGTH, Fit, cross_validated_deviance
-from hydro_diagnosis.estimation.problem import CHANNELS, COST, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, CPU_COST, Problem
 from hydro_diagnosis.model.responses import Responses
 from hydro_diagnosis.significance import FOLDS
 from hydro_sim.model import grammar
@@ -80,7 +80,7 @@ class Screen:
         for term in self._terms:
             many = len(term.columns)
             shown = problem.join_responses([way.to_terms(term.columns) for way in ways], many)
-            problem.budget.spent += COST["column"] * problem.samples * many
+            problem.budget.spent += CPU_COST["column"] * problem.samples * many
             term.square = np.zeros((FOLDS, len(CHANNELS), many, many))
             for channel, responses in shown.items():
                 thinned = responses[:, :: self._every].astype(np.float32)[:, self._order[channel]]
@@ -215,16 +215,18 @@ def _distinct_starts(starts: Sequence[EffectHypothesis]) -> tuple[EffectHypothes
     return tuple(found.values())[:3]
 
 
-_SIZES = {"speed": "velocity", "opening": "current"}
+_SIGNED_VARIABLES = {"speed": "velocity", "opening": "current"}
 
 
 def _recorded(problem: Problem, name: str) -> FloatArray:
     """Recorded values of a signal that is an argument of laws and smooth functions."""
-    values = np.concatenate([model.variable(_SIZES.get(name, name))[model.settle :] for model in problem.models])
-    return np.abs(values) if name in _SIZES else values
+    values = np.concatenate(
+        [model.variable(_SIGNED_VARIABLES.get(name, name))[model.settle :] for model in problem.models]
+    )
+    return np.abs(values) if name in _SIGNED_VARIABLES else values
 
 
-_CHANNELS = {
+_VARIABLE_CHANNELS = {
     "current": "valve_current",
     "position": "piston_position",
     "velocity": "piston_position",
@@ -238,5 +240,5 @@ def _visible(effect: Closure, problem: Problem) -> bool:
     have = set.intersection(*(set(model.channels) for model in problem.models))
     if (effect.is_position_error or effect.depends_on_acceleration) and len(effect.blocks & set(problem.blocks)) < 2:
         return False  # in one equation alone it cannot be told from a force
-    needed = {_CHANNELS.get(one, one) for one in effect.law.uses} - {"time"}
+    needed = {_VARIABLE_CHANNELS.get(one, one) for one in effect.law.uses} - {"time"}
     return bool(effect.blocks & set(problem.blocks)) and needed | ({effect.law.where} - {"", "edges", "across"}) <= have

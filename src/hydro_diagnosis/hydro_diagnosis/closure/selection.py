@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from hydro_diagnosis.closure.evidence import (
-    THRESHOLD,
+    EVIDENCE_THRESHOLD,
     equals_ruled_out,
     excluded_blocks,
     has_identified_shapes,
@@ -30,7 +30,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit, rank_candidates
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE, TIE_RATIO
 from hydro_sim.model.effects.catalogue import CLOSURES_MAX
-from hydro_sim.model.laws import REVERSAL_VELOCITY, REVERSING, SIGN_VELOCITY, Law, with_reversal_velocity
+from hydro_sim.model.laws import REVERSAL_VELOCITY, REVERSING_TEXT, SIGN_VELOCITY, Law, with_reversal_velocity
 
 MIN_GAIN_SHARE = 0.02
 """Least share of the possible gain that a term must bring: less may be a form error of another."""
@@ -190,7 +190,7 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
             continue
         rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)
         others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their values
-        tried = {one.effect.label.replace(f", {REVERSING}", "") for one in found.claims}  # however they reverse
+        tried = {one.effect.label.replace(f", {REVERSING_TEXT}", "") for one in found.claims}  # however they reverse
         if law:
             found = _simplest([found, *_with_law(problem, others, screen, tried)], claim)
         else:
@@ -229,11 +229,11 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
     room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(current))
     while room and problem.has_excess(current.residual) and not problem.budget.exhausted:
         start, gain, possible_gain = screen.best_smooth_function(current, tried)
-        if start is None or gain < max(THRESHOLD, MIN_GAIN_SHARE * possible_gain):
+        if start is None or gain < max(EVIDENCE_THRESHOLD, MIN_GAIN_SHARE * possible_gain):
             break
         tried.add(start.effect.label)
         better = fit(problem, (*current.claims, start))
-        pays = current.score - better.score >= THRESHOLD and not within_form_error(problem, current, better)
+        pays = current.score - better.score >= EVIDENCE_THRESHOLD and not within_form_error(problem, current, better)
         if pays and not equals_ruled_out(problem, better, better.claims[-1]):
             current, room = better, room - 1
     current = prune_terms(problem, current, keep_named=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FitParameter
 from hydro_diagnosis.effects.closure import grown_cause
-from hydro_diagnosis.effects.dynamics import CLASSES, Stribeck, StribeckExponential
+from hydro_diagnosis.effects.dynamics import CAUSE_CLASSES, Stribeck, StribeckExponential
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.base import fit, parameter
@@ -19,17 +19,17 @@ from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
 from hydro_sim.model.effects.friction import FrictionStribeck
 from hydro_sim.model.effects.parameter_corrections import Correction
 
-NOMINAL = Bench.nominal()
+NOMINAL_BENCH = Bench.nominal()
 
 
-_TABLE = [CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL) for kind in CATALOGUE.values()]
+_TABLE = [CAUSE_CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL_BENCH) for kind in CATALOGUE.values()]
 LIBRARY: tuple[Effect, ...] = (
-    *(one for one in _TABLE if one.parameters and one.id not in grown.IDS),
+    *(one for one in _TABLE if one.parameters and one.id not in grown.EFFECT_IDS),
     *map(grown_cause, grown.EFFECTS),
 )
 """Effects that can be claimed; several may share an id (chambers, sensors, forms of one cause)."""
 _EXPONENTIAL = Kind(FrictionStribeck, (("form", "exponential"),))
-Stribeck.other_forms = (StribeckExponential(_EXPONENTIAL).adapted(NOMINAL),)
+Stribeck.other_forms = (StribeckExponential(_EXPONENTIAL).adapted(NOMINAL_BENCH),)
 
 
 class _WideningHoses(Correction):
@@ -56,7 +56,7 @@ class Unnamed(Effect):
     named = False
 
 
-CANDIDATES = (*LIBRARY, Unnamed(Kind(_WideningHoses, ())).adapted(NOMINAL))
+CANDIDATES = (*LIBRARY, Unnamed(Kind(_WideningHoses, ())).adapted(NOMINAL_BENCH))
 """Candidate effects of a search. One without a name that explains the recordings best is reported as a resemblance of
 an unknown cause, not as a claim."""
 

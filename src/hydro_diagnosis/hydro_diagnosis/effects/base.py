@@ -28,12 +28,12 @@ from hydro_sim.model.effects.sensing import Sensor, SensorLag
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
 """Values of chambers A and B."""
-Values = Mapping[str, float]
+ParameterValues = Mapping[str, float]
 Result = TypeVar("Result")
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """Blocks of residuals; a change of an effect's parameters recomputes only the blocks in which it acts."""
-_BLOCKS = {"motion": {MOTION}, "load": {MOTION, LOAD}}
-_SENSED = {
+_EQUATION_BLOCKS = {"motion": {MOTION}, "load": {MOTION, LOAD}}
+_CHANNEL_BLOCKS = {
     "hydraulic_force": {MOTION, HYDRAULIC}, "load_force": {LOAD}, "pressure_a": {PRESSURE, HYDRAULIC},
     "pressure_b": {PRESSURE, HYDRAULIC}, "piston_position": {PRESSURE, MOTION, LOAD},
 }  # fmt: skip
@@ -48,7 +48,7 @@ def substep_mean(signal: FloatArray) -> FloatArray:
 
 def blocks_of(equation: str, channel: str = "") -> frozenset[str]:
     """Return the blocks of residuals that depend on a term of an equation, or on an error of a channel's sensor."""
-    return frozenset(_SENSED[channel] if equation == "sensor" else _BLOCKS.get(equation, {PRESSURE}))
+    return frozenset(_CHANNEL_BLOCKS[channel] if equation == "sensor" else _EQUATION_BLOCKS.get(equation, {PRESSURE}))
 
 
 def with_values(bench: Bench, **values: float | None) -> Bench:
@@ -183,7 +183,7 @@ class Effect:
         """Shape parameters, such as velocities, time constants and thresholds."""
         return tuple(one for one in self.parameters if one.smallest_reported == 0.0)
 
-    def sentence(self, values: Values) -> str:
+    def sentence(self, values: ParameterValues) -> str:
         """Return a description of the effect at parameter values, for a person at the bench."""
         return self.physics.sentence(values)
 
@@ -197,30 +197,30 @@ class Effect:
         physical: Any = self.kind.effect
         return any(_acts_in(own, physical, hook) for hook in hooks)
 
-    def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
+    def _bound(self, values: ParameterValues, memory: Memory | None = None, **context: Any) -> Any:
         """The effect of the model at these values; `context`: fields of `EffectContext` that its terms read."""
         return self.kind.bind(values, **context)
 
     # -- hooks, in the order in which the model calls them ------------------------------------------------------------
 
-    def correct(self, bench: Bench, values: Values) -> Bench:
+    def correct(self, bench: Bench, values: ParameterValues) -> Bench:
         """Return the bench with the parameters that the effect corrects."""
         numbers = _Corrected(bench)
         self._bound(values).correct(numbers)
         return with_values(bench, **{name: one for name, one in vars(numbers).items() if name != "bench"})
 
-    def write_into_bench(self, bench: Bench, values: Values) -> Bench:
+    def write_into_bench(self, bench: Bench, values: ParameterValues) -> Bench:
         """Return the bench with the effect merged into its parameters; exact if no earlier effect has its hooks."""
         if number := self.physics.equivalent_parameter:
             return with_values(bench, **{number: getattr(bench, number) * values["ratio"]})
         return self.correct(bench, values)
 
-    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
         """Spool position [A] from the command, shape (n, substeps); `substep` in s; initially in steady state."""
         path = np.ascontiguousarray(spool).ravel()
         return np.asarray(self._bound(values, Memory(substep)).command(path)).reshape(spool.shape)
 
-    def openings(self, edges: Pair, spool: FloatArray, time: FloatArray, values: Values) -> Pair:
+    def openings(self, edges: Pair, spool: FloatArray, time: FloatArray, values: ParameterValues) -> Pair:
         """Conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
 
         `spool` [A] and conductances have shape (..., substeps); `time` [s], since the recording began, shape (...).
@@ -230,11 +230,11 @@ class Effect:
         out, back = bound.openings(*edges, spool)
         return np.asarray(out), np.asarray(back)
 
-    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         """Supply pressure [Pa] at the valve for a flow `demand` [m3/s]."""
         return supply
 
-    def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: Values) -> Pair:
+    def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: ParameterValues) -> Pair:
         """Flows [m3/s] into chambers A and B, less the effect's leakage."""
         bound = self._bound(
             values, memory, bench=bench, position=oil.position, velocity=oil.velocity, pressures=oil.pressures,
@@ -243,34 +243,36 @@ class Effect:
         from_a, from_b = bound.leaks(*oil.pressures)
         return flows[0] - from_a, flows[1] - from_b
 
-    def modulus(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
+    def modulus(self, modulus: FloatArray, pressure: FloatArray, values: ParameterValues) -> FloatArray:
         """Bulk modulus [Pa] of a chamber at its pressure [Pa]."""
         return np.asarray(self._bound(values).modulus(modulus, pressure))
 
-    def dry_level(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+    def dry_level(self, level: FloatArray, motion: Kinematics, values: ParameterValues) -> FloatArray:
         """Magnitude [N, >= 0] of dry friction while sliding; the model applies the sign of the velocity."""
         return np.asarray(self._bound(values).dry_level(level, motion.velocity))
 
     def opposing_force(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
-                       values: Values) -> FloatArray:  # fmt: skip
+                       values: ParameterValues) -> FloatArray:  # fmt: skip
         """Force [N] against the motion beyond viscous friction; `level`: magnitude of sliding dry friction [N]."""
         bound = self._bound(values, memory, pressures=motion.pressures or (0.0, 0.0))
         return np.asarray(force + bound.opposing_force(motion.position, motion.velocity))
 
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
+    def load(
+        self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: ParameterValues
+    ) -> FloatArray:
         """Force [N] of the load on the piston."""
         return np.asarray(
             self._bound(values, memory, bench=bench, velocity=motion.velocity).load(force, motion.position)
         )
 
-    def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
+    def trace(self, motion: Kinematics, memory: Memory, values: ParameterValues) -> None:
         """Store the states at the samples in a record's memory, to start simulations, if the hooks store others."""
 
-    def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+    def inertia(self, motion: Kinematics, bench: Bench, values: ParameterValues) -> FloatArray:
         """Return the mass [kg] moved with the load, for an unknown acceleration; else `load` adds its inertia."""
         return np.zeros_like(motion.position)
 
-    def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         """Reading of a sensor for its true signal."""
         beside = {
             name: memory.other_signals.get(name, 0.0) for name in ("position", "velocity", "acceleration", "current")
@@ -280,7 +282,7 @@ class Effect:
         bound.held = beside["current"]
         return np.asarray(bound.read_sensor(channel, signal))
 
-    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         """True signal from a reading, as far as the sensor can be inverted."""
         return reading
 
@@ -324,10 +326,10 @@ def scale_bounds(effect: Effect, machine: MachineScales) -> Effect:
 
 @dataclass(frozen=True)
 class EffectHypothesis:
-    """An effect with values of its parameters, claimed to act: one part of a hypothesis."""
+    """An effect with parameter values, as a hypothesis of what acts on the bench beside its nominal equations."""
 
     effect: Effect
-    values: Values
+    values: ParameterValues
 
     @property
     def acts(self) -> bool:

@@ -21,7 +21,7 @@ from hydro_diagnosis.effects.base import (
     FloatArray,
     Kinematics,
     Pair,
-    Values,
+    ParameterValues,
     blocks_of,
     substep_mean,
 )
@@ -35,21 +35,23 @@ from hydro_sim.model.effects.closure import NamedLaw, closure_class
 from hydro_sim.model.laws import Law, MemoryElement, Signals, edge_losses, sensor_signals
 from hydro_sim.model.tables import KNOTS, Table
 
-_EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
+_EQUATION_CHANNELS = {"pressure": ("pressure_a", "pressure_b")}
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
 """Families of grown effects: those of the effects of the table which act in the same equation."""
 _HOOKS = {"motion": {"opposing_force"}, "load": {"load"}, "sensor": {"read_sensor"}}
 """Hooks in which terms of an equation act; terms of flows, including the valve's, act in `leaks`."""
 
 
-_LAST = KNOTS - 3
+_INTERVAL_COUNT = KNOTS - 3
 """Number of knot intervals over a table's range."""
 
 
 def evaluate_spline(variable: FloatArray, low: float, high: float, values: FloatArray) -> FloatArray:
     """Sum of cubic B-splines with coefficients `values` (KNOTS,) over a variable, constant beyond `low` and `high`."""
     found = np.empty(variable.shape)
-    _evaluate_spline(found.reshape(-1), np.ascontiguousarray(variable).reshape(-1), low, _LAST / (high - low), values)
+    _evaluate_spline(
+        found.reshape(-1), np.ascontiguousarray(variable).reshape(-1), low, _INTERVAL_COUNT / (high - low), values
+    )
     return found
 
 
@@ -60,8 +62,8 @@ def _evaluate_spline(found, variable, low, scale, values):
         if along != along:  # a simulation that has run away
             found[k] = np.nan
             continue
-        along = min(max(along, 0.0), float(_LAST))
-        at = min(int(along), _LAST - 1)
+        along = min(max(along, 0.0), float(_INTERVAL_COUNT))
+        at = min(int(along), _INTERVAL_COUNT - 1)
         t = along - at
         s = 1.0 - t
         found[k] = (
@@ -102,7 +104,7 @@ class Closure(Effect):
 
     @property
     def equations(self) -> tuple[str, ...]:
-        return _EQUATIONS.get(self.law.equation, (self.law.equation,))
+        return _EQUATION_CHANNELS.get(self.law.equation, (self.law.equation,))
 
     @property
     def family(self) -> str:
@@ -149,12 +151,12 @@ class Closure(Effect):
         choices = product(*(one.start_values for one in self.shapes))
         return [{**still, **dict(zip((one.name for one in self.shapes), chosen, strict=True))} for chosen in choices]
 
-    def to_closure(self, values: Values) -> dict[str, Any]:
+    def to_closure(self, values: ParameterValues) -> dict[str, Any]:
         """Return the entry under `closures` in corrected.yaml."""
         bounds = {} if isinstance(self.law, Law) else dict(zip(("low", "high"), self.limits, strict=True))
         return {"equation": self.law.equation, "form": self.law.form, "parameters": {**bounds, **values}}
 
-    def _remembering(self, at: Signals, memory: Memory, values: Values) -> Signals:
+    def _remembering(self, at: Signals, memory: Memory, values: ParameterValues) -> Signals:
         """The signals with the output of the law's memory element."""
         element = self.memory_element
         if element is None:
@@ -169,14 +171,14 @@ class Closure(Effect):
             return at.replace(memory=memory.lag(self.label, signal, values["time"]))
         return at.replace(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
 
-    def term_value(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
+    def term_value(self, at: Signals, values: ParameterValues, bench: Bench | None = None) -> FloatArray:
         """Value of the term, in the unit of its equation."""
         if isinstance(self.law, Law):
             return np.asarray(self.law.value(at, bench or self.bench, [*values.values()]))
         given = evaluate_spline(np.asarray(self.law.variable_value(at)), *self.limits, np.array([*values.values()]))
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
-    def _bound(self, values: Values, memory: Memory | None = None, **context: Any) -> Any:
+    def _bound(self, values: ParameterValues, memory: Memory | None = None, **context: Any) -> Any:
         """The model's term, with value and memory evaluated over a record or over windows."""
         bound = super()._bound(values, memory, **context)
         bench = context.get("bench")
@@ -187,12 +189,12 @@ class Closure(Effect):
         bound.__dict__ |= {"_value": value, "_memory_state": lambda: 0.0, "_final_memory_state": lambda signal: 0.0}
         return bound
 
-    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
         path = np.ascontiguousarray(spool).ravel()
         at = self._remembering(Signals(current=path), Memory(substep), values)
         return spool + self.term_value(at, values).reshape(spool.shape)
 
-    def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
+    def trace(self, motion: Kinematics, memory: Memory, values: ParameterValues) -> None:
         """Store the path memory at the samples: the hooks of flows run between them, at the middles."""
         if self.acts_in("leaks") and self.memory_element is not None and self.memory_element.kind == "path":
             self._remembering(Signals(motion.position, motion.velocity), memory, values)
@@ -201,26 +203,28 @@ class Closure(Effect):
 class EdgeClosure(Closure):
     """Relative loss of the flow through the valve's edges; its memory is driven by the spool's mean position."""
 
-    def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: Values) -> Pair:
+    def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: ParameterValues) -> Pair:
         opened, closed = (substep_mean(np.maximum(sign * oil.spool, 0.0)) for sign in (1.0, -1.0))
         past = self._remembering(Signals(current=substep_mean(oil.spool)), memory, values).memory
         openings = bench.valve_gain * opened, bench.valve_gain * closed
         lost = edge_losses(bench, openings, oil.pressures, lambda at: self.term_value(at.replace(memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
-    def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
+    def trace(self, motion: Kinematics, memory: Memory, values: ParameterValues) -> None:
         """Store nothing: the memory is driven by the spool, not by the motion."""
 
 
 class LoadMassClosure(Closure):
     """Additional mass that moves with the load."""
 
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
+    def load(
+        self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: ParameterValues
+    ) -> FloatArray:
         if motion.acceleration is None:  # it is being computed: see `inertia`
             return force
         return force + motion.acceleration * self.inertia(motion, bench, values)
 
-    def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+    def inertia(self, motion: Kinematics, bench: Bench, values: ParameterValues) -> FloatArray:
         return self.term_value(Signals(motion.position, motion.velocity, acceleration=1.0), values, bench)
 
 
@@ -232,7 +236,7 @@ class PressureSensorClosure(Closure):
         along = self.memory_element is not None and self.memory_element.kind in ("path", "lag")
         return self.law.where if self.law.where in (self.law.uses or self.law.where) and not along else ""
 
-    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         if channel != self.law.where:
             return reading
         if self.memory_element is None and self.nonlinear_channel and self.law.uses <= {channel}:  # a static curve
@@ -259,7 +263,7 @@ class PositionSensorClosure(Closure):
 
     is_position_error = True
 
-    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         signal = reading
         for _ in range(ITERATIONS if channel == self.law.where else 0):
             at = sensor_signals(channel, signal, memory.other_signals)

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, Values
+from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, ParameterValues
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
@@ -28,7 +28,7 @@ class TransportDelayCause(Effect):
 
     stage = 0
 
-    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
         flat = spool.ravel()
         charge = np.concatenate([[0.0], np.cumsum(flat)])
         at = np.arange(len(charge)) - values["time"] / substep
@@ -43,7 +43,7 @@ class TransportDelayCause(Effect):
 class ValveLagCause(Effect):
     """Second-order spool dynamics, discretised exactly for a held current."""
 
-    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
         numerator, denominator = _spool(round(values["bandwidth"], 9), round(values["damping"], 9), substep)
         flat, gain = spool.ravel(), numerator.sum() / denominator.sum()
         steady = np.cumsum((numerator - denominator * gain)[::-1])[::-1][1:]  # holds an input of 1 at its gain
@@ -73,7 +73,7 @@ def _spool(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, F
 class SpoolLagFirstOrder(Effect):
     """First-order spool dynamics, discretised exactly for a held current."""
 
-    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
         decay = np.exp(-2.0 * np.pi * values["bandwidth"] * substep)
         mean = 1.0 - (1.0 - decay) / (2.0 * np.pi * values["bandwidth"] * substep)
         # mean over a substep: state before it * (1 - mean) + input * mean
@@ -91,7 +91,7 @@ class Overlap(Effect):
 class SoftOverlap(Overlap):
     """Overlap with edges that open gradually."""
 
-    def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
+    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
         return overlap_output(spool, values["half_width"], values["softness"])
 
 
@@ -122,7 +122,7 @@ def _softplus(over):
 class SupplyDroopCause(Effect):
     """Droop of the supply pressure with the flow demand, after a first-order lag."""
 
-    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         return supply - values["resistance"] * memory.lag("supply", demand, values["time_constant"])
 
 
@@ -133,7 +133,7 @@ class Stribeck(Effect):
 class StribeckExponential(Stribeck):
     """Stribeck friction of exponential form, F_s exp(-|v|/v_s) (Tustin 1947), which is never claimed."""
 
-    def dry_level(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+    def dry_level(self, level: FloatArray, motion: Kinematics, values: ParameterValues) -> FloatArray:
         return level + values["breakaway_force"] * np.exp(-np.abs(motion.velocity) / values["velocity"])
 
 
@@ -143,14 +143,16 @@ class FrictionPreslidingCause(Effect):
     models_presliding = True
 
     def opposing_force(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
-                       values: Values) -> FloatArray:  # fmt: skip
+                       values: ParameterValues) -> FloatArray:  # fmt: skip
         return force + memory.bristle("presliding", motion.position, values["stiffness"], level)
 
 
 class BacklashCause(Effect):
     """Backlash (play operator) between the piston and the load's spring."""
 
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
+    def load(
+        self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: ParameterValues
+    ) -> FloatArray:
         dragged = memory.play("backlash", motion.position, values["width"])
         return force - bench.spring_stiffness * (motion.position - dragged)
 
@@ -158,7 +160,7 @@ class BacklashCause(Effect):
 class CalibrationErrorCause(Effect):
     """Gain or bias error of a sensor, inverted exactly."""
 
-    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         zero, one = (float(self.read_sensor(channel, np.asarray(x), memory, values)) for x in (0.0, 1.0))
         return reading if (zero, one) == (0.0, 1.0) else (reading - zero) / (one - zero)
 
@@ -166,12 +168,12 @@ class CalibrationErrorCause(Effect):
 class SensorLagCause(Effect):
     """Second-order low-pass of a sensor's amplifier, inverted by derivatives of the smoothed reading."""
 
-    def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         if channel != self.lagged_channel:
             return signal
         return memory.low_pass(channel, signal, values["bandwidth"], values["damping"])
 
-    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+    def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         if channel != self.lagged_channel:
             return reading
         omega = 2.0 * np.pi * values["bandwidth"]
@@ -181,7 +183,7 @@ class SensorLagCause(Effect):
         return np.asarray(reading + 2.0 * values["damping"] / omega * slope + 1.0 / omega**2 * bend)
 
 
-CLASSES: dict[type[physics.Effect], type[Effect]] = {
+CAUSE_CLASSES: dict[type[physics.Effect], type[Effect]] = {
     valve.TransportDelay: TransportDelayCause,
     valve.ValveLag: ValveLagCause,
     valve.ValveLagFirstOrder: SpoolLagFirstOrder,

@@ -156,7 +156,7 @@ def second_order_low_pass(bandwidth: float, damping: float, step: float) -> tupl
     return numerator, np.array([1.0, -trace, determinant])
 
 
-Indices = npt.NDArray[np.int64]
+WindowStarts = npt.NDArray[np.int64]
 """Indices of the samples at which windows begin."""
 
 
@@ -172,7 +172,7 @@ class WindowMemory(ColumnMemory):
     """Column memory of windows that start along a record, with its states (`traces`) as their initial states."""
 
     def __init__(self, step: float, other_signals: Mapping[str, FloatArray], traces: dict[str, FloatArray],
-                 at: Indices) -> None:  # fmt: skip
+                 at: WindowStarts) -> None:  # fmt: skip
         super().__init__(step, other_signals)
         self._along, self._at = traces, at
 

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Maximum likelihood of the parameters of claims: least squares with each channel weighted by its residual variance.
+"""Maximum-likelihood fit of effects' parameters: least squares with each channel weighted by its residual variance.
 
-A channel's standard deviation is at least that of the measured noise, and larger where the claims leave a remainder: a
-channel that no claim explains does not outweigh the evidence of the others (diagnosis.md, "Evidence").
+A channel's standard deviation is at least that of the measured noise, and larger where the effects leave a residual: a
+channel that no effect explains does not outweigh the evidence of the others (diagnosis.md, "Evidence").
+
+A claim, here and in the names below, is an effect with parameter values (`EffectHypothesis`).
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ Part = TypeVar("Part")
 
 
 def pack(claims: Sequence[EffectHypothesis]) -> tuple[list[FitParameter], FloatArray]:
-    """Return the parameters of all claims and their values, shape (k,), claim by claim."""
+    """Return the parameters of all effects and their values, shape (k,), effect by effect."""
     parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
     values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]
     return parameters, np.array(values, dtype=np.float64)
@@ -34,7 +36,7 @@ def pack(claims: Sequence[EffectHypothesis]) -> tuple[list[FitParameter], FloatA
 def by_claim(
     claims: Sequence[EffectHypothesis], values: Sequence[Part]
 ) -> Iterator[tuple[EffectHypothesis, Sequence[Part]]]:
-    """Yield each claim with its part of `values`: one entry per parameter, in the order of `pack`."""
+    """Yield each effect hypothesis with its part of `values`: one entry per parameter, in the order of `pack`."""
     at = 0
     for claim in claims:
         yield claim, values[at : at + len(claim.effect.parameters)]
@@ -42,7 +44,7 @@ def by_claim(
 
 
 def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[EffectHypothesis, ...]:
-    """Return the claims of effects with parameter values in the order of `pack`, shape (k,)."""
+    """Return effects with parameter values from a vector in the order of `pack`, shape (k,)."""
     claims, k = [], 0
     for effect in effects:
         names = [parameter.name for parameter in effect.parameters]
@@ -54,7 +56,7 @@ def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[EffectHypothe
 def jacobian(problem: Problem, claims: Sequence[EffectHypothesis], residual: FloatArray, first: int = 0) -> FloatArray:
     """Jacobian of the residual by one-sided differences over 1/1000 of a span, upwards unless a bound is closer.
 
-    In residuals per `FitParameter.span`, shape (n, k - first). `residual`: at these claims. `first`: index of the first
+    In residuals per `FitParameter.span`, shape (n, k - first). `residual`: at these values. `first`: index of the first
     parameter of which a column is computed.
     """
     parameters, values = pack(claims)
@@ -70,15 +72,15 @@ def jacobian(problem: Problem, claims: Sequence[EffectHypothesis], residual: Flo
     return columns
 
 
-FORM_ERROR = 0.035
-"""Form error of a claim as a share of its signature: another claim of its family must explain more than that."""
+FORM_ERROR_SHARE = 0.035
+"""Form error of an effect as a share of its signature in the residual: another of its family must explain more."""
 MIN_COLUMN_LENGTH = 1e-100
 """Lower bound of the length of a column, or of its square, in divisions: small, but its square does not underflow."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted claims with their residual, Jacobian and deviance."""
+    """Maximum-likelihood fit of a set of effects: parameter values, with the residual, Jacobian and deviance there."""
 
     claims: tuple[EffectHypothesis, ...]
     residual: FloatArray
@@ -89,21 +91,21 @@ class Fit:
 
     @property
     def cause_claims(self) -> tuple[EffectHypothesis, ...]:
-        """Claims of causes: all but the bench parameters that every fit estimates."""
+        """Fitted causes: all effects but the bench parameters that every fit estimates."""
         return tuple(claim for claim in self.claims if not claim.effect.estimated)
 
     @property
     def removable(self) -> tuple[EffectHypothesis, ...]:
-        """Claims of causes that may be removed: no other claim needs them."""
+        """Fitted causes that may be removed: no other effect of the fit needs them (`Effect.needs`)."""
         needed = {name for claim in self.claims for name in claim.effect.needs}
         return tuple(claim for claim in self.cause_claims if claim.effect.id not in needed)
 
     def claims_without(self, claim: EffectHypothesis) -> tuple[EffectHypothesis, ...]:
-        """Return all claims of the fit except one."""
+        """Return all effects of the fit, with their values, except one."""
         return tuple(one for one in self.claims if one is not claim)
 
     def columns(self, claim: EffectHypothesis) -> slice:
-        """Return the slice of the Jacobian's columns that belong to a claim's parameters."""
+        """Return the slice of the Jacobian's columns that belong to an effect's parameters."""
         at = sum(len(one.effect.parameters) for one in self.claims[: self.claims.index(claim)])
         return slice(at, at + len(claim.effect.parameters))
 
@@ -127,11 +129,12 @@ def fit(
     fixed: int | None = None,
     slopes: FloatArray | None = None,
 ) -> Fit:
-    """Fit claims by Levenberg-Marquardt from their values, within bounds, until a step gains less than `tolerance`.
+    """Fit effects by Levenberg-Marquardt from initial values, in bounds, until a step gains less than `tolerance`.
 
-    Bench parameters that the problem estimates are fitted too, before the claims. `tolerance`: in deviance. `fixed`:
-    index of a parameter that is held constant. `slopes`: initial Jacobian; it is then updated by secants (Broyden
-    1965), with one residual a step, instead of being computed at each.
+    Bench parameters that the problem estimates are fitted too; their columns come first. `tolerance`: in deviance.
+    `fixed`: index of a parameter that is held constant. `slopes`: initial Jacobian; it is then updated by secants
+    (Broyden 1965), with one residual a step, instead of being computed at each; ignored if bench parameters are
+    estimated.
     """
     among = {claim.effect.label for claim in claims if claim.effect.estimated}
     claims = (*(one for one in problem.estimated if one.effect.label not in among), *claims)
@@ -236,7 +239,11 @@ def orthogonal(columns: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def add_claim(problem: Problem, found: Fit, claim: EffectHypothesis, *, tolerance: float = 0.1) -> Fit:
-    """Return the fit with a further claim, from its Jacobian columns and those of the fit `found`."""
+    """Refit with one more effect.
+
+    The initial Jacobian is that of the fit `found` with the new effect's columns appended; computed anew if the problem
+    estimates bench parameters.
+    """
     claims = (*found.claims, claim)
     if problem.estimated:
         return fit(problem, claims, tolerance=tolerance)  # bench parameters: no secants
@@ -245,7 +252,11 @@ def add_claim(problem: Problem, found: Fit, claim: EffectHypothesis, *, toleranc
 
 
 def remove_claim(problem: Problem, found: Fit, claim: EffectHypothesis, *, tolerance: float = 0.1) -> Fit:
-    """Return the fit without a claim, from the Jacobian of the fit `found`."""
+    """Refit without one of the effects.
+
+    The initial Jacobian is that of the fit `found` without the effect's columns; computed anew if the problem estimates
+    bench parameters.
+    """
     at = found.claims.index(claim)
     slopes = np.delete(found.jacobian, found.columns(claim), axis=1)
     others = (*found.claims[:at], *found.claims[at + 1 :])
@@ -253,7 +264,10 @@ def remove_claim(problem: Problem, found: Fit, claim: EffectHypothesis, *, toler
 
 
 def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
-    """Return one claim's share of a fit's reduction of the held-out squared residual; below 0: an increase."""
+    """Return an effect's share of a fit's reduction of the held-out squared residual; below 0: an increase.
+
+    `without`: the fit without the effect.
+    """
     squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
     nothing, fewer, everything = squares
     return (fewer - everything) / max(nothing - everything, 1e-12)
@@ -261,7 +275,7 @@ def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate claim at start values, with its first-order gain in deviance."""
+    """Candidate effect at start values, with its first-order gain in deviance."""
 
     claim: EffectHypothesis
     gain: float
@@ -270,7 +284,7 @@ class Candidate:
 def eligible_effects(
     library: Sequence[Effect], claims: Sequence[EffectHypothesis], blocks: Sequence[str]
 ) -> Iterator[Effect]:
-    """Yield the effects that may be added to claims: of another cause, their needs claimed, acting in these blocks."""
+    """Yield the effects that may be added to a fit: of other causes, with no need that is absent, in these blocks."""
     taken = {cause_key(claim.effect) for claim in claims}
     ids = {claim.effect.id for claim in claims}
     for effect in library:
@@ -279,7 +293,10 @@ def eligible_effects(
 
 
 def cause_key(effect: Effect) -> tuple[str, ...]:
-    """Return the key of an effect's cause: id and options, without the form if the effect has a name."""
+    """Return the key that all functional forms of a cause share: the effect's id and its options without `form`.
+
+    A closure (a term without a name) keeps its form.
+    """
     telling = {key: value for key, value in effect.options.items() if key != "form" or not effect.named}
     return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
 
@@ -287,7 +304,7 @@ def cause_key(effect: Effect) -> tuple[str, ...]:
 Signatures = dict[tuple[object, ...], npt.NDArray[np.float32]]
 """Changes of the residual by candidates at their start values (physical unit), cached by label and values.
 
-They depend little on the other claims, so that outdated ones suffice to rank candidates, not to fit them.
+They depend little on the other effects, so that outdated ones suffice to rank candidates, not to fit them.
 """
 
 

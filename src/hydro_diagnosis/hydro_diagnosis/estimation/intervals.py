@@ -21,7 +21,7 @@ from scipy.special import stdtrit
 
 from hydro_diagnosis.effects.base import EffectHypothesis, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, pack, unpack
-from hydro_diagnosis.estimation.problem import FOLD_SECONDS, Problem
+from hydro_diagnosis.estimation.problem import FOLD_TIME, Problem
 from hydro_diagnosis.report_json import ParameterEstimate
 from hydro_diagnosis.significance import (
     CONFIDENCE,
@@ -179,7 +179,7 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     covariance = np.linalg.pinv(normal, hermitian=True)
     scores = found.jacobian * (found.residual * weight)[:, None]
-    seconds = FOLD_SECONDS / FOLDS  # long beside the memory of any residual
+    seconds = FOLD_TIME / FOLDS  # long beside the memory of any residual
     block = np.floor(layout.time / seconds).astype(np.int64) + 10**6 * layout.segment
     blocks, index = np.unique(block, return_inverse=True)
     summed = np.stack([np.bincount(index, scores[:, k]) for k in range(scores.shape[1])], axis=1)
@@ -204,19 +204,19 @@ def _recurrence(moves: FloatArray, blocks: npt.NDArray[np.int64]) -> FloatArray:
     chance = QUANTILE / sqrt(max(len(blocks), 1))
     power = np.maximum(np.mean(np.square(moves), axis=0), 1e-300)
 
-    def correlation(lag: int) -> FloatArray:
+    def autocorrelation(lag: int) -> FloatArray:
         apart = blocks[lag:] - blocks[:-lag] == lag
         pairs = moves[lag:][apart] * moves[:-lag][apart]
         return np.asarray(np.sum(pairs, axis=0) / max(len(pairs), 1) / power)
 
-    first = correlation(1) if len(blocks) > 1 else np.zeros(moves.shape[1])
+    first = autocorrelation(1) if len(blocks) > 1 else np.zeros(moves.shape[1])
     most = (len(blocks) - MIN_DEGREES_OF_FREEDOM) / (
         len(blocks) + MIN_DEGREES_OF_FREEDOM
     )  # leaves `MIN_DEGREES_OF_FREEDOM` independent blocks
     first = np.clip(np.where(first > chance, first, 0.0), 0.0, max(most, 0.0))
     total, lasts = 1.0 + 2.0 * first, np.ones(moves.shape[1], bool)
     for lag in range(2, len(blocks) // 4, 2):
-        pair = correlation(lag) + correlation(lag + 1)
+        pair = autocorrelation(lag) + autocorrelation(lag + 1)
         lasts &= pair > sqrt(2.0) * chance
         if not lasts.any():
             break

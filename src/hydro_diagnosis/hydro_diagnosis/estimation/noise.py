@@ -21,7 +21,7 @@ from scipy.special import ndtr
 from hydro_diagnosis.bench_parameters import load_cell_at_rod
 from hydro_diagnosis.effects.base import EffectHypothesis, FloatArray, Pair
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import BLOCK, OBSERVER_MEMORY
+from hydro_diagnosis.model.chambers import AVERAGING_TIME, OBSERVER_TIME_CONSTANT
 from hydro_diagnosis.preprocessing.smoothing import (
     ACCELERATION_NOISE_GAIN,
     KINEMATIC_WIDTH,
@@ -50,7 +50,7 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     for model in (model for model in models if model.spacing == densest):
         measured = model.segment.measured
         recorded = slice(model.segment.phase, None, model.spacing)
-        signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
+        signals = {name: model.channels[name] for name in _SENSOR_CHANNELS if name in model.channels}
         if model.has_position and model.has_pressures and "valve_current" in model.channels:
             run = model.chamber_run(())  # without the kinks of pressures and f_h by steps of the current
             signals["pressure_a"], signals["pressure_b"] = run.innovations
@@ -68,8 +68,8 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     }
 
 
-_SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
+_SENSOR_CHANNELS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+NOISE_FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
 """Lower bound [Pa, N] of the residuals' standard deviations, by discretisation (diagnosis.md, "Noise floor")."""
 
 
@@ -86,11 +86,11 @@ def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> d
     noise = {
         "motion": hypot(cell * TOTAL_NOISE_GAIN, load * TOTAL_NOISE_GAIN, inertia, damping, spring),
         "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
-        "hydraulic": hypot(cell, by_pressure) / (BLOCK / step) ** 0.5,
+        "hydraulic": hypot(cell, by_pressure) / (AVERAGING_TIME / step) ** 0.5,
     }
     for chamber in "ab":
         noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN
-    return {channel: hypot(deviation, FLOOR[channel]) for channel, deviation in noise.items()}
+    return {channel: hypot(deviation, NOISE_FLOOR[channel]) for channel, deviation in noise.items()}
 
 
 def mass_attenuation(models: Sequence[SegmentModel], sensors: Mapping[str, float], mass: float) -> float:
@@ -222,5 +222,5 @@ class SegmentNoise:
             dither = white_noise(current[model.segment.phase :: model.spacing])
             per_ampere = stiff * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * model.step
             built = built + np.square(per_ampere) * np.where(seen, 0.0, model.spacing * dither**2)
-        kept = (1.0 - model.step / OBSERVER_MEMORY) ** 2
+        kept = (1.0 - model.step / OBSERVER_TIME_CONSTANT) ** 2
         return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recordings as one least-squares problem: claims in, residuals in units of the measured noise out.
+"""The recordings as one least-squares problem: residuals, in units of the measured noise, as a function of effects.
 
-Each block of equations is computed once for the claims that act in it.
+Each block of equations is computed once for the effects that act in it, with their parameter values.
 
 The deviation of each residual is its standard deviation under a complete model: by the sensors' noise, estimated from
 the white part of the recordings; by the uncertainty of velocity reversals and of flows; by missing rows.
@@ -37,7 +37,7 @@ from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.significance import FOLDS
 from hydro_sim.model.bench import Bench
 
-FOLD_SECONDS = 1.0
+FOLD_TIME = 1.0
 """Length of a held-out block [s]: many times the correlation time of any residual."""
 CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
 
@@ -69,8 +69,8 @@ class Layout:
         return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
 
     def folds(self) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Fold of each entry for cross-validation over blocks of `FOLD_SECONDS`, shape (n,)."""
-        return (np.floor(self.time / FOLD_SECONDS).astype(np.int64) + self.segment) % FOLDS
+        """Fold of each entry for cross-validation over blocks of `FOLD_TIME`, shape (n,)."""
+        return (np.floor(self.time / FOLD_TIME).astype(np.int64) + self.segment) % FOLDS
 
     def squares(self, residual: FloatArray) -> FloatArray:
         """Sum of each channel's squares, shape (5,)."""
@@ -87,20 +87,20 @@ class Layout:
         return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
-COST = {
+CPU_COST = {
     PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9,  # per sample and block
     "column": 5e-8,  # per sample and column of a screen
     "evaluation": 8e-4,  # per evaluation in a fit, whatever the number of samples
     "segment": 2e-4,  # per segment and block, however short
 }  # fmt: skip
 """CPU time [s] by block or kind of work on an AMD EPYC core; `benchmarks.real_recordings` compares measured times."""
-SEARCH = 0.6
+SEARCH_SHARE = 0.6
 """Share of the budget for the search for named causes; the rest is for laws."""
 
 
 @dataclass
 class Budget:
-    """Budget of work in nominal seconds of CPU, counted by kind of work (`COST`): the same on every machine."""
+    """Budget of work in nominal seconds of CPU, counted by kind of work (`CPU_COST`): the same on every machine."""
 
     seconds: float | None = None
     """Allowed work; None until the number of samples is known."""
@@ -143,7 +143,7 @@ class Problem:
     segments, bench
         Recorded stretches and the bench file.
     baseline
-        Claims that the bench file contains already, part of every residual.
+        Effects that the bench file contains already, part of every residual.
     noise
         Standard deviation of each sensor's noise by its channel, SI units; estimated from the segments unless given.
     like
@@ -213,7 +213,7 @@ class Problem:
     # -- deviations ----------------------------------------------------------------------------------------------------
 
     def reweighted(self, claims: Sequence[EffectHypothesis]) -> Problem:
-        """Return the problem with the deviations of the residuals under these claims.
+        """Return the problem with the deviations of the residuals under these effects.
 
         They are larger where the sign of dry friction is uncertain, or rows are missing. All else is shared, including
         caches and budget.
@@ -234,7 +234,7 @@ class Problem:
         return other
 
     def _weigh(self, claims: Sequence[EffectHypothesis]) -> None:
-        """Set the deviations under the baseline and these claims."""
+        """Set the deviations under the baseline and these effects."""
         everything, doubt = (*self.baseline, *claims), list[FloatArray]()
         if MOTION in self.blocks:
             count = sum(noise.reversals for noise in self._noises)
@@ -242,7 +242,7 @@ class Problem:
         unseen: ResidualParts = {}
         for key, change in (self._changes(claims) if self.half_rows is not None else {}).items():
             seconds = len(self.models[key[1]].time) * self.models[key[1]].step
-            count = max(round(FOLD_SECONDS * len(change) / seconds), 1)  # root mean square around each residual
+            count = max(round(FOLD_TIME * len(change) / seconds), 1)  # root mean square around each residual
             unseen[key] = np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest"))
         self.uncertainty = tuple(float(np.sum(one)) for one in (*doubt, *unseen.values()))
         """Sum of the uncertainty per segment, all zeros without any: identifies the deviations."""
@@ -274,7 +274,7 @@ class Problem:
     def residual(self, claims: Sequence[EffectHypothesis]) -> FloatArray:
         """Return the residual vector, each entry over its deviation, in the order of `layout`, shape (n,)."""
         self.budget.evaluations += 1  # counted also where a cache spares it: a search's effort is the same
-        self.budget.spent += COST["evaluation"]
+        self.budget.spent += CPU_COST["evaluation"]
         return np.concatenate([*self.parts(claims).values()]) / self.deviations
 
     def join_responses(self, shown: Sequence[Mapping[str, FloatArray]], terms: int) -> dict[int, FloatArray]:
@@ -292,7 +292,7 @@ class Problem:
         return found
 
     def parts(self, claims: Sequence[EffectHypothesis]) -> ResidualParts:
-        """Residuals of the baseline and these claims, by channel and segment in the order of `layout`."""
+        """Residuals under the baseline and these effects, by channel and segment in the order of `layout`."""
         everything = tuple(one for one in (*self.baseline, *claims) if one.acts)
         parts: ResidualParts = {}
         errors: list[FloatArray] = []
@@ -312,7 +312,7 @@ class Problem:
         def computed(some: Sequence[EffectHypothesis]) -> list[dict[str, FloatArray]]:
             late = block == PRESSURE and any(claim.effect.lagged_channel for claim in some)
             times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "invert_reading"))
-            self.budget.spent += times * (COST[block] * self.samples + COST["segment"] * len(self.models))
+            self.budget.spent += times * (CPU_COST[block] * self.samples + CPU_COST["segment"] * len(self.models))
             return [one.residuals(block, some) for one in self.models]
 
         return self._cache.get_or_compute(block, there, computed)

@@ -28,16 +28,18 @@ import numpy as np
 import yaml
 
 from hydro_core.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.io.columns import UNITS, known, quantity, to_si
+from hydro_diagnosis.io.columns import UNIT_FACTORS, known, quantity, to_si
 from hydro_diagnosis.recording import InputError
 
-_SOURCE = re.compile(
+_SOURCE_PATTERN = re.compile(
     r"""\s*(?:'(?P<single>[^']+)'|"(?P<double>[^"]+)"|(?P<bare>[^\[\]*/+\-@'"]+?))\s*"""
     r"""(?:\[(?P<unit>[^\]]*)\]\s*(?P<behind>.*)|(?P<rest>[\[*/+\-].*))?"""
 )
-_STEP = re.compile(r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*")
-_DELAY = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
-_BARE = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
+_STEP_PATTERN = re.compile(
+    r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*"
+)
+_DELAY_PATTERN = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
+_BARE_NAME_PATTERN = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
 """Column name that needs no quotes, neither in a short map nor in YAML."""
 
 
@@ -63,7 +65,7 @@ class Source:
         """Source in the syntax of a short map."""
         if not self.column:
             return f"{sum(float(number) for _, number in self.steps):g}"
-        quoted = self.column if _BARE.fullmatch(self.column) else f"'{self.column}'"
+        quoted = self.column if _BARE_NAME_PATTERN.fullmatch(self.column) else f"'{self.column}'"
         if "'" in self.column:
             quoted = f'"{self.column}"'
         unit = f"[{self.unit}]" if self.unit else ""
@@ -106,18 +108,20 @@ def source_of(field: str, value: Any) -> Source:
         return Source("", (("+", number),))
     column, unit, steps, delay = _of_words(field, value) if isinstance(value, Mapping) else _of_text(field, value)
     if unit is not None and not known(unit):
-        raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
+        raise InputError(
+            f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNIT_FACTORS)}, or give a factor"
+        )
     wanted, unit = QUANTITY_OF.get(field, ""), known(unit or "")
     if unit and wanted and quantity(unit) != wanted and not any(sign in "*/" for sign, _ in steps):
         raise InputError(f"columns: {field} is a {wanted}, {unit} is a unit of {quantity(unit)}: give a factor to SI")
     return Source(column, tuple(steps), unit, delay)
 
 
-_Parts = tuple[str, str | None, list[tuple[str, float | str]], float]
+_SourceParts = tuple[str, str | None, list[tuple[str, float | str]], float]
 """Column, unit, steps, delay [s]."""
 
 
-def _of_words(field: str, words: Mapping[str, Any]) -> _Parts:
+def _of_words(field: str, words: Mapping[str, Any]) -> _SourceParts:
     unknown = [str(key) for key in words if key not in ("column", "unit", "scale", "offset", "delay")]
     if unknown or "column" not in words:
         said = f"{unknown[0]!r} is unknown" if unknown else "'column' is missing"
@@ -132,9 +136,9 @@ def _of_words(field: str, words: Mapping[str, Any]) -> _Parts:
     return str(words["column"]), str(words["unit"]) if "unit" in words else None, steps, delay
 
 
-def _of_text(field: str, text: str) -> _Parts:
-    late = _DELAY.search(text)
-    found = _SOURCE.fullmatch(text[: late.start()] if late else text)
+def _of_text(field: str, text: str) -> _SourceParts:
+    late = _DELAY_PATTERN.search(text)
+    found = _SOURCE_PATTERN.fullmatch(text[: late.start()] if late else text)
     if found is None:
         raise InputError(
             f"columns: {field}={text} is not COLUMN[unit]*number+number@delay; quote a name with signs in it"
@@ -143,12 +147,12 @@ def _of_text(field: str, text: str) -> _Parts:
     steps: list[tuple[str, float | str]] = []
     rest = found["behind"] or found["rest"] or ""
     while rest:
-        step = _STEP.match(rest)
+        step = _STEP_PATTERN.match(rest)
         if step is None:
             raise InputError(f"columns: {field}={text} cannot be read from {rest!r} on")
         steps.append((step["sign"], _number(step["value"])))
         rest = rest[step.end() :]
-    return column.strip(), found["unit"], steps, float(late["value"]) * UNITS[late["unit"]] if late else 0.0
+    return column.strip(), found["unit"], steps, float(late["value"]) * UNIT_FACTORS[late["unit"]] if late else 0.0
 
 
 def _number(text: Any) -> float | str:

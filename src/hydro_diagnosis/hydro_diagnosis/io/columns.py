@@ -16,7 +16,7 @@ import numpy as np
 from hydro_bridge.bags.recording import Extent
 from hydro_core.signals import FloatArray
 
-OFFERED: dict[str, dict[str, float]] = {
+OFFERED_UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3},
@@ -26,15 +26,15 @@ OFFERED: dict[str, dict[str, float]] = {
                  "N/mm2": 1e6},
     "current": {"A": 1.0, "mA": 1e-3},
 }  # fmt: skip
-UNITS = {unit: one for units in OFFERED.values() for unit, one in units.items()}
+UNIT_FACTORS = {unit: one for units in OFFERED_UNITS.values() for unit, one in units.items()}
 """Factor to SI of the units that are offered for a field; pint, which takes a second to load, reads all others."""
-_COMMON = {unit: (quantity, one) for quantity, units in OFFERED.items() for unit, one in units.items()}
-_REFERENCES = {
+_COMMON_UNITS = {unit: (quantity, one) for quantity, units in OFFERED_UNITS.items() for unit, one in units.items()}
+_SI_UNITS = {
     "time": "s", "length": "m", "velocity": "m/s", "acceleration": "m/s**2", "force": "N", "force rate": "N/s",
     "pressure": "Pa", "current": "A", "voltage": "V", "temperature": "K", "flow": "m**3/s", "frequency": "1/s",
     "torque": "N*m", "mass": "kg", "power": "W", "ratio or angle": "rad",
 }  # fmt: skip
-_SPELLINGS = {
+_UNIT_SPELLINGS = {
     "sek": "s", "sekunden": "s", "msek": "ms", "meter": "m", "mikrometer": "um", "n": "N", "kn": "kN", "pa": "Pa",
     "kpa": "kPa", "mpa": "MPa", "a": "A", "ma": "mA", "v": "V", "amp": "A", "amps": "A", "kp": "kgf", "lbs/in2": "psi",
     "psig": "psi", "barg": "bar", "bar(g)": "bar", "kg/cm2": "kgf/cm2", "kp/cm2": "kgf/cm2", "kg/cm²": "kgf/cm2",
@@ -44,8 +44,8 @@ _SPELLINGS = {
     "Nm": "N*m", "kNm": "kN*m", "NM": "N*m",
 }  # fmt: skip
 """Spellings of loggers in pint's; lower-case keys apply to any case."""
-_NONE = ("", "-", "--", "1", "n/a", "na", "none", "unitless", "dimensionless", "no unit")
-_WORD = re.compile(r"(?:1/)?[A-Za-zµμΩ°%$/*·^(][\w µμΩ°%/*·^().²³⁻¹-]{0,23}")
+_NO_UNIT_TEXTS = ("", "-", "--", "1", "n/a", "na", "none", "unitless", "dimensionless", "no unit")
+_UNIT_PATTERN = re.compile(r"(?:1/)?[A-Za-zµμΩ°%$/*·^(][\w µμΩ°%/*·^().²³⁻¹-]{0,23}")
 
 
 @cache
@@ -59,9 +59,9 @@ def _registry() -> Any:
 @cache
 def _measured(text: str) -> tuple[str, float] | None:
     """Quantity of a unit and its factor to SI, or None where pint or the bench has none."""
-    if text in _COMMON:
-        return _COMMON[text]
-    if not _WORD.fullmatch(text):
+    if text in _COMMON_UNITS:
+        return _COMMON_UNITS[text]
+    if not _UNIT_PATTERN.fullmatch(text):
         return None
     units, powers = _registry(), re.sub(r"(?<=[A-Za-z])(-?[1-4])(?![\w])", r"**\1", text)
     try:
@@ -70,7 +70,7 @@ def _measured(text: str) -> tuple[str, float] | None:
         factor = units.get_base_units(parsed, check_nonmult=False)[0]
     except Exception:  # pint raises what its parser, tokenizer and registry raise
         return None
-    quantity = next((q for q, one in _REFERENCES.items() if units.parse_units(one).dimensionality == dimensions), "")
+    quantity = next((q for q, one in _SI_UNITS.items() if units.parse_units(one).dimensionality == dimensions), "")
     return (quantity, float(f"{factor:.15g}")) if quantity else None
 
 
@@ -81,16 +81,16 @@ def known(text: str) -> str:
     bare = bare[1:-1].strip() if bare[:1] == "(" and bare[-1:] == ")" else bare
     bare = bare.rstrip(".")
     lower = bare.lower()
-    if lower in _NONE:
+    if lower in _NO_UNIT_TEXTS:
         return ""
-    tried = (_SPELLINGS.get(bare, ""), bare, _SPELLINGS.get(lower, ""), lower)
+    tried = (_UNIT_SPELLINGS.get(bare, ""), bare, _UNIT_SPELLINGS.get(lower, ""), lower)
     return next((one for one in tried if one and _measured(one)), "")
 
 
 def stated(text: str) -> str:
     """Unit stated by a text: in pint's spelling if known, else the text itself; empty for none or dimensionless."""
     bare = text.strip().strip('[]"').strip()
-    return known(text) or ("" if bare.lower() in _NONE else bare)
+    return known(text) or ("" if bare.lower() in _NO_UNIT_TEXTS else bare)
 
 
 def quantity(unit: str) -> str:
@@ -109,14 +109,14 @@ def to_si(unit: str) -> float:
     return found[1]
 
 
-_BRACKETS = re.compile(r"\s*(?:\[\s*([^\]]{1,16})\s*\]|\(\s*([^)]{1,16})\s*\))\s*$")
-_BEHIND = re.compile(r"(?:\s+in\s+|\s*/\s*)([A-Za-zµ°%][\w°²]{0,6})$")
-_SINGLE = (
+_BRACKETED_UNIT = re.compile(r"\s*(?:\[\s*([^\]]{1,16})\s*\]|\(\s*([^)]{1,16})\s*\))\s*$")
+_TRAILING_UNIT = re.compile(r"(?:\s+in\s+|\s*/\s*)([A-Za-zµ°%][\w°²]{0,6})$")
+_SIMPLE_UNITS = (
     r"s|ms|us|ns|min|m|mm|cm|um|in|inch|ft|[mukM]?N|daN|lbf|lbs?|kip|kgf|kg|[hkM]?Pa|m?bar|psi|ksi|[mu]?A|m?V|rad|mrad|"
     r"deg|degC|degF|k?Hz|rpm|lpm|l|L|k?Nm"
 )
-_SUFFIX = re.compile(rf"_({_SINGLE})(?:_(?:per_)?(s2|s|min|mm2|m2|cm2))?$")
-_NEEDS = {
+_UNIT_SUFFIX = re.compile(rf"_({_SIMPLE_UNITS})(?:_(?:per_)?(s2|s|min|mm2|m2|cm2))?$")
+_SUFFIX_COLUMNS = {
     "s": r"t|time\w*|\w*zeit|stamp|elapsed|clock", "min": r"t|time\w*|\w*zeit|elapsed",
     "m": r"[xyzsq]|x_?p|pos\w*|\w*weg\w*|hub|stroke|disp\w*|way|travel|length|lvdt",
     "in": r"[xyzsq]|pos\w*|stroke|disp\w*|travel|length|lvdt",
@@ -129,7 +129,9 @@ _NEEDS = {
 
 def _fits(name: str, unit: str) -> bool:
     words = re.split(r"[\W_]+", name)
-    return unit not in _NEEDS or any(re.fullmatch(_NEEDS[unit], word, re.IGNORECASE) for word in words if word)
+    return unit not in _SUFFIX_COLUMNS or any(
+        re.fullmatch(_SUFFIX_COLUMNS[unit], word, re.IGNORECASE) for word in words if word
+    )
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -137,14 +139,14 @@ def split_unit(name: str) -> tuple[str, str]:
 
     Text in square brackets is a unit even if unknown, text elsewhere only if known.
     """
-    if found := _BRACKETS.search(name):
+    if found := _BRACKETED_UNIT.search(name):
         own, round_ = name[: found.start()].strip(), found[2] or ""
         unit = stated(found[1]) if found[1] else known(round_) if round_ not in "AaBb" or _fits(own, round_) else ""
         return (own or name, unit) if unit or found[1] else (name, "")
-    if (found := _BEHIND.search(name)) and known(found[1]) in (*UNITS, "V"):
+    if (found := _TRAILING_UNIT.search(name)) and known(found[1]) in (*UNIT_FACTORS, "V"):
         own = name[: found.start()].strip()
         return (own, known(found[1])) if own and _fits(own, found[1]) else (name, "")
-    if found := _SUFFIX.search(name):
+    if found := _UNIT_SUFFIX.search(name):
         own, over = name[: found.start()], found[2]
         unit = known(f"{found[1]}/{over}" if over else found[1])
         return (own, unit) if own and unit and (over or _fits(own, found[1])) else (name, "")
@@ -153,7 +155,7 @@ def split_unit(name: str) -> tuple[str, str]:
 
 # --- columns -------------------------------------------------------------------------------------------------------
 
-_TIME = re.compile(
+_TIME_COLUMN = re.compile(
     r"^(.*[./\\ _-])?(time|t|\w*zeit|time_?stamps?|x-?axis|x_value|elapsed|date|datum|clock)(\.\d+)?$", re.IGNORECASE
 )
 
@@ -222,7 +224,7 @@ def means(values: FloatArray, samples: int) -> FloatArray:
 
 def is_time(name: str, values: FloatArray) -> bool:
     """Return whether a column is a time, by its name and its increasing values."""
-    return _TIME.match(split_unit(name)[0]) is not None and runs_forward(values, ticks=True)
+    return _TIME_COLUMN.match(split_unit(name)[0]) is not None and runs_forward(values, ticks=True)
 
 
 def counts_rows(values: FloatArray) -> bool:
@@ -230,9 +232,11 @@ def counts_rows(values: FloatArray) -> bool:
     return len(values) > 1 and bool(np.all(np.diff(values) == 1.0))
 
 
-_STEP = r"(wf_?|x_?)?(increment|incr?)|delta_?[tx]|dt|h_?resolution|(sampl\w*|x)[ _]?(interval|period|time|increment)"
-_RATE = r"sampl\w*[ _]?(rate|freq\w*)|abtast(rate|frequenz)|fs"
-_START = r"x_?0|t_?0|wf_?start_?offset|start|x_?(origin|offset|zero)"
+_STEP_KEYS = (
+    r"(wf_?|x_?)?(increment|incr?)|delta_?[tx]|dt|h_?resolution|(sampl\w*|x)[ _]?(interval|period|time|increment)"
+)
+_RATE_KEYS = r"sampl\w*[ _]?(rate|freq\w*)|abtast(rate|frequenz)|fs"
+_START_KEYS = r"x_?0|t_?0|wf_?start_?offset|start|x_?(origin|offset|zero)"
 
 
 def stated_step(properties: Iterable[tuple[str, object]]) -> tuple[float, float]:
@@ -248,11 +252,11 @@ def stated_step(properties: Iterable[tuple[str, object]]) -> tuple[float, float]
             size = float(number) * (to_si(unit or behind) if quantity(unit or behind) != "" else 1.0)
         except ValueError:
             continue
-        if re.fullmatch(_START, own, re.IGNORECASE):
+        if re.fullmatch(_START_KEYS, own, re.IGNORECASE):
             start = size
-        elif re.fullmatch(_STEP, own, re.IGNORECASE) and not step:
+        elif re.fullmatch(_STEP_KEYS, own, re.IGNORECASE) and not step:
             step = size
-        elif re.fullmatch(_RATE, own, re.IGNORECASE) and size > 0.0 and not step:
+        elif re.fullmatch(_RATE_KEYS, own, re.IGNORECASE) and size > 0.0 and not step:
             step = 1.0 / size
     return (start, step) if 0.0 < step < 1e3 else (0.0, 0.0)
 

@@ -36,7 +36,7 @@ import pandas as pd
 
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import (
-    UNITS,
+    UNIT_FACTORS,
     Columns,
     counts_rows,
     is_time,
@@ -56,18 +56,22 @@ NAME_KEYS = (
 """First cells of rows of column names, in order of preference; a row with more distinct names precedes."""
 UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_label")
 """First cells of rows that hold units."""
-BLANKS = r"\s+"
-_THOUSANDS = ".,'’ \u00a0\u2009\u202f"
-_PLAIN = {sign: rf"[+-]?(?:\d+[{sign}]?\d*|[{sign}]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)" for sign in ".,"}
-_GROUPED = {
-    sign: rf"[+-]?[1-9]\d{{0,2}}([{_THOUSANDS.replace(sign, '')}])(?:\d{{2,3}}\1)*\d{{3}}(?:[{sign}]\d*)?"
+BLANKS_PATTERN = r"\s+"
+_THOUSANDS_SEPARATORS = ".,'’ \u00a0\u2009\u202f"
+_PLAIN_NUMBERS = {
+    sign: rf"[+-]?(?:\d+[{sign}]?\d*|[{sign}]\d+)(?:[eEdD][+-]?\d+)?|[+-]?(?:nan|inf(?:inity)?)" for sign in ".,"
+}
+_GROUPED_NUMBERS = {
+    sign: rf"[+-]?[1-9]\d{{0,2}}([{_THOUSANDS_SEPARATORS.replace(sign, '')}])(?:\d{{2,3}}\1)*\d{{3}}(?:[{sign}]\d*)?"
     for sign in ".,"
 }
-_NUMBER = {sign: re.compile(f"(?:{_GROUPED[sign]}|{_PLAIN[sign]})", re.IGNORECASE) for sign in ".,"}
+_NUMBER_PATTERNS = {
+    sign: re.compile(f"(?:{_GROUPED_NUMBERS[sign]}|{_PLAIN_NUMBERS[sign]})", re.IGNORECASE) for sign in ".,"
+}
 """Numbers by decimal sign, with thousands or without."""
-_CLOCK = r"(?<!\d)(?:(\d{1,2}):)?(\d\d):(\d\d)(?:([.,:])(\d+))?(?!\d|:)(?:\s*([ap])\.?m\b)?"
+_CLOCK_PATTERN = r"(?<!\d)(?:(\d{1,2}):)?(\d\d):(\d\d)(?:([.,:])(\d+))?(?!\d|:)(?:\s*([ap])\.?m\b)?"
 """Time of day in a cell, or minutes and seconds; parts of a second behind a point, a comma or a colon."""
-_TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
+_TEXT_LINE_PATTERN = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
 """Line that begins with a word, as headers do."""
 
 
@@ -136,15 +140,19 @@ def style_of(lines: list[str]) -> Style:
     last = [line for line in lines[-200:] if line.strip()]
     best, most = Style(",", ".", certain=False), -1
     for decimal, other in (".,", ",."):
-        plain = re.compile(_PLAIN[decimal], re.IGNORECASE)
-        for separator in (";", "\t", BLANKS, ",", "|"):
-            rows = (_cells(line, separator) for line in last if separator != BLANKS or not re.search("[;\t|]", line))
+        plain = re.compile(_PLAIN_NUMBERS[decimal], re.IGNORECASE)
+        for separator in (";", "\t", BLANKS_PATTERN, ",", "|"):
+            rows = (
+                _cells(line, separator) for line in last if separator != BLANKS_PATTERN or not re.search("[;\t|]", line)
+            )
             cells = [cell for row in rows if len(row) > 1 for cell in row if cell]
             numbers = [cell for cell in cells if _is_number(cell, decimal)]
             score = sum(3 if plain.fullmatch(cell) else 1 if " " in cell else 2 for cell in numbers) - len(cells)
             if numbers and score > most:
                 certain = any(
-                    not _NUMBER[other].fullmatch(cell) for cell in numbers if _NUMBER[decimal].fullmatch(cell)
+                    not _NUMBER_PATTERNS[other].fullmatch(cell)
+                    for cell in numbers
+                    if _NUMBER_PATTERNS[decimal].fullmatch(cell)
                 )
                 best, most = Style(separator, decimal, certain), score
     return best
@@ -152,13 +160,15 @@ def style_of(lines: list[str]) -> Style:
 
 def _cells(line: str, separator: str) -> list[str]:
     line = line.replace("\0", "")
-    if separator == BLANKS:
+    if separator == BLANKS_PATTERN:
         return line.split()
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _is_number(cell: str, decimal: str) -> bool:
-    return bool(_NUMBER[decimal].fullmatch(cell)) or (decimal == "," and bool(_NUMBER["."].fullmatch(cell)))
+    return bool(_NUMBER_PATTERNS[decimal].fullmatch(cell)) or (
+        decimal == "," and bool(_NUMBER_PATTERNS["."].fullmatch(cell))
+    )
 
 
 def header_of(lines: list[str], style: Style) -> Header:
@@ -200,7 +210,7 @@ def header_of(lines: list[str], style: Style) -> Header:
 def _header_rows(lines: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
     """Cells of the rows above the numbers; if none has `width` cells, by any separator that gives as many."""
     bare = [line.strip().lstrip("#%").strip() for line in lines]
-    if separator == BLANKS:
+    if separator == BLANKS_PATTERN:
         rows = [line.split() for line in bare]
     if width > 1 and not any(width <= len(row) <= width + 3 for row in rows):
         ways = (r"\s{2,}", r"\s*;\s*", r"\s*\t\s*", r"\s*,\s*", r"\s+")
@@ -261,7 +271,7 @@ def _numbered(names: list[str], width: int) -> list[str]:
 
 def _mostly_numbers(row: list[str], decimal: str) -> bool:
     cells = [cell for cell in row if cell]
-    numbers = sum(_is_number(cell, decimal) or bool(re.search(_CLOCK, cell)) for cell in cells)
+    numbers = sum(_is_number(cell, decimal) or bool(re.search(_CLOCK_PATTERN, cell)) for cell in cells)
     return len(row) > 1 and numbers > 0 and 2 * numbers > len(cells)
 
 
@@ -292,7 +302,7 @@ def _blocks(path: Path, encoding: str, style: Style) -> Iterator[Columns]:
         if header.names == tuple(_numbered([], len(above.names))):  # words, no header
             header = replace(above, n_lines=header.n_lines)
         begin = at + header.n_lines
-        words = (k for k in range(begin + 1, len(rest)) if _TEXT.match(rest[k]))
+        words = (k for k in range(begin + 1, len(rest)) if _TEXT_LINE_PATTERN.match(rest[k]))
         end = next(
             (k for k in words if not _mostly_numbers(_cells(rest[k], style.separator), style.decimal)), len(rest)
         )
@@ -306,7 +316,7 @@ def _holds_headers(frame: pd.DataFrame, style: Style) -> bool:
     first = frame.iloc[:, 0]
     if first.dtype != object:
         return False
-    worded = first.astype(str).str.match(_TEXT.pattern, case=False) & first.notna()
+    worded = first.astype(str).str.match(_TEXT_LINE_PATTERN.pattern, case=False) & first.notna()
     if worded.all() or not worded.any():
         return False
     rows = frame[worded].iloc[:20].astype(str).to_numpy()
@@ -334,7 +344,7 @@ def _columns(
 ) -> Columns:
     """Columns of a block. `lines`: of its rows of numbers; `begin`: number of lines above them in the file."""
     found, numbers = Columns(), []
-    if style.separator == BLANKS and frame.iloc[:-1, -1].isna().any():
+    if style.separator == BLANKS_PATTERN and frame.iloc[:-1, -1].isna().any():
         widths = ((begin + k + 1, len(line.split())) for k, line in enumerate(lines()))
         short = next((k for k, width in widths if 0 < width < frame.shape[1]), 0)
         if short:
@@ -355,7 +365,7 @@ def _columns(
         if style.certain or bad is not None or frame[k].dtype != object or found.notes:
             continue
         given = frame[k].dropna()
-        if len(given) and given.str.fullmatch(_GROUPED["," if style.decimal == "." else "."]).all():
+        if len(given) and given.str.fullmatch(_GROUPED_NUMBERS["," if style.decimal == "." else "."]).all():
             first = str(given.iloc[0])
             found.notes.append(
                 f"{style.decimal!r} was taken as the decimal sign: {first!r} as {values[given.index[0]]:g}"
@@ -377,8 +387,8 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, certain: bool = True) ->
     given = (text != "").to_numpy()
     read: list[tuple[npt.NDArray[np.bool_], FloatArray]] = []
     for sign in (decimal, "," if decimal == "." else "."):
-        fits = text.str.fullmatch(_NUMBER[sign].pattern, case=False).to_numpy(dtype=bool)
-        bare = text.where(fits, "nan").str.replace(f"[{_THOUSANDS.replace(sign, '')}]", "", regex=True)
+        fits = text.str.fullmatch(_NUMBER_PATTERNS[sign].pattern, case=False).to_numpy(dtype=bool)
+        bare = text.where(fits, "nan").str.replace(f"[{_THOUSANDS_SEPARATORS.replace(sign, '')}]", "", regex=True)
         plain = bare.str.replace(",", ".").str.replace("d", "e", case=False)
         read.append((fits, plain.to_numpy(dtype=np.float64)))
     (fits, values), (others_fit, others) = read
@@ -399,7 +409,7 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, certain: bool = True) ->
 
 def _times_of_day(text: pd.Series) -> FloatArray:
     """Times of day, with or without a date, in s since the first midnight; NaN in a cell without one."""
-    parts = text.str.lower().str.extract(_CLOCK)
+    parts = text.str.lower().str.extract(_CLOCK_PATTERN)
     hours = parts[0].astype(float)
     behind = parts[4].fillna("0")
     scale = np.where(parts[3] == ":", np.where(behind.str.len() > 3, 1e6, 1e3), 10.0 ** behind.str.len())
@@ -425,8 +435,8 @@ def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
         times, steps = [], header.start + header.step * rows
         clock = found.add("time", steps, "s")
         found.notes.append(f"its rows are {1e3 * header.step:g} ms apart, as its header says")
-    elif header.step and header.units[times[0]] in UNITS:
-        own = float(np.nanmedian(np.diff(columns[times[0]]))) * UNITS[header.units[times[0]]]
+    elif header.step and header.units[times[0]] in UNIT_FACTORS:
+        own = float(np.nanmedian(np.diff(columns[times[0]]))) * UNIT_FACTORS[header.units[times[0]]]
         if not 0.99 < own / header.step < 1.01:
             found.notes.append(
                 f"its header says that rows are {1e3 * header.step:g} ms apart, its times {1e3 * own:g} ms: taken are "

@@ -66,11 +66,11 @@ def matlab_columns(path: Path) -> Columns:
     return leaves_as_columns(((name, value, "", ()) for name, value in leaves), objects)
 
 
-Leaf = tuple[str, Any, str, Iterable[tuple[str, Any]]]
+TreeLeaf = tuple[str, Any, str, Iterable[tuple[str, Any]]]
 """Leaf of a file's tree: name, value (an array, a scalar or other), unit, and properties."""
 
 
-def leaves_as_columns(leaves: Iterator[Leaf], objects: list[str]) -> Columns:
+def leaves_as_columns(leaves: Iterator[TreeLeaf], objects: list[str]) -> Columns:
     """Columns, scalars and other entries from leaves; a sampling step in a leaf's properties makes its clock.
 
     `objects`: names of MATLAB objects, which cannot be read; raises ValueError if there are some, but no column.
@@ -180,7 +180,7 @@ def hdf5_columns(path: Path) -> Columns:
         return leaves_as_columns(_hdf5_leaves(file, "", objects), objects)
 
 
-def _hdf5_leaves(group: h5py.Group, prefix: str, objects: list[str]) -> Iterator[Leaf]:
+def _hdf5_leaves(group: h5py.Group, prefix: str, objects: list[str]) -> Iterator[TreeLeaf]:
     """Yield arrays and the fields of tables; texts are leaves without numbers."""
     for key, item in group.items():
         if key.startswith("#"):  # MATLAB's storage of the contents of cells

@@ -25,11 +25,26 @@ from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
-from hydro_diagnosis.io.columns import OFFERED, Columns, known, median_step, quantity, set_day_units, split_unit, to_si
+from hydro_diagnosis.io.columns import (
+    OFFERED_UNITS,
+    Columns,
+    known,
+    median_step,
+    quantity,
+    set_day_units,
+    split_unit,
+    to_si,
+)
 from hydro_diagnosis.io.delimited import delimited_columns, numbers_of
 from hydro_diagnosis.io.measurement_files import hdf5_columns, matlab_columns, mdf_columns, tdms_columns
 from hydro_diagnosis.io.topics import has_states, topic_columns
-from hydro_diagnosis.recording import MEASURED, SUFFIXES, TEXT_SUFFIXES, InputError, unreadable_reason
+from hydro_diagnosis.recording import (
+    MEASURED_CHANNELS,
+    RECORDING_SUFFIXES,
+    TEXT_SUFFIXES,
+    InputError,
+    unreadable_reason,
+)
 
 
 def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str], dict[str, str]]:
@@ -37,7 +52,10 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
 
     Raises InputError if a mapped column or scalar is missing or unusable, or the columns have no times in common.
     """
-    notes = [*found.notes, *(f"{name} holds no numbers and was left out" for name in found.other if name in MEASURED)]
+    notes = [
+        *found.notes,
+        *(f"{name} holds no numbers and was left out" for name in found.other if name in MEASURED_CHANNELS),
+    ]
     sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
     base = base_clock(sources, found)
     times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
@@ -60,7 +78,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
             fields[field] = values
             continue
         timed, values = own[np.isfinite(own)], values[np.isfinite(own)]
-        if field in MEASURED and median_step(timed) > 1.2 * step:
+        if field in MEASURED_CHANNELS and median_step(timed) > 1.2 * step:
             notes.append(
                 f"{field} is sampled {1.0 / median_step(times(clock)):.4g} times a second, the others {1.0 / step:.4g} "
                 f"times: it was left out (--columns time='{clock}' brings all to its times)"
@@ -69,7 +87,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
         inside &= ~(time < np.nanmin(own) - 0.5 * step) & ~(time > np.nanmax(own) + 0.5 * step)
         if field == "valve_current":
             fields[field], how = _held_mean(timed, values, time), "the mean of what was held about it"
-        elif field not in MEASURED:
+        elif field not in MEASURED_CHANNELS:
             last = np.searchsorted(timed, time + 1e-9, side="right") - 1
             fields[field], how = values[np.clip(last, 0, len(timed) - 1)], "the last known"
         else:
@@ -98,7 +116,7 @@ def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> So
         example = replace(source, steps=(("*", 0.001),))
         raise InputError(
             f"{source.column!r} is {what}: {there}; a unit or a factor to SI in the map takes its place, such as "
-            f"{field}={replace(source, unit=next(iter(OFFERED[wanted])))} or {field}={example}"
+            f"{field}={replace(source, unit=next(iter(OFFERED_UNITS[wanted])))} or {field}={example}"
         )
     if to_si(unit) != 1.0:
         notes.append(f"{field} is in {unit}, as the file says of {source.column!r}")
@@ -113,7 +131,7 @@ def base_clock(sources: Mapping[str, Source], found: Columns) -> str:
     """Time column to which all others are resampled: the mapped one, else the clock of most sensors or the longest."""
     if "time" in sources:
         return sources["time"].column
-    owners = [found.clocks.get(source.column, "") for field, source in sources.items() if field in MEASURED]
+    owners = [found.clocks.get(source.column, "") for field, source in sources.items() if field in MEASURED_CHANNELS]
     owners = [clock for clock in owners if clock] or [clock for clock in found.clocks.values() if clock]
     if not owners:
         raise InputError(f"no column is the time: map one by --columns time=NAME,...; there are {_names(found)}")
@@ -150,9 +168,9 @@ def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArra
     if not tick or np.any(np.abs(even - times)[first] > 0.5 * tick + step):
         raise InputError(
             f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms, between which rows are missing, so that it does not "
-            f"say when each was taken: {COUNTED}"
+            f"say when each was taken: {ROW_INDEX_HINT}"
             if tick
-            else f"{clock!r} has {len(first)} steps in {len(times)} rows, too few to be the time: {COUNTED}"
+            else f"{clock!r} has {len(first)} steps in {len(times)} rows, too few to be the time: {ROW_INDEX_HINT}"
         )
     notes.append(
         f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms: its rows were placed {1e3 * step:.4g} ms apart, by "
@@ -245,10 +263,10 @@ class RawTable:
 def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     """Read one recording.
 
-    `path`: a rosbag2 folder or .mcap, or a file of one of `recording.SUFFIXES`. `columns`: column map; None for a file
-    with a `time` column [s] and columns named as BenchState fields. A bag with /hydro/state needs none; the columns of
-    other bags are made by `topics`. Raises InputError with a message that names the path, and where a column is not
-    found, the available columns.
+    `path`: a rosbag2 folder or .mcap, or a file of one of `recording.RECORDING_SUFFIXES`. `columns`: column map; None
+    for a file with a `time` column [s] and columns named as BenchState fields. A bag with /hydro/state needs none; the
+    columns of other bags are made by `topics`. Raises InputError with a message that names the path, and where a column
+    is not found, the available columns.
     """
     path = Path(path)
     if not exists(path):
@@ -278,7 +296,7 @@ def columns_of(path: Path, rows: int | None = None) -> Columns:
         series = {name: bag.state[name].copy() for name in ("time", *STATE_FIELDS)}
         extents = bag.extents.get(STATE_TOPIC, {})
         return Columns(series, units={"time": "s"}, notes=list(bag.notes), extents=extents)
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in RECORDING_SUFFIXES:
         return read_columns(path)
     if path.suffix.lower() in (".bag", ".db3"):
         _bag(path)  # raises with the remedy
@@ -303,9 +321,9 @@ def _bag(path: Path, rows: int | None = None) -> Bag:
     return bag
 
 
-ROW = "row"
+ROW_COLUMN = "row"
 """Column name by which a map refers to the row index, from 0, unless the file has a column of this name."""
-COUNTED = "where its rows are even, count them: --columns time=row*0.001,... at 1 kHz"
+ROW_INDEX_HINT = "where its rows are even, count them: --columns time=row*0.001,... at 1 kHz"
 
 
 def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
@@ -322,15 +340,17 @@ def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
     if "time" not in chosen.sources and not found.clocks:
         steps = [name for name in found.constants if re.search(r"(^|[._])(dt|fs|ts|t_?s|f_?s)$", name, re.IGNORECASE)]
         counted = (
-            f"{ROW}/{steps[0]}" if steps and steps[0][-2].lower() == "f" else f"{ROW}*{steps[0] if steps else 0.001}"
+            f"{ROW_COLUMN}/{steps[0]}"
+            if steps and steps[0][-2].lower() == "f"
+            else f"{ROW_COLUMN}*{steps[0] if steps else 0.001}"
         )
         raise InputError(
             f"{path}: no column is the time: name it by time=NAME in --columns, or count the rows where they are even: "
             f'--columns "time={counted},{chosen}"{"" if steps else " at 1 kHz"}; there are {there}'
         )
-    if any(source.column == ROW for source in chosen.sources.values()) and ROW not in found.series:
+    if any(source.column == ROW_COLUMN for source in chosen.sources.values()) and ROW_COLUMN not in found.series:
         length = max(len(found.series.get(source.column, ())) for source in chosen.sources.values())
-        found = replace(found, series={**found.series, ROW: np.arange(length, dtype=np.float64)})
+        found = replace(found, series={**found.series, ROW_COLUMN: np.arange(length, dtype=np.float64)})
     try:
         time, fields, notes, units = fields_of(found, chosen)
     except InputError as error:

@@ -77,9 +77,9 @@ def flow_first_moments(gain, moment, spool, p_a, p_b, supply, tank):
     return into_a, into_b
 
 
-OBSERVER_MEMORY = 0.12
+OBSERVER_TIME_CONSTANT = 0.12
 """Time constant [s] of the observer. A shorter one suppresses the slow drift that a small leak causes."""
-BLOCK = 0.1
+AVERAGING_TIME = 0.1
 """Averaging time [s] of the hydraulic balance."""
 
 

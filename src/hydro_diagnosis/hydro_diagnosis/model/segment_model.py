@@ -38,7 +38,7 @@ from hydro_diagnosis.effects.base import (
 )
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import BLOCK, OBSERVER_MEMORY, ChamberRun
+from hydro_diagnosis.model.chambers import AVERAGING_TIME, OBSERVER_TIME_CONSTANT, ChamberRun
 from hydro_diagnosis.preprocessing.smoothing import (
     KINEMATIC_WIDTH,
     STRIDE,
@@ -84,7 +84,7 @@ class SegmentModel:
         self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
         self.load_cell_at_rod = load_cell_at_rod(channels, bench)
         """Whether the load's force in the motion equation is the reading of the load cell."""
-        self.settle = min(round(2.5 * OBSERVER_MEMORY / self.step), len(segment) // 4)
+        self.settle = min(round(2.5 * OBSERVER_TIME_CONSTANT / self.step), len(segment) // 4)
         """Number of samples at the start that are not evaluated, while filters and observer settle to 8 %."""
         end = len(segment) - 20 * self.spacing  # the last rows are not evaluated
         margin = round(4.0 * TOTAL_WIDTH)  # reach of the test function to either side, free of missing rows
@@ -180,8 +180,8 @@ class SegmentModel:
         return smooth_kinematic_at(signal, self._evaluated, self.spacing)
 
     def means(self, signal: FloatArray) -> FloatArray:
-        """Return the means of a signal over blocks of `BLOCK`, once settled, shape (blocks,)."""
-        length, settled = round(BLOCK / self.step), signal[self.settle :]
+        """Return the means of a signal over blocks of `AVERAGING_TIME`, once settled, shape (blocks,)."""
+        length, settled = round(AVERAGING_TIME / self.step), signal[self.settle :]
         return settled[: len(settled) // length * length].reshape(-1, length).mean(axis=1)
 
     def evaluated_time(self) -> FloatArray:
@@ -190,7 +190,7 @@ class SegmentModel:
 
     def block_time(self) -> FloatArray:
         """Return the times [s] of the block means, shape (blocks,)."""
-        length = round(BLOCK / self.step)
+        length = round(AVERAGING_TIME / self.step)
         count = (len(self.time) - self.settle) // length
         return self.time[self.settle] + (np.arange(count) + 0.5) * length * self.step
 
@@ -270,7 +270,7 @@ class SegmentModel:
         if curved:  # the integral has no absolute level: the sensor's slope is taken at the recorded level
             increments = increments * self.reading_slope(channel, self.true_signal(channel, claims), curved)
             claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
-        gain = self.step / OBSERVER_MEMORY
+        gain = self.step / OBSERVER_TIME_CONSTANT
         if not acting(claims, "read_sensor"):
             return np.asarray(chambers.innovations(self.channels[channel], increments, gain))
         integral = np.concatenate([[0.0], np.cumsum(increments[:-1])])
@@ -355,11 +355,11 @@ class SegmentModel:
         if not moving or not self.has_position:
             return self
 
-        def moved(moving: Sequence[EffectHypothesis]) -> SegmentModel:
+        def build_corrected(moving: Sequence[EffectHypothesis]) -> SegmentModel:
             channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
             return SegmentModel(replace(self.segment, channels=channels), self.base, self)
 
-        return self._corrected_models.get_or_compute("position", moving, moved)
+        return self._corrected_models.get_or_compute("position", moving, build_corrected)
 
     def residuals(self, block: str, claims: Sequence[EffectHypothesis]) -> dict[str, FloatArray]:
         """Return the residuals of a block under its claims by channel, decimated: Pa or N.

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Kinematics, acting
-from hydro_diagnosis.effects.memory import ColumnMemory, Indices, Memory, StepMemory, WindowMemory
+from hydro_diagnosis.effects.memory import ColumnMemory, Memory, StepMemory, WindowMemory, WindowStarts
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_sim.model import equations as eq
@@ -24,7 +24,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 
-def measurements(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
+def measurements(plant: Plant, states: FloatArray, begins: WindowStarts) -> dict[str, FloatArray]:
     """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
     length, _, lanes = states.shape
     samples = np.tile(begins, lanes // len(begins))
@@ -48,7 +48,7 @@ def measurements(plant: Plant, states: FloatArray, begins: Indices) -> dict[str,
     }
 
 
-def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatArray:
+def _accelerations(plant: Plant, states: FloatArray, samples: WindowStarts) -> FloatArray:
     """Acceleration [m/s2] along windows, shape (length, windows), if any claim depends on it; else 0."""
     found = np.zeros_like(states[:, 1])
     memory = plant.memory(samples, plant.model.step)
@@ -66,7 +66,7 @@ def _accelerations(plant: Plant, states: FloatArray, samples: Indices) -> FloatA
     return found
 
 
-def _load(plant: Plant, motions: Kinematics, samples: Indices) -> FloatArray:
+def _load(plant: Plant, motions: Kinematics, samples: WindowStarts) -> FloatArray:
     position, acceleration = motions.position, motions.acceleration
     force: FloatArray = eq.spring_force(plant.bench, position)
     acting = plant.acting["load"]
@@ -80,7 +80,9 @@ def _load(plant: Plant, motions: Kinematics, samples: Indices) -> FloatArray:
     return force
 
 
-def _shown(plant: Plant, name: str, signal: FloatArray, at: Indices, differences: dict[str, FloatArray]) -> FloatArray:
+def _shown(
+    plant: Plant, name: str, signal: FloatArray, at: WindowStarts, differences: dict[str, FloatArray]
+) -> FloatArray:
     """The sensor's response to the recording's own signal plus its response to the difference from it.
 
     A reading that depends on the instant or on a path alone is evaluated at the full signal: it may be nonlinear.
@@ -245,17 +247,17 @@ class Plant:
             level = claim.effect.dry_level(level, motion, claim.values)
         return level
 
-    def memory(self, samples: Indices, step: float) -> StepMemory:
+    def memory(self, samples: WindowStarts, step: float) -> StepMemory:
         """Return the memory of windows that start at these samples, advanced one `step` [s] at a time."""
         return StepMemory(step, {key: trace[samples] for key, trace in self.traces.items()})
 
-    def start(self, begins: Indices) -> FloatArray:
+    def start(self, begins: WindowStarts) -> FloatArray:
         """Return initial states of windows, from the smoothed recording, shape (4, windows)."""
         model = self.model
         p_a, p_b = (model.smooth(model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
         return np.stack([model.x[begins], model.v[begins], p_a[begins], p_b[begins]])
 
-    def run(self, state: FloatArray, begins: Indices, length: int) -> FloatArray:
+    def run(self, state: FloatArray, begins: WindowStarts, length: int) -> FloatArray:
         """Simulate windows of `length` samples from `state`, as of `start`, shape (4, variants * windows).
 
         Returns

@@ -15,12 +15,12 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_diagnosis.recording import MEASURED, Segment
+from hydro_diagnosis.recording import MEASURED_CHANNELS, Segment
 from hydro_diagnosis.significance import PRACTICAL_SHARE
 
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
-BETWEEN = 10
+MAX_SAMPLES_PER_ROW = 10
 """Largest number of samples per row of a slow logger: its splines resolve no faster motion."""
 
 
@@ -43,7 +43,7 @@ def resample_to_box_clock(
         columns = {key: values[at] for key, values in columns.items()}
         start, rows = start + rows[0] * step, rows - rows[0]
     step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < PRACTICAL_SHARE * SAMPLE_PERIOD else step
-    spacing, count = min(max(round(step / SAMPLE_PERIOD), 1), BETWEEN), int(rows[-1]) + 1
+    spacing, count = min(max(round(step / SAMPLE_PERIOD), 1), MAX_SAMPLES_PER_ROW), int(rows[-1]) + 1
     even = step == SAMPLE_PERIOD and not resampled
     if even and len(rows) == count:
         return Segment(name, start, step, {key: np.asarray(one, np.float64) for key, one in columns.items()})
@@ -66,7 +66,7 @@ def _placed(
     """Segment of `count` samples, interpolated from the recorded ones at indices `at`."""
     even, measured = np.arange(count), np.zeros(count, dtype=np.bool_)
     measured[at] = True
-    splined = (*MEASURED, "valve_current")  # all others by straight lines
+    splined = (*MEASURED_CHANNELS, "valve_current")  # all others by straight lines
     channels = {
         key: CubicSpline(at, values)(even) if key in splined else np.interp(even, at, values)
         for key, values in columns.items()

@@ -26,16 +26,16 @@ from hydro_diagnosis.io.columns import Columns, median_step
 from hydro_diagnosis.io.table import RawTable, columns_of, map_bag_fields, table_of
 from hydro_diagnosis.io.topics import has_states
 from hydro_diagnosis.preprocessing.quality import (
-    MIN_SEGMENT_SECONDS,
+    MIN_SEGMENT_TIME,
     MIN_TRAVEL,
     REMEDY,
-    SATURATED,
+    SATURATION_SHARE,
     check_recording,
 )
 from hydro_diagnosis.preprocessing.smoothing import STRIDE, kinematics
 from hydro_diagnosis.recording import (
     LAST_THIRD_NOTE,
-    MEASURED,
+    MEASURED_CHANNELS,
     InputError,
     Recording,
     Segment,
@@ -77,9 +77,9 @@ def load_dataset(
         for segment in whole:
             cut = min(max(border, 0), len(segment))
             border -= len(segment)
-            if cut and (len(segment) == cut or cut * segment.step >= MIN_SEGMENT_SECONDS):
+            if cut and (len(segment) == cut or cut * segment.step >= MIN_SEGMENT_TIME):
                 fitted.append(segment.cut(0, cut))
-            if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= MIN_SEGMENT_SECONDS):
+            if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= MIN_SEGMENT_TIME):
                 held.append(segment.cut(cut, len(segment)))
     require_equation(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
     _refuse_too_little(fitted, bench, notes)
@@ -93,7 +93,7 @@ def _refuse_twice(recordings: list[Recording]) -> None:
         {
             (name, sha256(segment.channels[name].astype(np.float32).tobytes()).hexdigest())
             for segment in recording.segments
-            for name in MEASURED
+            for name in MEASURED_CHANNELS
             if name in segment.channels and np.ptp(segment.channels[name]) > 0.0
         }
         for recording in recordings
@@ -120,12 +120,12 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
         lasted += len(segment) * segment.step
         moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > MIN_TRAVEL / 10.0))
-    if moving >= 2.0 * MIN_SEGMENT_SECONDS:
+    if moving >= 2.0 * MIN_SEGMENT_TIME:
         return
     reasons = list(notes)
     currents = [segment.channels["valve_current"] for segment in segments if "valve_current" in segment.channels]
     if currents:
-        share = float(np.mean(np.abs(np.concatenate(currents)) >= SATURATED * bench.valve_current_max))
+        share = float(np.mean(np.abs(np.concatenate(currents)) >= SATURATION_SHARE * bench.valve_current_max))
         if share > 0.01:
             reasons.append(f"the valve current is saturated in {100.0 * share:.0f} % of what is left")
     why = "; ".join(reasons).replace(f"; {REMEDY}", "")
@@ -154,7 +154,7 @@ def _read(
 
     for path in map(Path, paths):
         try:
-            if exists(path) and is_bag(path) and has_states(path):
+            if reader.is_state_bag(path):
                 found = check_bag(path, bench, columns, inspected, reader)
             else:
                 found = check_long_table(inspected(table_of(path, reader.columns(path), columns)), bench)
@@ -172,33 +172,33 @@ def _read(
 
 
 def _most_informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
-    """The most informative windows of the segments, `MAX_SECONDS` seconds at most, with a note."""
+    """The most informative windows of the segments, `MAX_DATA_TIME` seconds at most, with a note."""
     total = sum(len(segment) * segment.step for segment in segments)
-    if total <= MAX_SECONDS:
+    if total <= MAX_DATA_TIME:
         return segments
     pieces, occupancy = [], StateOccupancy(bench)
     for segment in segments:
-        length = round(WINDOW / segment.step)
+        length = round(WINDOW_TIME / segment.step)
         for at in range(0, max(len(segment) - length + 1, 1), length):
             pieces.append(segment.cut(at, at + length))
             occupancy.add(pieces[-1])
-    kept = occupancy.select(int(MAX_SECONDS / WINDOW))
+    kept = occupancy.select(int(MAX_DATA_TIME / WINDOW_TIME))
     quality.append(
-        f"of {total:.0f} s the {len(kept)} windows of {WINDOW:g} s were {what} which together visit most positions, "
-        "velocities, currents and pressures"
+        f"of {total:.0f} s the {len(kept)} windows of {WINDOW_TIME:g} s were {what} which together visit most "
+        "positions, velocities, currents and pressures"
     )
     return [pieces[k] for k in kept]
 
 
 # --- long recordings -----------------------------------------------------------------------------------------------
 
-WINDOW = 10.0
+WINDOW_TIME = 10.0
 """Length of a window [s]."""
-_SPEEDS = np.array([-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1])
+_VELOCITY_EDGES = np.array([-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1])
 """Edges of the velocity bins [m/s]: finer where friction changes most."""
-_OPENINGS = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
+_CURRENT_EDGES = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
 """Edges of the current bins, as shares of the largest current."""
-_PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
+_UNIFORM_EDGES = np.linspace(0.0, 1.0, 17)[1:-1]
 """Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
 
 
@@ -217,12 +217,12 @@ class StateOccupancy:
         there: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
         if "piston_position" in channels:
             position, velocity, _ = kinematics(channels["piston_position"], window.step, window.spacing)
-            here = np.digitize(position / bench.stroke, _PLACES) * 9 + np.digitize(velocity, _SPEEDS)
+            here = np.digitize(position / bench.stroke, _UNIFORM_EDGES) * 9 + np.digitize(velocity, _VELOCITY_EDGES)
         if "valve_current" in channels:
-            there = np.digitize(channels["valve_current"] / bench.valve_current_max, _OPENINGS)
+            there = np.digitize(channels["valve_current"] / bench.valve_current_max, _CURRENT_EDGES)
         if {"pressure_a", "pressure_b"} <= channels.keys():
             difference = channels["pressure_a"] - channels["pressure_b"]
-            there = there + 9 * np.digitize(0.5 * (1.0 + difference / bench.supply_pressure), _PLACES)
+            there = there + 9 * np.digitize(0.5 * (1.0 + difference / bench.supply_pressure), _UNIFORM_EDGES)
         counts = [np.bincount(cells[::STRIDE], minlength=9 * 16) for cells in (here, there)]
         self._cells.append(np.concatenate(counts).astype(np.float64))
         self._starts.append(window.start)
@@ -246,51 +246,77 @@ class StateOccupancy:
         return sorted(chosen)
 
 
-STRETCH = 60_000
+STRETCH_SAMPLES = 60_000
 """Samples read at a time."""
-MAX_SECONDS = 300.0
+MAX_DATA_TIME = 300.0
 """Largest duration [s] of fitted and of held-out data; longer data are reduced to informative windows, with a note."""
-MAX_WHOLE_STRETCHES = round(MAX_SECONDS / (STRETCH * SAMPLE_PERIOD))
+MAX_WHOLE_STRETCHES = round(MAX_DATA_TIME / (STRETCH_SAMPLES * SAMPLE_PERIOD))
 """Largest number of stretches of a recording that is used whole."""
+
+
+CACHE_BYTES_MAX = 256e6
+"""Largest memory of the recordings that a reader keeps; 300 s at 1 kHz with all fields of BenchState have 45 MB."""
 
 
 class RecordingReader:
     """Reader of recordings, each read once, whatever column maps are applied to it: the hypotheses of a diagnosis.
 
-    What has more than `MAX_SECONDS` at 1 kHz is not kept in memory, but read again by each call.
+    Files of more than `MAX_DATA_TIME` at 1 kHz, and those beyond `CACHE_BYTES_MAX` in all, are read again by each call.
     """
 
     def __init__(self) -> None:
         self._columns: dict[Path, Columns] = {}
         self._bags: dict[Path, tuple[list[RawTable], list[str]]] = {}
+        self._long: set[Path] = set()
+        self._has_states: dict[Path, bool] = {}
+        self._bytes = 0
+
+    def clear(self) -> None:
+        """Release the memory."""
+        self._columns, self._bags, self._bytes = {}, {}, 0
+
+    def is_state_bag(self, path: Path) -> bool:
+        """Return whether a recording is a bag with /hydro/state."""
+        if path not in self._has_states:
+            self._has_states[path] = exists(path) and is_bag(path) and has_states(path)
+        return self._has_states[path]
+
+    def _fits(self, rows: int, columns: int) -> bool:
+        """Return whether so many numbers may be kept, and count them."""
+        size = 8 * rows * columns
+        fits = rows <= MAX_WHOLE_STRETCHES * STRETCH_SAMPLES and self._bytes + size <= CACHE_BYTES_MAX
+        self._bytes += size if fits else 0
+        return fits
 
     def columns(self, path: Path) -> Columns:
         """Return the columns of a file (`table.columns_of`). Raises InputError with a message that names the path."""
         if path in self._columns:
             return self._columns[path]
         found = columns_of(path)
-        for values in found.series.values():
-            values.setflags(write=False)  # a column map makes new arrays, or refers to these
-        if max(map(len, found.series.values()), default=0) <= MAX_WHOLE_STRETCHES * STRETCH:
+        if self._fits(max(map(len, found.series.values()), default=0), len(found.series)):
             self._columns[path] = found
+            for values in found.series.values():
+                values.setflags(write=False)  # a column map makes new arrays, or refers to these
         return found
 
     def stretches(self, path: Path, notes: list[str]) -> Iterator[RawTable]:
-        """Yield a bag's samples in stretches of `STRETCH`; appends notes on its reading to `notes`."""
-        if path not in self._bags:
-            said: list[str] = []
-            stretches = _stretches(path, said)
-            head = list(islice(stretches, MAX_WHOLE_STRETCHES + 1))
-            if len(head) > MAX_WHOLE_STRETCHES:
-                yield from head
-                del head
-                yield from stretches
-                notes += said
-                return
-            self._bags[path] = head, said
-        head, said = self._bags[path]
+        """Yield a bag's samples in stretches of `STRETCH_SAMPLES`; appends notes on its reading to `notes`."""
+        if path in self._bags:
+            head, said = self._bags[path]
+            notes += said
+            yield from head
+            return
+        said = []
+        stretches = _stretches(path, said)
+        head = [] if path in self._long else list(islice(stretches, MAX_WHOLE_STRETCHES + 1))
+        if len(head) > MAX_WHOLE_STRETCHES:
+            self._long.add(path)
+        elif head and self._fits(sum(len(one.time) for one in head), 2 + len(head[0].columns)):
+            self._bags[path] = list(head), said
+        while head:
+            yield head.pop(0)
+        yield from stretches
         notes += said
-        yield from head
 
 
 def check_bag(
@@ -336,7 +362,7 @@ def check_long_table(table: RawTable, bench: Bench) -> Recording:
 
     Raises InputError if it cannot be diagnosed; the message names the recording.
     """
-    rows = max(round(STRETCH * SAMPLE_PERIOD / median_step(table.time)), STRETCH)
+    rows = max(round(STRETCH_SAMPLES * SAMPLE_PERIOD / median_step(table.time)), STRETCH_SAMPLES)
     if len(table.time) <= MAX_WHOLE_STRETCHES * rows:
         return check_recording(table, bench)
 
@@ -364,14 +390,14 @@ def _stretches(path: Path, notes: list[str]) -> Iterator[RawTable]:
 
 
 def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
-    """Yield blocks of `STRETCH` samples; the last may be shorter."""
+    """Yield blocks of `STRETCH_SAMPLES` samples; the last may be shorter."""
     parts: list[StateArray] = []
     for block in stream_bag(path, notes=notes, skip_damaged=True):
         parts.append(block)
-        while sum(map(len, parts)) >= STRETCH:
+        while sum(map(len, parts)) >= STRETCH_SAMPLES:
             states = np.concatenate(parts)
-            parts = [states[STRETCH:].copy()]
-            yield states[:STRETCH]
+            parts = [states[STRETCH_SAMPLES:].copy()]
+            yield states[:STRETCH_SAMPLES]
     if any(map(len, parts)):
         yield np.concatenate(parts)
 
@@ -396,7 +422,7 @@ def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[
             continue
         notes += [f"{note} (from {start:.0f} s on)" for note in found.quality]
         for index, segment in enumerate(found.segments):
-            length = round(WINDOW / segment.step)
+            length = round(WINDOW_TIME / segment.step)
             for begin in range(0, len(segment) - length + 1, length):
                 window = segment.cut(begin, begin + length)
                 windows.append((number, index, begin, start + window.start))
@@ -405,7 +431,7 @@ def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[
         raise idle[0] if idle else UnusableRecordingError("no window of the recording is long enough")
     notes[5:] = [f"{len(notes) - 5} more notes of this kind"] if len(notes) > 5 else []
     if idle:
-        notes.append(f"{len(idle)} stretches of {STRETCH * 1e-3:.0f} s show nothing: {idle[0]}")
+        notes.append(f"{len(idle)} stretches of {STRETCH_SAMPLES * 1e-3:.0f} s show nothing: {idle[0]}")
     early = [k for k, (*_, start) in enumerate(windows) if start < seconds * 2.0 / 3.0]
     late = [k for k, (*_, start) in enumerate(windows) if not start < seconds * 2.0 / 3.0]
     chosen = sorted({*occupancy.select(10, early), *occupancy.select(5, late)})  # the last third may be held out
@@ -415,11 +441,11 @@ def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[
         checked_again = check_recording(table, bench).segments if here else ()
         for _, index, begin, start in here:
             segment = checked_again[index]
-            kept = segment.cut(begin, begin + round(WINDOW / segment.step))
+            kept = segment.cut(begin, begin + round(WINDOW_TIME / segment.step))
             channels = {name: values.copy() for name, values in kept.channels.items()}
             segments.append(replace(kept, start=start, channels=channels))
     notes.append(
-        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
-        "positions, velocities, currents and pressures; no other sample was judged"
+        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW_TIME:g} s were kept, which together visit "
+        "most positions, velocities, currents and pressures; no other sample was judged"
     )
     return Recording(recording, tuple(segments), tuple(notes))

@@ -26,7 +26,7 @@ from hydro_diagnosis.bench_parameters import has_spring, is_known
 from hydro_diagnosis.io.columns import means, median_step
 from hydro_diagnosis.preprocessing.box_clock import Mask, Rows, resample_to_box_clock
 from hydro_diagnosis.preprocessing.smoothing import white_noise
-from hydro_diagnosis.recording import MEASURED, Recording, Segment, UnusableRecordingError
+from hydro_diagnosis.recording import MEASURED_CHANNELS, Recording, Segment, UnusableRecordingError
 from hydro_diagnosis.significance import OUTLIER_FACTOR, PRACTICAL_SHARE
 from hydro_sim.model.bench import Bench
 
@@ -74,7 +74,7 @@ def _stamped(
     step, rows = sampling_grid(time)
     off = time - step * rows
     even, distinct = float(np.median(off)) + step * rows, np.concatenate([[True], np.diff(time) > 0.0])
-    names = [name for name in MEASURED if name in columns and np.all(np.isfinite(columns[name]))]
+    names = [name for name in MEASURED_CHANNELS if name in columns and np.all(np.isfinite(columns[name]))]
     moved = {name: CubicSpline(time[distinct], columns[name][distinct])(even) for name in names}
     first = "piston_position" if "piston_position" in names else next(iter(names), "")
     taken_there = bool(names) and not white_noise(moved[first]) > 0.9 * white_noise(columns[first])
@@ -92,9 +92,9 @@ def _stamped(
     return others | moved, step, rows, True
 
 
-QUANTA = 10.0
+MIN_CHANGE_QUANTA = 10.0
 """Quantisation steps by which a sensor's value must change to count as moved."""
-AVERAGED = 20
+AVERAGED_SAMPLES = 20
 """Samples over which load force and pressures are averaged."""
 
 
@@ -106,9 +106,9 @@ def repeated_values(values: FloatArray) -> Mask:
     mask = np.zeros(len(values), dtype=bool)
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
-    coarse = float(np.median(steps)) < QUANTA * quantum
+    coarse = float(np.median(steps)) < MIN_CHANGE_QUANTA * quantum
     for begin, end in _runs(values):
-        goes_on = abs(values[end] - values[end - 1]) <= QUANTA * quantum if end < len(values) else coarse
+        goes_on = abs(values[end] - values[end - 1]) <= MIN_CHANGE_QUANTA * quantum if end < len(values) else coarse
         mask[begin:end] = not goes_on
     return mask
 
@@ -118,18 +118,18 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
     position = columns["piston_position"]
     steps = np.abs(np.diff(position))
     quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
-    least = max(MIN_TRAVEL, QUANTA * quantum) if np.isfinite(quantum) else MIN_TRAVEL
+    least = max(MIN_TRAVEL, MIN_CHANGE_QUANTA * quantum) if np.isfinite(quantum) else MIN_TRAVEL
 
     def load_moves(begin: int, end: int) -> bool:
         """Return whether the load force changes by more than the spring's over `least`, and by more than its noise."""
         if "load_force" not in columns or not has_spring(bench):
             return False
         force = columns["load_force"]
-        averaged = means(force[begin + round(0.1 / step) : end], AVERAGED)
+        averaged = means(force[begin + round(0.1 / step) : end], AVERAGED_SAMPLES)
         averaged = averaged[np.isfinite(averaged)]
         if len(averaged) < 2:
             return False
-        noise = white_noise(force[np.isfinite(force)]) / AVERAGED**0.5
+        noise = white_noise(force[np.isfinite(force)]) / AVERAGED_SAMPLES**0.5
         return float(np.ptp(averaged)) > max(bench.spring_stiffness * least, 8.0 * noise)
 
     def glides(begin: int, end: int) -> bool:
@@ -158,7 +158,7 @@ def _runs(values: FloatArray) -> list[tuple[int, int]]:
     return [(b, e + 1) for b, e in zip(edges[::2], edges[1::2], strict=True) if e - b >= 40]
 
 
-MIN_SEGMENT_SECONDS = 1.5
+MIN_SEGMENT_TIME = 1.5
 """Shortest segment [s] that is used."""
 STOP_MARGIN = 5e-4
 """Distance [m] from an end stop within which samples are excluded."""
@@ -166,7 +166,7 @@ MIN_TRAVEL = 2e-4
 """Range [m] of the position below which a segment (of a tripped bench, say) is omitted; below a tenth of it a recording
 is refused. An encoder that repeats its value while the piston moves so far is frozen.
 """
-SATURATED = 0.999
+SATURATION_SHARE = 0.999
 """Share of the largest valve current from which the valve counts as saturated."""
 REMEDY = (
     "record it with lower gains; if the bench still trips or swings from stop to stop, give the box, not the "
@@ -186,7 +186,7 @@ def check_recording(table: RawTable, bench: Bench) -> Recording:
         finite = values[np.isfinite(values)]
         if len(finite) < 0.5 * len(values):
             notes.append(f"{name} is missing in most samples and was left out")
-        elif name not in MEASURED or name == "piston_position" or np.ptp(finite) > 0.0:
+        elif name not in MEASURED_CHANNELS or name == "piston_position" or np.ptp(finite) > 0.0:
             columns[name] = values
         elif np.any(finite != 0.0):
             notes.append(f"{name} is frozen throughout and was left out")
@@ -195,7 +195,7 @@ def check_recording(table: RawTable, bench: Bench) -> Recording:
         columns, step, index, resampled = _stamped(columns, table.time, notes)
     else:
         step, index = _grid(table, notes)
-    if not any(name in columns for name in MEASURED):
+    if not any(name in columns for name in MEASURED_CHANNELS):
         raise UnusableRecordingError(f"{table.name}: no sensor in it is alive")
     _refuse_useless(table.name, columns, bench)
     bad = _bad_samples(columns, table.time, step, bench, notes)
@@ -205,7 +205,7 @@ def check_recording(table: RawTable, bench: Bench) -> Recording:
         position = columns.get("piston_position", np.zeros(0))
         stands = len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MIN_TRAVEL  # as after a trip
         raise UnusableRecordingError(
-            f"{table.name}: the bench moves without a gap for less than {MIN_SEGMENT_SECONDS:g} s: "
+            f"{table.name}: the bench moves without a gap for less than {MIN_SEGMENT_TIME:g} s: "
             "too short to be diagnosed"
             + (f" ({'; '.join(notes)})" if notes else "")
             + (f"; {REMEDY}" if outside.any() or stands else "")
@@ -266,7 +266,7 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
                 )
             )
     if "valve_current" in columns:
-        share = float(np.mean(np.abs(columns["valve_current"]) >= SATURATED * bench.valve_current_max))
+        share = float(np.mean(np.abs(columns["valve_current"]) >= SATURATION_SHARE * bench.valve_current_max))
         if share > 0.6:
             raise UnusableRecordingError(
                 f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples: {REMEDY}"
@@ -277,7 +277,7 @@ def _bad_samples(columns: dict[str, FloatArray], time: FloatArray, step: float, 
     """Mask of the samples without a number or with a frozen sensor, (n,)."""
     bad = np.zeros(len(time), dtype=bool)
     empty: dict[str, list[str]] = {}
-    for channel in (name for name in columns if name in (*MEASURED, "valve_current")):
+    for channel in (name for name in columns if name in (*MEASURED_CHANNELS, "valve_current")):
         values = columns[channel]
         missing = ~np.isfinite(values)
         bad |= missing
@@ -313,7 +313,7 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
             pressure = columns[name]
             known = np.isfinite(pressure)
             noise, pressure = white_noise(pressure[known]), np.where(known, pressure, np.median(pressure[known]))
-            for count in (1, AVERAGED):
+            for count in (1, AVERAGED_SAMPLES):
                 outside |= uniform_filter1d(pressure, count) < least - OUTLIER_FACTOR * noise / count**0.5
     if not outside.any():
         return outside
@@ -341,7 +341,7 @@ def _segments(
         at = unique[begin:end]
         length = int(at[-1] - at[0]) + 1
         found = {key: values[rows[begin:end]] for key, values in columns.items()}
-        if length * step < MIN_SEGMENT_SECONDS:
+        if length * step < MIN_SEGMENT_TIME:
             short += length
         elif "piston_position" in found and np.ptp(found["piston_position"]) < MIN_TRAVEL:
             still += length
@@ -362,5 +362,5 @@ def _segments(
     if still:
         notes.append(f"{still} samples in which the piston stands still were not used")
     if short:
-        notes.append(f"{short} samples stand in stretches shorter than {MIN_SEGMENT_SECONDS:g} s and were not used")
+        notes.append(f"{short} samples stand in stretches shorter than {MIN_SEGMENT_TIME:g} s and were not used")
     return segments

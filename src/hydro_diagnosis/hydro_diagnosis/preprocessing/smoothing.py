@@ -42,17 +42,17 @@ def _taps(width: float, derivative: int) -> FloatArray:
 
 
 _REST_WIDTH = float(np.sqrt(TOTAL_WIDTH**2 - KINEMATIC_WIDTH**2))
-_KINEMATIC = tuple(_taps(KINEMATIC_WIDTH, derivative) for derivative in range(3))
-_REST = _taps(_REST_WIDTH, 0)
-_TOTAL = _taps(TOTAL_WIDTH, 0)
+_KINEMATIC_TAPS = tuple(_taps(KINEMATIC_WIDTH, derivative) for derivative in range(3))
+_REST_TAPS = _taps(_REST_WIDTH, 0)
+_TOTAL_TAPS = _taps(TOTAL_WIDTH, 0)
 
-TOTAL_NOISE_GAIN = float(np.sqrt(np.sum(_TOTAL**2)))
+TOTAL_NOISE_GAIN = float(np.sqrt(np.sum(_TOTAL_TAPS**2)))
 """Noise gain of `smooth`: standard deviation of smoothed white noise over that of the noise."""
-POSITION_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[0] ** 2)))
+POSITION_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC_TAPS[0] ** 2)))
 """Noise gain of the position of `kinematics`, relative to the recorded position."""
-VELOCITY_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[1] ** 2)))
+VELOCITY_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC_TAPS[1] ** 2)))
 """Noise gain of the velocity of `kinematics`, times the sampling time, relative to the recorded position."""
-ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC[2], _REST) ** 2)))
+ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC_TAPS[2], _REST_TAPS) ** 2)))
 """Noise gain of the acceleration after `smooth_kinematic`, times the sampling time squared, relative to the recorded
 position."""
 

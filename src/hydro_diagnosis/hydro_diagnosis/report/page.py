@@ -21,7 +21,7 @@ from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
 from hydro_diagnosis.significance import COVERAGE_FACTOR
 from hydro_diagnosis.simulator_comparison import sentences
-from hydro_diagnosis.validation import FREE_RUN, SIMULATED
+from hydro_diagnosis.validation import FREE_RUN_TIME, SIMULATION_CHANNELS
 from hydro_sim.plotting import GREEN, PURPLE, RED, SKY, UNITS
 
 
@@ -31,12 +31,12 @@ def compare(found: Diagnosis) -> dict[str, Any] | None:
     `fits`: NRMSE fits [%] by channel, with the bench file alone and with the claims; `shades`: color and cause of the
     shaded intervals. None if the segment cannot be simulated.
     """
-    model = next((one for one in found.holdout if len(one.segment) * one.step > 2.0 * FREE_RUN + 1.0), None)
-    if model is None or not model.channels.keys() >= SIMULATED or MOTION not in found.problem.blocks:
+    model = next((one for one in found.holdout if len(one.segment) * one.step > 2.0 * FREE_RUN_TIME + 1.0), None)
+    if model is None or not model.channels.keys() >= SIMULATION_CHANNELS or MOTION not in found.problem.blocks:
         return None
-    length = round(FREE_RUN / model.step)
+    length = round(FREE_RUN_TIME / model.step)
     first = model.settle - (model.settle - model.segment.phase) % model.spacing
-    count = int(min(6.0 / FREE_RUN, (len(model.segment) - first - 20) // length))
+    count = int(min(6.0 / FREE_RUN_TIME, (len(model.segment) - first - 20) // length))
     begins = first + length * np.arange(count)
     base, claims = tuple(found.problem.baseline), tuple(found.assessment.fit.claims)
 
@@ -54,12 +54,13 @@ def compare(found: Diagnosis) -> dict[str, Any] | None:
     causes = _causes(found, model, claims, float(time[0]), float(time[-1]))
     colors = dict(zip(dict.fromkeys(cause for *_, cause in causes), cycle((SKY, GREEN, PURPLE, RED)), strict=False))
     shades = [(begin, end, colors[cause]) for begin, end, cause in causes]
-    words = f"time [s] of {model.segment.recording}, free runs of {FREE_RUN:g} s one after the other"
+    words = f"time [s] of {model.segment.recording}, free runs of {FREE_RUN_TIME:g} s one after the other"
     return {
         "recording": model.segment.recording,
         "plot": plots.signals_plot(time, words, measured, before, after, shades),
         "fits": [
-            (UNITS[name][0], [nrmse(one, before[name]), nrmse(one, after[name])]) for name, one in measured.items()
+            (UNITS[name][0], [nrmse_fit(one, before[name]), nrmse_fit(one, after[name])])
+            for name, one in measured.items()
         ],
         "shades": [(color, cause) for cause, color in colors.items()],
     }
@@ -84,7 +85,7 @@ def _causes(
     return shaded
 
 
-def nrmse(measured: FloatArray, simulated: FloatArray) -> float | None:
+def nrmse_fit(measured: FloatArray, simulated: FloatArray) -> float | None:
     """NRMSE fit [%]: 100 is exact, 0 as good as the mean of the measured signal; None if it is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.linalg.norm(measured - simulated) / np.linalg.norm(measured - measured.mean()))

@@ -20,14 +20,14 @@ from hydro_diagnosis.report_json import EffectReport
 from hydro_sim.model.effects import grown
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, SKY, UNITS, add_legend, figure
 
-_NAMES = {
+_CHANNEL_LABELS = {
     "pressure_a": ("pressure A", "kPa", 1e-3),
     "pressure_b": ("pressure B", "kPa", 1e-3),
     "motion": ("force balance", "N", 1.0),
     "load": ("load force", "N", 1.0),
     "hydraulic": ("hydraulic\nforce", "N", 1.0),
 }
-_VARIABLES = {
+_AXIS_LABELS = {
     "position": ("piston position [mm]", 1e3),
     "velocity": ("piston velocity [mm/s]", 1e3),
     "current": ("valve current [mA]", 1e3),
@@ -90,7 +90,7 @@ def residual_plot(found: Diagnosis) -> str:
     with svg(len(present), (9.0, 1.5 * len(present) + 0.5), sharex=True) as (axes, text):
         for axis, k in zip(axes, present, strict=True):
             at = (layout.channel == k) & (layout.segment == 0)
-            name, unit, factor = _NAMES[CHANNELS[k]]
+            name, unit, factor = _CHANNEL_LABELS[CHANNELS[k]]
             scale = problem.noise[CHANNELS[k]] * factor
             axis.plot(layout.time[at], before[at] * scale, color=ORANGE, linewidth=0.6, label="before")
             axis.plot(layout.time[at], after[at] * scale, color=BLUE, linewidth=0.6, label="after")
@@ -112,7 +112,7 @@ def effect_plot(found: Diagnosis, effect: EffectReport) -> str:
     channel = int(np.argmax(power))
     at = layout.channel == channel
     variable = _variable(claim.effect, found)
-    name, unit, factor = _NAMES[CHANNELS[channel]]
+    name, unit, factor = _CHANNEL_LABELS[CHANNELS[channel]]
     scale = problem.noise[CHANNELS[channel]] * factor
     x = np.concatenate(
         [
@@ -120,7 +120,7 @@ def effect_plot(found: Diagnosis, effect: EffectReport) -> str:
             for k, model in enumerate(problem.models)
         ]
     )
-    label, units = _VARIABLES[variable]
+    label, units = _AXIS_LABELS[variable]
 
     with svg(1, (8.0, 3.2)) as (axes, text):
         shown = np.random.default_rng(0).permutation(len(x))[:4000]
@@ -143,7 +143,7 @@ def curves_plot(found: Diagnosis) -> str:
 
     with svg(len(curves), (8.0, 2.6 * len(curves))) as (axes, text):
         for axis, curve in zip(axes, curves, strict=True):
-            label, units = _VARIABLES[curve.over]
+            label, units = _AXIS_LABELS[curve.over]
             words, factor = ("flow [l/min]", 6e4) if curve.unit_y == "m3/s" else ("force [N]", 1.0)
             x, y, low, high, named = (
                 np.array(values) * size
@@ -161,7 +161,7 @@ def curves_plot(found: Diagnosis) -> str:
 
 def _variable(cause: Effect, found: Diagnosis) -> str:
     have, effect = set(found.problem.models[0].channels), cause.id
-    if effect in grown.IDS:
+    if effect in grown.EFFECT_IDS:
         over = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
         return over.get(cause.equations[0], "pressure_difference")
     if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):

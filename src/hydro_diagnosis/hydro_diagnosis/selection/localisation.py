@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.problem import CHANNELS, FOLD_SECONDS, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, FOLD_TIME, Problem
 from hydro_diagnosis.model.responses import ChannelResponses, Responses
 
 KNOTS = 24
@@ -249,7 +249,7 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
     for k, model in enumerate(problem.models):
         at = (layout.channel == CHANNELS.index(channel)) & (layout.segment == k)
         time = layout.time[at]
-        width = max(int(0.5 * FOLD_SECONDS / max(float(np.median(np.diff(time))), 1e-3)), 1)
+        width = max(int(0.5 * FOLD_TIME / max(float(np.median(np.diff(time))), 1e-3)), 1)
         level = uniform_filter1d(np.square(residual[at]), width, mode="nearest")
         loud = level > max(2.0, 0.5 * float(np.mean(level)))
         windows.append(_stretches(time, loud))
@@ -263,7 +263,7 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
             low, high = np.percentile(values, [10, 90])
             region[name] = (float(low), float(high))
     amount = f"{share * 100:.0f} %" if share >= 0.01 else "Under 1 %"
-    sentence = f"{amount} of the mismatch is in {_WORDS[equation]}."
+    sentence = f"{amount} of the mismatch is in {_EQUATION_PHRASES[equation]}."
     return MismatchLocation(equation, share, tuple(windows), region, sentence, channel)
 
 
@@ -272,13 +272,13 @@ def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float],
     loud = loud.copy()
     pauses = np.flatnonzero(np.diff(np.concatenate([[True], loud, [True]]).astype(np.int8)))
     for begin, end in zip(pauses[::2], pauses[1::2], strict=True):
-        if time[min(end, len(time) - 1)] - time[begin] < 2.0 * FOLD_SECONDS and begin > 0 and end < len(time):
+        if time[min(end, len(time) - 1)] - time[begin] < 2.0 * FOLD_TIME and begin > 0 and end < len(time):
             loud[begin:end] = True
     edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(np.int8)))
     return tuple((float(time[begin]), float(time[end - 1])) for begin, end in zip(edges[::2], edges[1::2], strict=True))
 
 
-_WORDS = {
+_EQUATION_PHRASES = {
     "pressure_a": "the equations of chamber A",
     "pressure_b": "the equations of chamber B",
     "motion": "the forces on the moving mass",

@@ -15,7 +15,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.estimation.fit import (
-    FORM_ERROR,
+    FORM_ERROR_SHARE,
     Candidate,
     Fit,
     Signatures,
@@ -26,7 +26,7 @@ from hydro_diagnosis.estimation.fit import (
     remove_claim,
 )
 from hydro_diagnosis.estimation.intervals import all_significant
-from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH_SHARE, Problem
 from hydro_diagnosis.significance import (
     CLAIM_THRESHOLD,
     COVERAGE_FACTOR,
@@ -76,7 +76,7 @@ class SearchOutcome:
 
 SCREEN_TOLERANCE = 1.0
 """Tolerance [deviance] of the fits of candidates, which serve to rank them."""
-SAME_UNCERTAINTY = 1e-3
+REFIT_TOLERANCE = 1e-3
 """Relative change of the residuals' uncertainty, or of the claims' values, below which fits are not repeated."""
 
 
@@ -118,7 +118,7 @@ class Shortlists:
             candidates = rank_candidates(problem, base, self._library, self.signatures)[:7]  # the most promising ones
             hopeful = [candidate for candidate in candidates if candidate.gain > 0.5 * self._settings.threshold]
             screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, hopeful)
-        elif not np.allclose(screened.doubt, problem.uncertainty, rtol=SAME_UNCERTAINTY, atol=0.0):
+        elif not np.allclose(screened.doubt, problem.uncertainty, rtol=REFIT_TOLERANCE, atol=0.0):
             again = [Candidate(one.claims[-1], np.inf) for one in screened.fits]
             screened = self._screened[_labels(base)] = _Screened(problem.uncertainty, [*again, *screened.waiting])
         now = [one for one in screened.waiting if one.gain >= promised and one.claim.effect.label != but]
@@ -196,7 +196,7 @@ class Search:
         None where something remains: without causes not found yet, a parameter would leave its given value.
         """
         outcome = Search(self.problem.with_estimated(()), self.library, self.settings, self.progress).run()
-        if outcome.problem.has_excess(outcome.fit.residual) and not self.problem.budget.exceeds(SEARCH):
+        if outcome.problem.has_excess(outcome.fit.residual) and not self.problem.budget.exceeds(SEARCH_SHARE):
             return None
         most = outcome.fit.score + VERY_STRONG_EVIDENCE * self.settings.threshold
         sizes = {claim.effect.label: claim.values for claim in outcome.fit.claims}
@@ -248,7 +248,7 @@ class Search:
         """Return candidates for a further claim; none if the search must end (`SearchOutcome.stop_reason` says why)."""
         if self._exhausted:
             effort = f"its effort of {self.settings.effort} evaluations"
-            spent = self.problem.budget.exceeds(SEARCH)
+            spent = self.problem.budget.exceeds(SEARCH_SHARE)
             outcome.stop_reason = f"{'its part of the budget of work' if spent else effort} was spent"
             return []
         ranked = self._ranked(outcome.problem, outcome.fit)
@@ -261,7 +261,7 @@ class Search:
     @property
     def _exhausted(self) -> bool:
         spent = self.problem.budget.evaluations - self._begun
-        return spent > self.settings.effort or self.problem.budget.exceeds(SEARCH)
+        return spent > self.settings.effort or self.problem.budget.exceeds(SEARCH_SHARE)
 
     def _ranked(self, problem: Problem, base: Fit) -> list[Fit]:
         """Fits with one claim more that gain enough, the best first.
@@ -335,7 +335,7 @@ class Search:
             before = pack(found.claims)[1]
             problem = self.problem.reweighted(found.claims)
             found = fit(problem, found.claims)
-            stands = np.allclose(pack(found.claims)[1], before, rtol=SAME_UNCERTAINTY, atol=0.0)
+            stands = np.allclose(pack(found.claims)[1], before, rtol=REFIT_TOLERANCE, atol=0.0)
             if stands or not any(problem.uncertainty):
                 break
         return problem, found
@@ -356,7 +356,7 @@ def form_error(problem: Problem, base: Fit, found: Fit) -> bool:
         without = problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
         signature = float(np.sum(np.square(without - problem.residual(found.claims[:-1]))))
         added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
-        if added < FORM_ERROR**2 * signature:
+        if added < FORM_ERROR_SHARE**2 * signature:
             return True
     return False
 

@@ -23,10 +23,10 @@ from hydro_diagnosis.bench_parameters import is_known
 from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.column_map import ColumnMap, Source
-from hydro_diagnosis.recording import MEASURED, InputError, Segment
+from hydro_diagnosis.recording import MEASURED_CHANNELS, InputError, Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.significance import ITERATIONS
-from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, Progress, prepare
+from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, ProgressCallback, prepare
 from hydro_diagnosis.wiring import AlternativeRepairs, PlausibilityCheck, Repair, in_other_units, reversed_sign
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class _Trial:
         for name in ("hydraulic_force", "load_force"):
             if name in here:
                 yield from in_other_units(name, ("N", "kN", "daN", "lbf"), units)
-        for name in (*MEASURED, "valve_current"):
+        for name in (*MEASURED_CHANNELS, "valve_current"):
             if name in here and not PHYSICAL_DELAYS[name][0] <= (late := self.delay(name)) <= PHYSICAL_DELAYS[name][1]:
                 yield advance(name, late)
 
@@ -191,7 +191,7 @@ class WiringFit:
     """Number of parameters of the causes."""
 
 
-def prepare_best_wiring(inputs: DiagnosisInput, progress: Progress) -> PreparedDiagnosis:
+def prepare_best_wiring(inputs: DiagnosisInput, progress: ProgressCallback) -> PreparedDiagnosis:
     """Prepare the recordings as they are, or repaired if that explains them better; its `wiring` states which and why.
 
     Raises InputError if they can be diagnosed neither as they are nor repaired.
@@ -234,7 +234,7 @@ def prepare_best_wiring(inputs: DiagnosisInput, progress: Progress) -> PreparedD
     return _choose(prepared, _searched(prepared, progress), repairs, other, progress)
 
 
-def reconsider_wiring(prepared: PreparedDiagnosis, found: StageResult, progress: Progress) -> PreparedDiagnosis:
+def reconsider_wiring(prepared: PreparedDiagnosis, found: StageResult, progress: ProgressCallback) -> PreparedDiagnosis:
     """Return the prepared diagnosis, or its repaired version if a wiring mistake explains residual or two claims."""
     claims = found.outcome.fit.claims
     left_over = found.assessment.remainder or found.holdout.has_excess(found.holdout.residual(claims))
@@ -255,7 +255,9 @@ def reconsider_wiring(prepared: PreparedDiagnosis, found: StageResult, progress:
     return _choose(prepared, _wiring_fit(found.problem, found.holdout, claims), repairs, other, progress)
 
 
-def _plausible(inputs: DiagnosisInput, inspection: PlausibilityCheck, progress: Progress) -> list[RepairedDiagnosis]:
+def _plausible(
+    inputs: DiagnosisInput, inspection: PlausibilityCheck, progress: ProgressCallback
+) -> list[RepairedDiagnosis]:
     """Repairs of the fields with implausible values, with the smallest residuals for each set of remaining channels.
 
     At most eight combinations are tried.
@@ -306,7 +308,7 @@ def _repaired(inputs: DiagnosisInput, repairs: Sequence[Repair], units: Mapping[
     return replace(inputs, columns=columns if whole else columns.corrections())
 
 
-def _searched(prepared: PreparedDiagnosis, progress: Progress) -> WiringFit:
+def _searched(prepared: PreparedDiagnosis, progress: ProgressCallback) -> WiringFit:
     """Residuals after a small search for causes."""
     with threadpool_limits(1, "blas"):
         found = Search(prepared.problem, prepared.candidates, TRIAL_SETTINGS, progress).run()
@@ -324,7 +326,7 @@ def _choose(
     here: WiringFit,
     repairs: Sequence[Repair],
     other: PreparedDiagnosis,
-    progress: Progress,
+    progress: ProgressCallback,
 ) -> PreparedDiagnosis:
     """The better explained of the two prepared diagnoses, with a note on both."""
     there = _searched(other, progress)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Naming of the mismatch: by the shape of the force curve for rough recordings, else by the search; then by closures.
 
-In rough recordings (`curves.ROUGH_RATIO`) the force contains more than any curve of the motion explains, so that the
-evidence of samples is that of unmodelled physics; effects are then identified by the curve's shape (`shapes`). Claims
-of the search in the other equations are retained.
+In rough recordings (`curves.ROUGHNESS_THRESHOLD`) the force contains more than any curve of the motion explains, so
+that the evidence of samples is that of unmodelled physics; effects are then identified by the curve's shape (`shapes`).
+Claims of the search in the other equations are retained.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hydro_diagnosis.selection.search import Search, SearchOutcome
 from hydro_diagnosis.validation import SimulationCache, equation_errors, holdout_errors
 
 if TYPE_CHECKING:
-    from hydro_diagnosis.stages.reading import PreparedDiagnosis, Progress
+    from hydro_diagnosis.stages.reading import PreparedDiagnosis, ProgressCallback
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ def _by_curve(
     )  # fmt: skip
 
 
-def _with_laws(names: StageResult, library: Sequence[Effect], progress: Progress) -> StageResult | None:
+def _with_laws(names: StageResult, library: Sequence[Effect], progress: ProgressCallback) -> StageResult | None:
     """Result with the first admitted closure, fitted jointly with the claims; None if none is admitted."""
     problem, holdout = names.problem, names.holdout
     candidates = closures(problem, names.assessment.fit, library)

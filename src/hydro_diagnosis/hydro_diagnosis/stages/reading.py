@@ -83,8 +83,8 @@ def baseline(
         raise InputError(str(error)) from None
 
 
-Progress = Callable[[str], None]
-EQUATIONS = {
+ProgressCallback = Callable[[str], None]
+BLOCK_EQUATIONS = {
     PRESSURE: ("pressure_a", "pressure_b", "actuation"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("sensor",),
 }  # fmt: skip
 """Equations that each block of residuals checks; `sensor`: the hydraulic force against the pressures."""
@@ -104,7 +104,7 @@ class DiagnosisInput:
     as_wired: bool
     budget: Budget = field(default_factory=Budget)
     reader: RecordingReader = field(default_factory=RecordingReader)
-    """Reader that all wiring hypotheses share, so that none reads a file again."""
+    """Reader that all wiring hypotheses share: none reads a file again that fits into its memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +127,7 @@ class PreparedDiagnosis:
 
 
 def prepare(
-    inputs: DiagnosisInput, progress: Progress, inspection: PlausibilityCheck | None = None
+    inputs: DiagnosisInput, progress: ProgressCallback, inspection: PlausibilityCheck | None = None
 ) -> PreparedDiagnosis:
     """Read the recordings, check them against the bench file, initialise the parameters to be estimated.
 
@@ -183,8 +183,10 @@ def prepare(
     except metadata.PackageNotFoundError:
         version = "0.1.0"
     report_fields = {
-        "checked": [name for block, names in EQUATIONS.items() if block in problem.blocks for name in names],
-        "not_checked": [name for block, names in EQUATIONS.items() if block not in problem.blocks for name in names],
+        "checked": [name for block, names in BLOCK_EQUATIONS.items() if block in problem.blocks for name in names],
+        "not_checked": [
+            name for block, names in BLOCK_EQUATIONS.items() if block not in problem.blocks for name in names
+        ],
         "recordings": recording_entries([*inputs.recordings, *inputs.holdout]),
         "data_quality": limits,
         "baseline": {"bench": given.to_mapping(), "model": origin},

@@ -12,12 +12,12 @@ import numpy as np
 import scipy.signal
 
 from hydro_diagnosis import stage_bar
-from hydro_diagnosis.curve_claims import OPERATORS
+from hydro_diagnosis.curve_claims import OPERATOR_EFFECTS
 from hydro_diagnosis.curve_reports import curve_reports
 from hydro_diagnosis.effects.base import HYDRAULIC, Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause_key, fit, holdout_gain
-from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH, Layout, Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH_SHARE, Layout, Problem
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
@@ -99,8 +99,8 @@ def effect_reports(findings: StageResult) -> list[EffectReport]:
             continue
         if read is not None and effect.label in read.evidence:
             evidence, look_alikes = dict(read.evidence[effect.label]), list[LookAlike]()
-            rivals = [one for one in read.rivals if (effect.id in OPERATORS) != (one.id == "force_offset")]
-            rivals = rivals if effect.id in (*OPERATORS, "friction_coulomb") else []
+            rivals = [one for one in read.rivals if (effect.id in OPERATOR_EFFECTS) != (one.id == "force_offset")]
+            rivals = rivals if effect.id in (*OPERATOR_EFFECTS, "friction_coulomb") else []
         else:
             without = fit(problem, found.claims_without(claim))
             rivals, look_alikes = _rivals(findings.outcome, found, claim)
@@ -215,7 +215,7 @@ def _notes(
                 "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
                 "the same; if this one does, move that column down by one row and diagnose again"
             )
-    if budget.exhausted or (budget.exceeds(SEARCH) and found.outcome.stop_reason):
+    if budget.exhausted or (budget.exceeds(SEARCH_SHARE) and found.outcome.stop_reason):
         stop_reason = (
             f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: this is the best answer until "
             "then; --seconds sets another"

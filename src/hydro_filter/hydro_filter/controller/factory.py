@@ -24,7 +24,7 @@ from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
 
-LEARNED = "learned"
+SHIPPED_METRIC = "learned"
 """Name of the shipped metric."""
 
 
@@ -36,7 +36,7 @@ class FilterChoice:
     """Bench assumed by the box."""
     bench_file: Path | None = None
     """Path of the bench's file; None: the bench.yaml of hydro_sim."""
-    metric: str = LEARNED
+    metric: str = SHIPPED_METRIC
     """`learned` (the shipped one), or a file."""
     model: Path | None = None
     """Bench file of the model; None: the shipped one."""
@@ -48,12 +48,14 @@ class FilterChoice:
         """Create the choice of these files; None: the shipped ones, and the bench.yaml of hydro_sim."""
         file = Path(bench) if bench else None
         assumed = Bench.load(file) if file else Bench.nominal()
-        return cls(bench=assumed, bench_file=file, metric=str(metric or LEARNED), model=Path(model) if model else None)
+        return cls(
+            bench=assumed, bench_file=file, metric=str(metric or SHIPPED_METRIC), model=Path(model) if model else None
+        )
 
     @property
     def files(self) -> dict[str, Path]:
         """Paths of the metric's and the model's file, by these names."""
-        metric = shipped_metric() if self.metric == LEARNED else Path(self.metric)
+        metric = shipped_metric() if self.metric == SHIPPED_METRIC else Path(self.metric)
         return {"metric": metric, "model": self.model or learned_bench.shipped_bench()}
 
     @property
@@ -166,7 +168,9 @@ def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argp
         prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
     )
     parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
-    parser.add_argument("--metric", metavar="FILE", help=f"of `learn_metric`; default: {LEARNED}, the shipped one")
+    parser.add_argument(
+        "--metric", metavar="FILE", help=f"of `learn_metric`; default: {SHIPPED_METRIC}, the shipped one"
+    )
     parser.add_argument(
         "--model", type=Path, metavar="FILE", help="bench file that the metric was made for; default: the shipped one"
     )
@@ -177,7 +181,7 @@ def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argp
     parser.add_argument("--bypass", action="store_true", help=docs["bypass"].text)
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
     asked = parser.parse_args(given)
-    site.apply_site_option(asked, bench=site.BENCH, metric=site.METRIC, model=site.MODEL)
+    site.apply_site_option(asked, bench=site.BENCH_FILE, metric=site.METRIC_FILE, model=site.MODEL_FILE)
     choice = FilterChoice.from_files(metric=asked.metric, model=asked.model, bench=asked.bench)
     numbers = {name: value for name in NUMERIC_OPTIONS if (value := getattr(asked, name)) is not None}
     raise_if_mismatched(choice.pairing_error())

@@ -13,17 +13,17 @@ from pathlib import Path
 from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
-from hydro_filter.controller.factory import LEARNED, FilterChoice
+from hydro_filter.controller.factory import SHIPPED_METRIC, FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, filter_record
 from hydro_filter.model.loop import SUBSTEPS, Loop, make_loop, without_disturbances
-from hydro_sim.box.firmware import Records
+from hydro_sim.box.firmware import RecordArray
 from hydro_sim.box.header import header_file, initializer, record_members, wrap_words
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.source import embedded_source
 
 
-def render_header(record: Records, loop: Loop, table: FloatArray, origin: str) -> str:
+def render_header(record: RecordArray, loop: Loop, table: FloatArray, origin: str) -> str:
     """Return a C header that defines the filter's configuration, `HYDRO_LOOP_FILTER`.
 
     Parameters
@@ -78,7 +78,10 @@ def main() -> None:
         allow_abbrev=False,
     )
     parser.add_argument(
-        "--metric", default=LEARNED, metavar="FILE", help=f"of `learn_metric`; default: {LEARNED}, the shipped one"
+        "--metric",
+        default=SHIPPED_METRIC,
+        metavar="FILE",
+        help=f"of `learn_metric`; default: {SHIPPED_METRIC}, the shipped one",
     )
     parser.add_argument(
         "--model", type=Path, metavar="FILE", help="bench file that it was made for; default: the shipped one"

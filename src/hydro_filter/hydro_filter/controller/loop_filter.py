@@ -32,16 +32,24 @@ from hydro_core.settings import check, quantity
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import coordinate_names, make_loop
-from hydro_filter.model.records import DECISION, FILTER, SAMPLE, library, make_record, new_memories, new_monitors
+from hydro_filter.model.records import (
+    DECISION_DTYPE,
+    FILTER_DTYPE,
+    SAMPLE_DTYPE,
+    library,
+    make_record,
+    new_memories,
+    new_monitors,
+)
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.terms import valve_overlap
-from hydro_sim.box.firmware import Records, address_of
+from hydro_sim.box.firmware import RecordArray, address_of
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import NOMINAL, Bench
 
 C1_TOLERANCE = 1e-3
 """HYDRO_SAME: largest difference at which two values of C_1 count as equal."""
-EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
+EQUATION_NAMES = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
 """Equations of the model monitor."""
 SUSPECTED_CAUSES = (
     "the spring or its load cell",
@@ -51,8 +59,10 @@ SUSPECTED_CAUSES = (
     "valve, supply, oil or area",
 )
 """Suspected causes of a violation of each equation."""
-FORCE, RATE, PRESSURE, POSITION, SPEED, CURRENT, GAIN = 1e5, 1e9, 1e8, 1.0, 20.0, 1e4, 1e4
-"""Plausibility limits of a sample on the nominal bench [N, N/s, Pa, m, m/s, A, 1/s], far beyond its sensors' ranges."""
+FORCE_MAX, FORCE_RATE_MAX, PRESSURE_MAX = 1e5, 1e9, 1e8
+POSITION_MAX, VELOCITY_MAX, CURRENT_MAX, GAIN_MAX = 1.0, 20.0, 1e4, 1e4
+"""Plausibility limits of a sample on the nominal bench, `FORCE_MAX` to `GAIN_MAX` [N, N/s, Pa, m, m/s, A, 1/s], far
+beyond its sensors' ranges."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +104,7 @@ class Result(NamedTuple):
 
 
 STATUSES = tuple(CorrectionStatus)
-NO_CERTIFICATE = {
+NO_CERTIFICATE_REASONS = {
     True: "its metric is not made for the compensated law; one of a bench file is (`learn_metric --model FILE.yaml`)",
     False: "its metric is not made for the paper's law, whose loop decays at no gain on this bench",
 }
@@ -115,14 +125,14 @@ class LoopFilter:
     """
 
     def __init__(
-        self, record: Records, settings: LoopFilterSettings | None = None, others: Sequence[Records] = ()
+        self, record: RecordArray, settings: LoopFilterSettings | None = None, others: Sequence[RecordArray] = ()
     ) -> None:
         self.record = record
         self.settings = settings or LoopFilterSettings()
         self.memory, self.monitor = new_memories(), new_monitors()
-        self.decision = np.zeros(1, DECISION)
+        self.decision = np.zeros(1, DECISION_DTYPE)
         """Decision on the last sample, with a, b, low, high of its QP."""
-        self._sample = np.zeros(1, SAMPLE)
+        self._sample = np.zeros(1, SAMPLE_DTYPE)
         self._bytes, self._judge = self._sample.view(np.uint8).data, library().hydro_c_filter_judge
         self._records = (record, *others)  # have to live as long as their addresses
         self._certificates = [(float(each["velocity_compensation"][0]), address_of(each)) for each in self._records]
@@ -137,12 +147,16 @@ class LoopFilter:
         """Message on the model equation whose residual is too large for this bench; empty while none is."""
         if not (broken := int(self.monitor["broken"][0])):
             return ""
-        name, suspects, ratio = EQUATIONS[broken - 1], SUSPECTED_CAUSES[broken - 1], float(self.monitor["ratio"][0])
+        name, suspects, ratio = (
+            EQUATION_NAMES[broken - 1],
+            SUSPECTED_CAUSES[broken - 1],
+            float(self.monitor["ratio"][0]),
+        )
         return f"the model's {name} ({suspects}) is off by {ratio:.1f} times what is allowed"
 
     def missing_certificate(self, *, compensated: bool) -> str:
         """Return a message if there is no certificate under the compensated law, or the paper's; empty if there is."""
-        return NO_CERTIFICATE[compensated] if self._unknown[compensated] else ""
+        return NO_CERTIFICATE_REASONS[compensated] if self._unknown[compensated] else ""
 
     def reset(self) -> None:
         """Reset to the initial state."""
@@ -164,7 +178,7 @@ class LoopFilter:
         for c_1, address in self._certificates[1:]:
             if abs(law[2] - law[3] * c_1) <= C1_TOLERANCE * law[3]:
                 record = address
-        _PACK(
+        _PACK_SAMPLE(
             self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
         )  # fmt: skip
@@ -185,8 +199,8 @@ class LoopFilter:
         return Result(delta_u, before, after, STATUSES[status])
 
 
-_PACK = struct.Struct("17d?").pack_into
-"""Writes a record of SAMPLE, three times as fast as by its fields' names."""
+_PACK_SAMPLE = struct.Struct("17d?").pack_into
+"""Writes a record of SAMPLE_DTYPE, three times as fast as by its fields' names."""
 
 
 def loop_filter(
@@ -199,8 +213,8 @@ def loop_filter(
 
 def filter_record(
     metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
-) -> Records:
-    """Return a record of FILTER, shape (1,): of a metric, its training model, and the bench assumed by the box.
+) -> RecordArray:
+    """Return a record of FILTER_DTYPE, shape (1,): of a metric, its training model, and the bench assumed by the box.
 
     Raises ValueError: the metric's coordinates are not those of the model's loop, or as `make_loop`.
     """
@@ -208,8 +222,13 @@ def filter_record(
     force, pressure, length, current = (
         getattr(bench.size, name) / getattr(NOMINAL, name) for name in ("force", "pressure", "length", "current")
     )
-    force, rate, current, p_max = force * FORCE, force * RATE, current * CURRENT, pressure * PRESSURE
-    x_max = force, rate, force, rate, p_max, p_max, length * POSITION, length * SPEED
+    force, rate, current, p_max = (
+        force * FORCE_MAX,
+        force * FORCE_RATE_MAX,
+        current * CURRENT_MAX,
+        pressure * PRESSURE_MAX,
+    )
+    x_max = force, rate, force, rate, p_max, p_max, length * POSITION_MAX, length * VELOCITY_MAX
     if metric.coordinates != (needed := coordinate_names(loop)):
         raise ValueError(
             f"the metric is of the coordinates {', '.join(metric.coordinates)}, this model's loop has "
@@ -223,10 +242,10 @@ def filter_record(
         "noise_size": settings.noise_share * levels.noise_size,
         "foreign_noise_size": settings.noise_share * levels.foreign_noise_size,
         "integral_allowance": levels.integral_allowance,
-        "most": (x_max, current, 2.0 * bench.size.current, force, rate, GAIN, force, rate, 0.0, 0.0, True),
+        "most": (x_max, current, 2.0 * bench.size.current, force, rate, GAIN_MAX, force, rate, 0.0, 0.0, True),
     }
     arrays = {f"loop.{name}": array for name, array in loop.arrays.items()}
-    return make_record(FILTER, values, arrays | {"table": metric.table})
+    return make_record(FILTER_DTYPE, values, arrays | {"table": metric.table})
 
 
 def default_filter(bench: Bench | None = None) -> LoopFilter:

@@ -4,7 +4,7 @@
 The loop has two models, both compiled from the bench file::
 
     whole   all effects: for predictions, hidden states and the monitor
-    loop    without `DISTURBANCES`: linearized, by its exact Jacobian
+    loop    without `DISTURBANCE_EFFECTS`: linearized, by its exact Jacobian
 
 Dry friction, as an effect or a closure, overlap and gaps are bounded disturbances to the metric: within them nothing
 moves, and a derivative there does not describe the loop. The certificate counts the part of the current that passes an
@@ -28,18 +28,18 @@ import numpy.typing as npt
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, StateArray, to_matrix
 from hydro_filter.model import terms
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_HYDRAULIC, Q_SPOOL, coordinate_scales
-from hydro_filter.model.records import LOOP, SAMPLE, make_record
-from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_filter.model.records import LOOP_DTYPE, SAMPLE_DTYPE, make_record
+from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATE_SIZE
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.firmware import BENCH_FIELDS, Records
+from hydro_sim.box.firmware import BENCH_FIELDS, RecordArray
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
+from hydro_sim.model.bench_model import TEXTBOOK_STATE_COUNT, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.grammar import depends_on_direction, has_hidden_states, signals_of
 from hydro_sim.model.sensors import Sensors
 
-DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", terms.OVERLAP, "backlash")
+DISTURBANCE_EFFECTS = ("friction_coulomb", "friction_stribeck", "friction_presliding", terms.OVERLAP_EFFECT, "backlash")
 """Effects left out of the linearized loop, as bounded disturbances."""
 REFERENCE_ACCELERATION_MAX = 2000.0 / 3.0
 """1/s^2, limit of f_r'' over the bench's force: about that of a sine of this amplitude at 4 Hz."""
@@ -47,7 +47,7 @@ VELOCITY_NOISE_FLOOR = 0.025
 """1/s, velocity over the stroke below which the velocity's sign is noise."""
 FORCE_ALLOWANCES, PRESSURE_ALLOWANCES = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
 """Residuals that the monitor's equations allow at any motion, shape (5,). Over the bench's force: model error of the
-load, dry friction, a load cell's drift; over `UNCERTAINTY` of the bench's pressure: the chambers."""
+load, dry friction, a load cell's drift; over `terms.PRESSURE_UNCERTAINTY` of the bench's pressure: the chambers."""
 
 MASS_FACTOR = 1e6
 """Mass within a sample over the bench's: hidden states follow the measured velocity, not the one that bristles of
@@ -63,7 +63,7 @@ SINGLE_LAG_EFFECTS = {
     "the pressure sensor of b": terms.PRESSURE_LAGS[1],
 }
 """Labels of the lags of which a representable bench has at most one, by component."""
-WHOLE_SAMPLE = 1e-9
+DEAD_TIME_TOLERANCE = 1e-9
 """Fraction of a sample within which a dead time counts as a whole number of samples."""
 
 
@@ -79,8 +79,8 @@ class Loop:
     """Fields of `record`, by name."""
     arrays: dict[str, npt.NDArray[Any]]
     """Arrays behind the record's pointers, by field name: `k`, `rest`, `forces`, `scale` and others."""
-    record: Records
-    """Record of `records.LOOP`, shape (1,)."""
+    record: RecordArray
+    """Record of `records.LOOP_DTYPE`, shape (1,)."""
 
     def __getitem__(self, name: str) -> Any:
         return self.values[name]
@@ -107,12 +107,18 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
     k, rest, _ = whole.begin(whole.values)
     carried = whole.values * [MASS_FACTOR if one.name == "moving_mass" else 1.0 for one in whole.parameters]
     past = whole.structure.past_currents
-    from_whole = [*range(TEXTBOOK), *(states[name] for name in linear_states), *range(len(rest) - past, len(rest))]
+    from_whole = [
+        *range(TEXTBOOK_STATE_COUNT),
+        *(states[name] for name in linear_states),
+        *range(len(rest) - past, len(rest)),
+    ]
 
     # load, friction, sensors and valve
     numbers, law, size = model_bench.constants()[0], box_bench.constants()[0], box_bench.size
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
-    forces = terms.load_curve(numbers, [one for one in model_bench.terms if one["id"] not in DISTURBANCES], positions)
+    forces = terms.load_curve(
+        numbers, [one for one in model_bench.terms if one["id"] not in DISTURBANCE_EFFECTS], positions
+    )
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
     level, (before, after) = terms.dry_friction(model_bench), terms.null_shifts(model_bench)
@@ -124,14 +130,14 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
 
     # coordinates that the bench file adds to the eight: of lagging pressure sensors, then of currents in the dead time
     sensors = terms.lagging_sensors(model_bench, states, linear_states)
-    on_their_way = ceil(delay / SAMPLE_PERIOD - WHOLE_SAMPLE)
-    lagging, observer = np.zeros(2, LOOP["lagging"].base), np.zeros((3, 6))
+    on_their_way = ceil(delay / SAMPLE_PERIOD - DEAD_TIME_TOLERANCE)
+    lagging, observer = np.zeros(2, LOOP_DTYPE["lagging"].base), np.zeros((3, 6))
     for i, one in enumerate(sensors):
         lagging[i] = one.signal_index, one.rate_index, one.chamber, one.delay
     if count := len(sensors):
         observer[: count + 1, : 3 * count] = terms.pressure_observer(linear, sensors, size)
     scale = coordinate_scales(box_bench)
-    pressure, currents = float(scale[Q_HYDRAULIC]) / model_bench.piston_area, TEXTBOOK + len(linear_states)
+    pressure, currents = float(scale[Q_HYDRAULIC]) / model_bench.piston_area, TEXTBOOK_STATE_COUNT + len(linear_states)
     kept = [index for one in sensors for index in (one.linear_signal_index, one.linear_rate_index)]
     kept += range(currents, currents + on_their_way)
     added = [unit for one in sensors for unit in (pressure, one.omega * pressure)]
@@ -141,13 +147,13 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
         "sample": whole.address_of("bench_sample"), "jacobian": linear.address_of("bench_jacobian"),
         "coordinates": len(scale) + len(added), "lagging": lagging, "lagging_count": count, "observer": observer,
         "force_shown": terms.state_index(states, terms.FORCE_CELL_LAG, "signal"),
-        "delay": delay, "past": past, "at_valve": floor(delay / SAMPLE_PERIOD + WHOLE_SAMPLE),
+        "delay": delay, "past": past, "at_valve": floor(delay / SAMPLE_PERIOD + DEAD_TIME_TOLERANCE),
         "on_their_way": on_their_way, "spool_age": terms.lag_delay(terms.find_parameters(model_bench, terms.VALVE_LAG)),
         "before": before, "after": after,
         "points": len(forces), "first": positions[0], "step": positions[1] - positions[0],
         "level": level, "holds": level > 0.0 and not bristles, "creep": size.length * VELOCITY_NOISE_FLOOR,
         "lag": lag, "inertia": inertia, "gain": gain, "bias": bias,
-        "allowed": size.force * FORCE_ALLOWANCES + size.pressure * terms.UNCERTAINTY * PRESSURE_ALLOWANCES,
+        "allowed": size.force * FORCE_ALLOWANCES + size.pressure * terms.PRESSURE_UNCERTAINTY * PRESSURE_ALLOWANCES,
         "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
         "dead_a": float(numbers["dead_volume_a"]), "dead_b": float(numbers["dead_volume_b"]),
         "stroke": float(numbers["stroke"]), "bend_max": size.force * REFERENCE_ACCELERATION_MAX,
@@ -171,7 +177,7 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
         "from_whole": np.array(from_whole, np.int32), "rest": rest, "forces": forces,
         "scale": np.append(scale, added), "kept": np.array(kept, np.int32),
     }  # fmt: skip
-    return Loop(model_bench, box_bench, values, arrays, make_record(LOOP, values, arrays))
+    return Loop(model_bench, box_bench, values, arrays, make_record(LOOP_DTYPE, values, arrays))
 
 
 def check_representable(bench: Bench) -> None:
@@ -210,19 +216,19 @@ def coordinate_names(loop: Loop) -> tuple[str, ...]:
 
 def rest_measurement(loop: Loop) -> FloatArray:
     """Return the measurement x, shape (8,), of the bench at rest, with gains and biases of its sensors."""
-    y, x = loop.arrays["rest"], np.zeros(STATES)
+    y, x = loop.arrays["rest"], np.zeros(STATE_SIZE)
     force = loop["area"] * (y[0] - loop["ratio"] * y[1])
     true = np.array([force, y[loop["whole.cell"]], *y[:3]])
     x[[HYDRAULIC_FORCE, LOAD_FORCE, PRESSURE_A, PRESSURE_B, POSITION]] = loop["gain"] * true + loop["bias"]
     return x
 
 
-def make_samples(x: FloatArray, **signals: Any) -> Records:
-    """Return records of `SAMPLE`, shape (n,), armed, from measurements x, shape (n, 8).
+def make_samples(x: FloatArray, **signals: Any) -> RecordArray:
+    """Return records of `SAMPLE_DTYPE`, shape (n,), armed, from measurements x, shape (n, 8).
 
     `signals`: fields of the record, 0 otherwise; f_c and f_c' are f_r and f_r', C_1 and C_2 are 1.
     """
-    samples = np.zeros(len(x), SAMPLE)
+    samples = np.zeros(len(x), SAMPLE_DTYPE)
     samples["x"], samples["c_1"], samples["c_2"], samples["armed"] = x, 1.0, 1.0, True
     for name, values in signals.items():
         samples[name] = values
@@ -230,8 +236,8 @@ def make_samples(x: FloatArray, **signals: Any) -> Records:
     return samples
 
 
-def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> Records:
-    """Return records of `SAMPLE`, shape (n,), from a recorded run under a law with this C_1, C_2 = 1 and f_c = f_r."""
+def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> RecordArray:
+    """Return records of `SAMPLE_DTYPE`, shape (n,), of a recorded run under a law with this C_1, C_2 = 1, f_c = f_r."""
     names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
     fields = ("nominal", "current", "reference", "reference_rate", "k_p")
     signals = {field: states[name] for field, name in zip(fields, names, strict=True)}
@@ -239,15 +245,15 @@ def recorded_samples(states: StateArray, velocity_compensation: float = 1.0) -> 
 
 
 def without_disturbances(bench: Bench) -> Bench:
-    """Return the bench without `DISTURBANCES` and without motion closures that depend on the direction of motion."""
+    """Return the bench without `DISTURBANCE_EFFECTS` and motion closures that depend on the direction of motion."""
     return replace(
         bench,
-        effects=tuple(effect for effect in bench.effects if effect["id"] not in DISTURBANCES),
+        effects=tuple(effect for effect in bench.effects if effect["id"] not in DISTURBANCE_EFFECTS),
         closures=tuple(one for one in bench.closures if one["equation"] != "motion" or not depends_on_direction(one)),
     )
 
 
 def without_overlap(bench: Bench) -> Bench | None:
     """Return the bench without its valve's overlap; None if it has none."""
-    kept = tuple(effect for effect in bench.effects if effect["id"] != terms.OVERLAP)
+    kept = tuple(effect for effect in bench.effects if effect["id"] != terms.OVERLAP_EFFECT)
     return replace(bench, effects=kept) if len(kept) < len(bench.effects) else None

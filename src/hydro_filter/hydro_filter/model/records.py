@@ -3,7 +3,7 @@
 
 ::
 
-    record = filter_record(metric, model, bench)               a record of FILTER, shape (1,)
+    record = filter_record(metric, model, bench)               a record of FILTER_DTYPE, shape (1,)
     linearize(loop, samples)                                   F, G, K, v of successive samples
     decide(decide_address(), record, memory, sample, decision) one decision, in a loop that numba compiles
 
@@ -25,14 +25,14 @@ from numba.extending import intrinsic
 
 from hydro_core.settings import SettingsError
 from hydro_core.signals import FloatArray
-from hydro_sim.box.firmware import DOUBLE, Records, address_of, library_path
+from hydro_sim.box.firmware import DOUBLE_STRUCTURES, RecordArray, address_of, library_path
 from hydro_sim.model.machine_code import declare_call
 from hydro_sim.model.plant import STATES_MAX
 
 NO_STATE = -1
 """Index of a state that a bench does not have."""
 
-READINGS, EQUATIONS = 5, 5
+READING_COUNT, EQUATION_COUNT = 5, 5
 
 
 def _structure(*groups: tuple[Any, str]) -> np.dtype[np.void]:
@@ -41,39 +41,44 @@ def _structure(*groups: tuple[Any, str]) -> np.dtype[np.void]:
 
 
 _REAL, _INT, _FLAG, _POINTER = np.float64, np.int32, np.bool_, np.uintp
-_EACH, _HIDDEN = (_REAL, (READINGS,)), (_REAL, (STATES_MAX,))
+_READING_FIELD, _HIDDEN_FIELD = (_REAL, (READING_COUNT,)), (_REAL, (STATES_MAX,))
 
-MODEL = _structure((_POINTER, "rates k"), (_INT, "states spool spool_rate cell cell_rate"))
-LAGGING = _structure((_INT, "signal rate chamber"), (_REAL, "age"))
-LOOP = _structure(
-    (MODEL, "whole linear"), (_POINTER, "sample sample_k jacobian from_whole rest forces scale kept"),
-    ((LAGGING, (2,)), "lagging"), ((_REAL, (3, 6)), "observer"),
+MODEL_DTYPE = _structure((_POINTER, "rates k"), (_INT, "states spool spool_rate cell cell_rate"))
+LAGGING_DTYPE = _structure((_INT, "signal rate chamber"), (_REAL, "age"))
+LOOP_DTYPE = _structure(
+    (MODEL_DTYPE, "whole linear"), (_POINTER, "sample sample_k jacobian from_whole rest forces scale kept"),
+    ((LAGGING_DTYPE, (2,)), "lagging"), ((_REAL, (3, 6)), "observer"),
     (_INT, "coordinates points lagging_count past at_valve on_their_way force_shown"), (_FLAG, "holds"),
-    (_REAL, "level first step before after delay spool_age lag inertia"), (_EACH, "gain bias allowed"),
+    (_REAL, "level first step before after delay spool_age lag inertia"), (_READING_FIELD, "gain bias allowed"),
     (_REAL, "area ratio mass dead_a dead_b stroke least_gain least_opening bend_max creep gain_floor velocity_memory"),
-    (DOUBLE.config["bench"], "bench"),
+    (DOUBLE_STRUCTURES.config["bench"], "bench"),
 )  # fmt: skip
-"""Structure hydro_loop of firmware/hydro/loop.h; MODEL, LAGGING, SAMPLE and MEMORY are of the same file."""
-SAMPLE = _structure(
+"""Structure hydro_loop of firmware/hydro/loop.h, as those of model, lagging reading, sample and filter state are."""
+SAMPLE_DTYPE = _structure(
     ((_REAL, (8,)), "x"),
     (_REAL, "nominal current reference reference_rate k_p followed followed_rate c_1 c_2"), (_FLAG, "armed"),
 )  # fmt: skip
-MEMORY = _structure((_HIDDEN, "hidden"), (_REAL, "opening opening_rate reference_rate"), (_FLAG, "running"))
-FILTER = _structure(
-    (LOOP, "loop"), (_POINTER, "table"), (_INT, "rows"),
+FILTER_STATE_DTYPE = _structure(
+    (_HIDDEN_FIELD, "hidden"), (_REAL, "opening opening_rate reference_rate"), (_FLAG, "running")
+)
+FILTER_DTYPE = _structure(
+    (LOOP_DTYPE, "loop"), (_POINTER, "table"), (_INT, "rows"),
     (_REAL, "gain_low gain_high gain_step floor kept foreign_kept noise_size foreign_noise_size integral_allowance"),
-    (_REAL, "velocity_compensation closing back out"), (SAMPLE, "most"),
+    (_REAL, "velocity_compensation closing back out"), (SAMPLE_DTYPE, "most"),
 )  # fmt: skip
-"""Structure hydro_loop_filter of firmware/hydro/loop_filter.h, as DECISION is."""
-DECISION = _structure((_REAL, "delta_u before after a b low high"), (np.uint32, "status"), (_FLAG, "restorable"))
-MONITOR = _structure(
-    (_EACH, "last middle"), (_HIDDEN, "hidden"), (_REAL, "opening cell"), ((_REAL, (EQUATIONS, 2)), "sums"),
-    ((_INT, (EQUATIONS, 2)), "runs"), (_INT, "seen broken held"), (_REAL, "ratio effort"),
+"""Structure hydro_loop_filter of firmware/hydro/loop_filter.h, as DECISION_DTYPE is."""
+DECISION_DTYPE = _structure((_REAL, "delta_u before after a b low high"), (np.uint32, "status"), (_FLAG, "restorable"))
+MONITOR_DTYPE = _structure(
+    (_READING_FIELD, "last middle"), (_HIDDEN_FIELD, "hidden"), (_REAL, "opening cell"),
+    ((_REAL, (EQUATION_COUNT, 2)), "sums"), ((_INT, (EQUATION_COUNT, 2)), "runs"),
+    (_INT, "seen broken held"), (_REAL, "ratio effort"),
 )  # fmt: skip
 """Structure hydro_monitor of firmware/hydro/monitor.h."""
 
 
-def make_record(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Records:
+def make_record(
+    kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
+) -> RecordArray:
     """Return a record of a C structure, shape (1,), whose pointers refer to `arrays`.
 
     `values`, `arrays`: by field name; nested fields with a dot.
@@ -81,7 +86,7 @@ def make_record(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapp
     sizes = [kind.itemsize, *(array.nbytes for array in arrays.values())]
     begins = np.cumsum([-(-size // 8) for size in sizes])  # in words
     memory = np.zeros(int(begins[-1]))
-    record: Records = memory.view(np.uint8)[: kind.itemsize].view(kind)
+    record: RecordArray = memory.view(np.uint8)[: kind.itemsize].view(kind)
     pointers = {}
     for (name, array), begin in zip(arrays.items(), begins, strict=False):
         memory.view(np.uint8)[8 * begin : 8 * begin + array.nbytes] = np.ascontiguousarray(array).view(np.uint8).ravel()
@@ -95,14 +100,14 @@ def make_record(kind: np.dtype[np.void], values: Mapping[str, Any], arrays: Mapp
     return record
 
 
-def new_memories(count: int = 1) -> Records:
-    """Return initial filter states of `count` benches: records of MEMORY, shape (count,)."""
-    return np.zeros(count, MEMORY)
+def new_memories(count: int = 1) -> RecordArray:
+    """Return initial filter states of `count` benches: records of FILTER_STATE_DTYPE, shape (count,)."""
+    return np.zeros(count, FILTER_STATE_DTYPE)
 
 
-def new_monitors(count: int = 1) -> Records:
-    """Return initial monitor states of `count` benches: records of MONITOR, shape (count,)."""
-    return np.zeros(count, MONITOR)
+def new_monitors(count: int = 1) -> RecordArray:
+    """Return initial monitor states of `count` benches: records of MONITOR_DTYPE, shape (count,)."""
+    return np.zeros(count, MONITOR_DTYPE)
 
 
 @cache
@@ -132,7 +137,9 @@ def library() -> ctypes.PyDLL:
         code.hydro_c_filter_sizes(sizes)
     except AttributeError:
         pass
-    if list(sizes) != [kind.itemsize for kind in (FILTER, MEMORY, MONITOR, SAMPLE, DECISION)]:
+    if list(sizes) != [
+        kind.itemsize for kind in (FILTER_DTYPE, FILTER_STATE_DTYPE, MONITOR_DTYPE, SAMPLE_DTYPE, DECISION_DTYPE)
+    ]:
         raise SettingsError("the built firmware is of another version: run `make setup`")
     return code
 
@@ -169,18 +176,21 @@ class Linearization(NamedTuple):
 
 
 def linearize(
-    loop: Records, samples: Records, memory: Records | None = None, linearized: npt.NDArray[np.bool_] | None = None
+    loop: RecordArray,
+    samples: RecordArray,
+    memory: RecordArray | None = None,
+    linearized: npt.NDArray[np.bool_] | None = None,
 ) -> Linearization:
     """Linearize the loop at successive samples by the filter's C functions.
 
     Parameters
     ----------
     loop
-        A record of LOOP, shape (1,).
+        A record of LOOP_DTYPE, shape (1,).
     samples
-        Records of SAMPLE, shape (n,).
+        Records of SAMPLE_DTYPE, shape (n,).
     memory
-        Filter state, a record of MEMORY, shape (1,), updated in place; None: a new one.
+        Filter state, a record of FILTER_STATE_DTYPE, shape (1,), updated in place; None: a new one.
     linearized
         Mask of the samples to linearize, shape (n,); None: all.
     """
@@ -196,15 +206,17 @@ def linearize(
     return output
 
 
-def run_monitor(loop: Records, samples: Records, memory: Records, monitor: Records, limit: float = 1.0) -> FloatArray:
+def run_monitor(
+    loop: RecordArray, samples: RecordArray, memory: RecordArray, monitor: RecordArray, limit: float = 1.0
+) -> FloatArray:
     """Run the model monitor on successive samples; return its CUSUM statistics after each, shape (n, 5, 2)."""
-    sums = np.empty((len(samples), EQUATIONS, 2))
+    sums = np.empty((len(samples), EQUATION_COUNT, 2))
     at = map(address_of, (memory, monitor))
     library().hydro_c_filter_watch(address_of(loop), limit, *at, len(samples), *map(address_of, (samples, sums)))
     return sums
 
 
-def law_gradient(loop: Records, sample: Records) -> FloatArray:
+def law_gradient(loop: RecordArray, sample: RecordArray) -> FloatArray:
     """Return the gradient du/dx of the force law at a sample, shape (8,), A per unit of each measurement."""
     output = np.empty(8)
     library().hydro_c_filter_gradient(address_of(loop), address_of(sample), address_of(output))

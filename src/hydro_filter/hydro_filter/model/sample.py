@@ -10,12 +10,12 @@ import numpy as np
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.signals import PLANT_FIELDS, Flag, FloatArray, Law
 
-STATES = 8
+STATE_SIZE = 8
 """Length of x (paper eq. state_def)."""
 
 (
     HYDRAULIC_FORCE, HYDRAULIC_FORCE_RATE, LOAD_FORCE, LOAD_FORCE_RATE, PRESSURE_A, PRESSURE_B, POSITION, VELOCITY,
-) = range(STATES)  # fmt: skip
+) = range(STATE_SIZE)  # fmt: skip
 """Indices into x."""
 
 

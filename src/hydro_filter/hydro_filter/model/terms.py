@@ -26,7 +26,7 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.model.records import NO_STATE
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
+from hydro_sim.model.bench_model import TEXTBOOK_STATE_COUNT, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.effects.base import Effect
 from hydro_sim.model.equations import LOAD_CELL_DAMPING, READINGS
@@ -39,11 +39,11 @@ VALVE_LAG, LOAD_CELL_LAG, FORCE_CELL_LAG = (
 )  # fmt: skip
 PRESSURE_LAGS = "sensor_lag sensor=pressure_a", "sensor_lag sensor=pressure_b"
 """Labels of the lags of chamber A's and chamber B's pressure sensor."""
-OVERLAP = "valve_deadband"
+OVERLAP_EFFECT = "valve_deadband"
 """Id of the valve's overlap, a range of currents that gives no flow."""
 POSITION_STATE, VELOCITY_STATE, LOAD_STATE, LOAD_RATE_STATE = 2, 3, 4, 5
 """Indices of the textbook model's states; load force and its rate are behind the bench's own amplifier."""
-UNCERTAINTY = 1.875e-4
+PRESSURE_UNCERTAINTY = 1.875e-4
 """Standard deviation of the model's pressure after one sample, over the bench's pressure; the monitor's allowance."""
 
 
@@ -71,7 +71,7 @@ def hidden_state_indices(bench: Bench) -> dict[StateName, int]:
         label = catalogue.label(effect)
         seen[label] = seen.get(label, -1) + 1
         for state in catalogue.parse_entry(effect)[0].effect.states:
-            indices[label, seen[label], state.name] = TEXTBOOK + len(indices)
+            indices[label, seen[label], state.name] = TEXTBOOK_STATE_COUNT + len(indices)
     return indices
 
 
@@ -145,7 +145,7 @@ def valve_overlap(bench: Bench) -> dict[str, float]:
     """
     closing, back, out = -sum(null_shifts(bench)), 0.0, 0.0
     for effect in bench.effects:
-        if effect["id"] == OVERLAP:
+        if effect["id"] == OVERLAP_EFFECT:
             widths = parameters_of(effect)
             out += widths["half_width"]
             back += widths.get("half_width_negative", widths["half_width"])
@@ -190,7 +190,8 @@ def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size:
     The observer corrects pressure, sensor output and its rate, of each lagging sensor, twice a sample. The position's
     error counts because the box's velocity is late: a velocity error changes these states in proportion to the
     position. The readings' errors enter by the steady Kalman gain of the bench at rest. Both gains are by the model's
-    exact Jacobian; process noise of the pressure is `UNCERTAINTY` a sample, measurement noise that of the reading.
+    exact Jacobian; the pressure's process noise is `PRESSURE_UNCERTAINTY` a sample, measurement noise that of the
+    reading.
 
     Parameters
     ----------
@@ -213,7 +214,7 @@ def pressure_observer(model: BenchModel, sensors: Sequence[LaggingSensor], size:
     by_position = slopes[states, VELOCITY_STATE] / slopes[POSITION_STATE, VELOCITY_STATE]
     # a wrong pressure moves the position, too, and is corrected as if by a velocity
     moves = slopes[np.ix_(states, states)] - np.outer(by_position, slopes[POSITION_STATE, states])
-    noise, uncertain = Sensors.of_size(size).pressure_noise, UNCERTAINTY * size.pressure
+    noise, uncertain = Sensors.of_size(size).pressure_noise, PRESSURE_UNCERTAINTY * size.pressure
     into = slopes[np.ix_(states, [one.chamber for one in sensors])]
     # units of 1 Pa and, of rates, 1 Pa a sample
     units = np.tile([1.0, 1.0, 1.0 / SAMPLE_PERIOD], count)

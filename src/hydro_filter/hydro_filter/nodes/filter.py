@@ -54,9 +54,9 @@ from hydro_bridge.ros.diagnostics import (
     with_publisher_conflicts,
 )
 from hydro_bridge.ros.messages import (
-    CORRECTIONS,
-    LAW_STATES,
-    STATES,
+    CORRECTION_CODEC,
+    LAW_STATE_CODEC,
+    STATE_CODEC,
     law_state_from_message,
     subscribe,
     subscribe_to_box,
@@ -68,7 +68,7 @@ from hydro_core.cli.console import UserError, command
 from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.process import termination
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import OUTSIDE_REGION, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
+from hydro_core.signals import OUTSIDE_REGION_BIT, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
 from hydro_filter.controller.factory import FilterChoice, parse_args
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
@@ -95,7 +95,7 @@ STALE_SHARE_MAX = 0.01
 STALE_HINT = "stale ones came too late to be applied: the machine is busy; close other programs"
 FILE_POLL_PERIOD = 1.0
 """s between checks of the files; changed files are read once they are unchanged for as long."""
-_PLANT = slice(2, 2 + len(PLANT_FIELDS))  # of a state's record, behind stamp and sequence
+_PLANT_VALUES = slice(2, 2 + len(PLANT_FIELDS))  # of a state's record, behind stamp and sequence
 
 
 @dataclass
@@ -218,9 +218,9 @@ class FilterNode(Node):
         self.create_timer(FILE_POLL_PERIOD, self._poll_files, clock=steady)
         if in_process:
             return
-        self._laws = subscribe(self, LAW_STATE, LAW_STATES, self._on_law_state)
+        self._laws = subscribe(self, LAW_STATE, LAW_STATE_CODEC, self._on_law_state)
         self._authority = create_subscription(self, AUTHORITY, self._on_authority)
-        self._states = subscribe(self, STATE, STATES, self._on_state)  # last: states are queued from now on
+        self._states = subscribe(self, STATE, STATE_CODEC, self._on_state)  # last: states are queued from now on
         if self._publisher is not None:
             self._answers = SampleAcknowledger(self, FILTER_WINDOW, self._states)
 
@@ -282,7 +282,7 @@ class FilterNode(Node):
     def publish(self) -> None:
         """Publish the last correction; see `hydro_bridge.nodes.plant_node.Corrector`."""
         if self._publisher is not None and self._last is not None:
-            self._publisher.publish(CORRECTIONS.pack(*self._last))
+            self._publisher.publish(CORRECTION_CODEC.pack(*self._last))
 
     def _on_authority(self, message: Authority) -> None:
         if self._authority.get_publisher_count() < 2:  # else the plant repeats it once it is alone
@@ -347,7 +347,7 @@ class FilterNode(Node):
                 result = Result.uncorrected(CorrectionStatus.STALE)
             else:
                 sample = Sample(
-                    np.array(message[_PLANT]), message.nominal_valve_current, message.reference_force,
+                    np.array(message[_PLANT_VALUES]), message.nominal_valve_current, message.reference_force,
                     message.proportional_gain, message.valve_current, message.reference_force_rate, bool(armed),
                     None if law is None else law_state_from_message(law),
                 )  # fmt: skip
@@ -357,9 +357,9 @@ class FilterNode(Node):
             delta_u, before, after, status = self._check_model(result)
             infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
             outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(armed)
-            self._last = CORRECTIONS.record(
+            self._last = CORRECTION_CODEC.record(
                 message.stamp, message.sequence, delta_u, before, after, delta_u != 0.0, infeasible,
-                int(status) | OUTSIDE_REGION * outside, self._epoch,
+                int(status) | OUTSIDE_REGION_BIT * outside, self._epoch,
             )  # fmt: skip
             if not self._in_process:  # else the plant says when
                 self.publish()

@@ -20,7 +20,7 @@ from hydro_filter.controller.factory import parse_args
 from hydro_filter.nodes.filter import FilterNode
 from hydro_sim.nodes import sim
 
-PLANTS = {"bridge": bridge.plant_factory, "sim": sim.plant_factory}
+PLANT_FACTORIES = {"bridge": bridge.plant_factory, "sim": sim.plant_factory}
 
 
 @command(ValueError)
@@ -32,7 +32,7 @@ def main() -> None:
         epilog="Further options are the plant's: `filtered_plant bridge --port /dev/ttyUSB0`; see `bridge --help`.",
         allow_abbrev=False,
     )
-    parser.add_argument("plant", choices=tuple(PLANTS), help="which node")
+    parser.add_argument("plant", choices=tuple(PLANT_FACTORIES), help="which node")
     parser.add_argument("--filter", default="", metavar="WORDS", help='of the filter: --filter="--contraction-rate 2"')
     own, ros = ros_arguments()
     asked, words = parser.parse_known_args(own)
@@ -42,5 +42,5 @@ def main() -> None:
     if any(re.match(r"__(node|name):=", word) for word in ros):
         raise UserError(f"two nodes are here: say which by -r {asked.plant}:__node:=NAME or -r filter:__node:=NAME")
     choice.describe()  # a missing file is refused before ROS starts
-    make = PLANTS[asked.plant](words)
+    make = PLANT_FACTORIES[asked.plant](words)
     run_node(lambda: make(FilterNode(choice, settings, in_process=True)), ros)

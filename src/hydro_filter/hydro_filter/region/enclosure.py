@@ -29,11 +29,10 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.region.certified_region import Bounds, CertifiedRegion
 from hydro_filter.region.interval import AffineSet, Interval, interval, symmetric
 
-PERIOD = SAMPLE_PERIOD
 SERIES_TERMS = 34
 """Terms of the Taylor series: T A is some 6 in units of the coordinates, and 6^35/35! is 2e-13."""
 
-SYMBOLS = (
+SYMBOL_NAMES = (
     "c_law", "zeta", "chi", "gain", "flow", "flow_error", "eta", "eta_law", "mean", "drift", "spring", "spool",
     "dead_time", "share",
 )  # fmt: skip
@@ -115,7 +114,7 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     weighted = _weighted(phi, root_a, root_b, sigma_law, mu)
     core = weighted * bulge_a * stiffer  # g over the law's, but for valve gain and bulk modulus
     # within a sample c moves by the velocity
-    swept = PERIOD * v.magnitude * max((area / volume_a).high, (area_b / volume_b).high)
+    swept = SAMPLE_PERIOD * v.magnitude * max((area / volume_a).high, (area_b / volume_b).high)
     gain_ratio = kappa * modulus * core
 
     # nu, the pressures' effect on the flows, and a nu^ of the law, in which valve gain and modulus cancel
@@ -146,9 +145,11 @@ def jacobian_bounds(region: CertifiedRegion, tolerances: Mapping[str, Bounds], s
     told_b = right_b * (rate_b - push_b * across + g_b * symmetric(error)) - left_b + compensation * c_law_b * late
 
     slope = state["gain_drift"]
-    down, up = (math.expm1(PERIOD * end) * (1.0 + 1e-9) for end in (slope.low, slope.high))
+    down, up = (math.expm1(SAMPLE_PERIOD * end) * (1.0 + 1e-9) for end in (slope.low, slope.high))
     drift = Interval(min(down, 0.0), max(up, 0.0))
-    flow_deviation = per_opening.high * (0.5 * PERIOD * state["opening_rate"].magnitude + drift.magnitude * largest)
+    flow_deviation = per_opening.high * (
+        0.5 * SAMPLE_PERIOD * state["opening_rate"].magnitude + drift.magnitude * largest
+    )
     return JacobianBounds(
         c_law=c_law_a + c_law_b, zeta=rho_a * stiffer,
         chi=kappa * weighted * interval((1.0 - swept, 1.0 + swept)), gain_ratio=gain_ratio,
@@ -174,7 +175,7 @@ def _weighted(phi: Interval, root_a: Interval, root_b: Interval, sigma: Interval
 def affine_symbol(name: str, of: Interval) -> AffineSet:
     """Return an interval as a 1 x 1 affine set with its own symbol."""
     number = affine_radius(Interval(of.midpoint, of.midpoint))
-    number.slopes[SYMBOLS.index(name), 0, 0] = of.radius
+    number.slopes[SYMBOL_NAMES.index(name), 0, 0] = of.radius
     return number
 
 
@@ -188,7 +189,7 @@ def affine_radius(of: Interval | float) -> AffineSet:
 
 def zeros(rows: int, columns: int) -> AffineSet:
     """Return the zero matrix as an affine set."""
-    return AffineSet(np.zeros((rows, columns)), np.zeros((len(SYMBOLS), rows, columns)), np.zeros((rows, columns)))
+    return AffineSet(np.zeros((rows, columns)), np.zeros((len(SYMBOL_NAMES), rows, columns)), np.zeros((rows, columns)))
 
 
 def set_block(into: AffineSet, row: int, column: int, number: AffineSet) -> None:
@@ -236,13 +237,13 @@ def enclose_closed_loop(
     }
     rates, varies = zeros(7, 7), np.zeros((7, 7))
     for (row, column), entry in entries.items():
-        factor = PERIOD * unit[column] / unit[row]
+        factor = SAMPLE_PERIOD * unit[column] / unit[row]
         set_block(rates, row, column, entry * factor)
         varies[row, column] = apart.get((row, column), 0.0) * factor
     inputs = zeros(7, 3)  # the current, a force on the mass, an opening
-    set_block(inputs, ZR, 0, omega @ omega * (PERIOD * scale[Z] / unit[ZR]))
-    set_block(inputs, V, 1, one * (PERIOD / mass / unit[V]))
-    set_block(inputs, F, 2, grown * (PERIOD * scale[Z] / unit[F]))
+    set_block(inputs, ZR, 0, omega @ omega * (SAMPLE_PERIOD * scale[Z] / unit[ZR]))
+    set_block(inputs, V, 1, one * (SAMPLE_PERIOD / mass / unit[V]))
+    set_block(inputs, F, 2, grown * (SAMPLE_PERIOD * scale[Z] / unit[F]))
     moved, pushed = enclose_transition(rates, varies, inputs, one, whole=True)
 
     # the law's current, as the opening that it will be, by the coordinates
@@ -260,7 +261,7 @@ def enclose_closed_loop(
     # rows of the states: by themselves, by the current, by the disturbances
     by_current = pushed.submatrix(within, [0])
     if ways:
-        late = affine_symbol("dead_time", ((ways - 1.0) * PERIOD + PERIOD - n.dead_time) / PERIOD)
+        late = affine_symbol("dead_time", ((ways - 1.0) * SAMPLE_PERIOD + SAMPLE_PERIOD - n.dead_time) / SAMPLE_PERIOD)
         fresh = enclose_transition(rates, varies, inputs, late, whole=False)[1].submatrix(within, [0])
         newest = law if ways < 2 else _unit_row(8 + ways - 2, width)
         driven = fresh @ newest + (by_current + fresh * -1.0) @ _unit_row(8 + ways - 1, width)
@@ -276,7 +277,7 @@ def enclose_closed_loop(
     # the box's velocity, from the change of x; then the coordinates in units of g, with g at the next sample
     memory, still, own = bench["velocity_memory"], zeros(1, width), zeros(1, width)
     set_block(still, 0, X, one * -1.0)
-    shown = (out.submatrix([X], every) + still) * ((1.0 - memory) / PERIOD * scale[X] / scale[BOX_VELOCITY])
+    shown = (out.submatrix([X], every) + still) * ((1.0 - memory) / SAMPLE_PERIOD * scale[X] / scale[BOX_VELOCITY])
     set_block(own, 0, BOX_VELOCITY, one * memory)
     set_block(own, 0, count + 2, one * (wrong["velocity_noise"] / scale[BOX_VELOCITY]))
     set_block(out, BOX_VELOCITY, 0, shown + own)

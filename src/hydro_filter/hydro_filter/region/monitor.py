@@ -14,9 +14,9 @@ import numpy as np
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 from hydro_filter.model.sample import Sample
 from hydro_filter.region.certified_region import CertifiedRegion
-from hydro_filter.region.parameters import STATES, region_states
+from hydro_filter.region.parameters import STATE_NAMES, region_states
 
-ROUNDING = 1e-9
+ROUNDING_TOLERANCE = 1e-9
 """Relative tolerance of the bounds, for rounding."""
 
 
@@ -24,7 +24,7 @@ class RegionViolation(NamedTuple):
     """Quantity outside of its certified range."""
 
     name: str
-    """A state of `parameters.STATES`, velocity_compensation, proportional_gain, or gain_rate."""
+    """A state of `parameters.STATE_NAMES`, velocity_compensation, proportional_gain, or gain_rate."""
     value: float
     low: float
     high: float
@@ -58,14 +58,16 @@ class RegionMonitor:
             return None
         valve = np.array([[opening, opening_rate, sample.nominal_current - self._closing]])
         states = region_states(region.bench, sample.state[np.newaxis], valve)[0]
-        quantities = [(name, float(value), *region.states[name]) for name, value in zip(STATES, states, strict=True)]
+        quantities = [
+            (name, float(value), *region.states[name]) for name, value in zip(STATE_NAMES, states, strict=True)
+        ]
         quantities.append(("velocity_compensation", sample.law_inputs[2], *region.velocity_compensation))
         quantities.append(("proportional_gain", sample.proportional_gain, *region.proportional_gain))
         if before is not None:
             rate = (sample.proportional_gain - before) / (SAMPLES_PER_STEP * SAMPLE_PERIOD)
             quantities.append(("gain_rate", rate, -region.gain_rate, region.gain_rate))
         for name, value, low, high in quantities:
-            slack = ROUNDING * max(abs(low), abs(high))
+            slack = ROUNDING_TOLERANCE * max(abs(low), abs(high))
             if not low - slack <= value <= high + slack:
                 return RegionViolation(name, value, low, high)
         return None

@@ -77,7 +77,7 @@ def bench_parameters(model: Bench, bench: Bench) -> tuple[dict[str, float], dict
     return ours, law
 
 
-STATES = (
+STATE_NAMES = (
     "position", "velocity", "pressure_a", "pressure_b", "opening", "opening_rate", "opening_error", "pressure_a_rate",
     "pressure_b_rate", "gain_drift",
 )  # fmt: skip
@@ -85,7 +85,7 @@ STATES = (
 
 
 def region_states(bench: Mapping[str, float], x: FloatArray, valve: FloatArray) -> FloatArray:
-    """Return the region's states, shape (n, 10), columns `STATES`.
+    """Return the region's states, shape (n, 10), columns `STATE_NAMES`.
 
     Parameters
     ----------
@@ -119,5 +119,5 @@ def region_states(bench: Mapping[str, float], x: FloatArray, valve: FloatArray) 
 
 def containment_share(states: Mapping[str, Bounds], samples: FloatArray) -> float:
     """Return the share of samples, shape (n, 10), within the region's box."""
-    low, high = np.array([states[name] for name in STATES]).T
+    low, high = np.array([states[name] for name in STATE_NAMES]).T
     return float(1.0 - np.any((samples < low) | (samples > high), axis=1).mean())

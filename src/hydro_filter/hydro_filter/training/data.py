@@ -44,7 +44,7 @@ from hydro_sim.simulation.offline import Schedule, simulate
 PULSE_CURRENT = 0.06
 """Current of the twin run's pulse of 10 ms over the valve's limit: some 15 N on the nominal bench."""
 PULSE_SAMPLE = 1000
-EARLY, LATE = slice(1050, 1350), slice(-300, None)
+EARLY_WINDOW, LATE_WINDOW = slice(1050, 1350), slice(-300, None)
 STOP_DISTANCE = 0.00625
 """Smallest distance of windows from the end stops over the stroke."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
@@ -105,7 +105,7 @@ class DataSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """Rollout with its stability label."""
+    """Rollout at fixed gains, up to a trip, with its stability label."""
 
     states: StateArray
     """Samples up to a trip of the box."""
@@ -183,7 +183,7 @@ def stability_label(first: StateArray, second: StateArray) -> int:
     if any(((run["flags"] & Flag.TRIPPED) != 0).any() for run in (first, second)):
         return UNSTABLE
     distance = np.abs(first["load_force"] - second["load_force"])
-    early, late = distance[EARLY].max(), distance[LATE].max()
+    early, late = distance[EARLY_WINDOW].max(), distance[LATE_WINDOW].max()
     return UNSTABLE if late > early else STABLE if late < DECAY_RATIO * early else NEITHER
 
 

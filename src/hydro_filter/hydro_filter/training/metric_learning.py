@@ -63,7 +63,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 
-QUANTILES = (0.5, 0.99, 0.999, 1.0)
+GROWTH_QUANTILES = (0.5, 0.99, 0.999, 1.0)
 COLUMNS = {
     "metric": "still: equations of the still bench; solved: made to hold on samples",
     "gains": "certified: under the force law's own K_p of the range; foreign: under the best correction",
@@ -78,9 +78,9 @@ COLUMNS = {
 }
 
 
-RATE, FOREIGN_RATE = LoopFilterSettings().contraction_rate, LoopFilterSettings().foreign_rate
+CONTRACTION_RATE, FOREIGN_RATE = LoopFilterSettings().contraction_rate, LoopFilterSettings().foreign_rate
 """lambda [1/s] of the certified range, and of all other gains."""
-MARGIN = 0.3
+RATE_MARGIN = 0.3
 """1/s, margin on both rates where metrics are solved, for states between the samples and for errors of the model."""
 
 
@@ -123,11 +123,11 @@ def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, co
 
     Raises ValueError: no held-out run has gains of one of the two.
     """
-    table = Table(COLUMNS, title=f"Contraction at lambda = {RATE:g} and {FOREIGN_RATE:g} 1/s, held out")
+    table = Table(COLUMNS, title=f"Contraction at lambda = {CONTRACTION_RATE:g} and {FOREIGN_RATE:g} 1/s, held out")
     corrected = close_loop(held_out.transition, held_out.input_vector, correction.feedback_at(held_out.input_vector))
     for name, metric in metrics.items():
         for kind, (gain, closed), rate in (
-            ("certified", certified_loops(held_out, metric), RATE),
+            ("certified", certified_loops(held_out, metric), CONTRACTION_RATE),
             ("foreign", (np.full(len(held_out), np.inf), corrected), FOREIGN_RATE),
         ):
             if not len(gain):
@@ -136,7 +136,7 @@ def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, co
                     f"no {kind} gains were held out: its range, K_p {low:.0f} to {high:.0f} 1/s, is too narrow"
                 )
             grown, condition = contraction_eigenvalues(metric, gain, closed, rate)
-            q50, q99, q999, largest = (float(value) for value in np.quantile(grown, QUANTILES))
+            q50, q99, q999, largest = (float(value) for value in np.quantile(grown, GROWTH_QUANTILES))
             table.add(
                 metric=name, gains=kind, samples=len(grown),
                 violated=100.0 * float((grown > 0.0).mean()), q50=q50, q99=q99, q999=q999, largest=largest,
@@ -173,9 +173,9 @@ def contraction_eigenvalues(
     return (largest - np.exp(-2.0 * rate * SAMPLE_PERIOD)) / SAMPLE_PERIOD, np.linalg.cond(matrices)[which]
 
 
-SAMPLES = 120
-STEPS = 250
-STEP = 2e-2
+DESCENT_SAMPLES = 120
+DESCENT_STEPS = 250
+LEARNING_RATE = 2e-2
 DISCARDED_SHARE = 0.02
 """Share of the samples, those of largest growth, left out of the descent: the spool passes zero there, and the law
 divides by one side's g while the valve has the other's."""
@@ -187,23 +187,26 @@ def refine(metric: ScheduledMetric, windows: Windows, correction: RiccatiCorrect
     Each factor is for one gain of the force law; the last is for all other gains, under the Riccati correction.
     """
     rng, stable = np.random.default_rng(seed), windows.subset(windows.label == STABLE)
-    chosen = rng.choice(len(stable), min(SAMPLES, len(stable)), replace=False)
+    chosen = rng.choice(len(stable), min(DESCENT_SAMPLES, len(stable)), replace=False)
     transition, input_vector = stable.transition[chosen, 0], stable.input_vector[chosen, 0]
     problems = []
     for row, gain in zip(metric.table[:-1], metric.gains, strict=True):
         feedback = stable.feedback[chosen, 0].copy()
         feedback[:, Q_LOAD] *= gain / stable.gain[chosen]
-        problems.append((row, close_loop(transition, input_vector, feedback), RATE + MARGIN))
-    chosen = rng.choice(len(windows), min(SAMPLES, len(windows)), replace=False)
+        problems.append((row, close_loop(transition, input_vector, feedback), CONTRACTION_RATE + RATE_MARGIN))
+    chosen = rng.choice(len(windows), min(DESCENT_SAMPLES, len(windows)), replace=False)
     transition, input_vector = windows.transition[chosen, 0], windows.input_vector[chosen, 0]
     foreign = close_loop(transition, input_vector, correction.feedback_at(input_vector))
-    problems.append((metric.table[-1], foreign, FOREIGN_RATE + MARGIN))
+    problems.append((metric.table[-1], foreign, FOREIGN_RATE + RATE_MARGIN))
     told = progress(problems, total=len(problems), label="solving", unit="metric", every=10.0)
     return replace(metric, table=np.array([refine_factor(*one) for one in told]))
 
 
 def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
-    """Return a factor's entries, shape (c (c + 1)/2,), refined by descent on closed loops F + G K, shape (n, c, c).
+    """Return the entries of a metric's Cholesky factor after gradient descent on violations of the contraction rate.
+
+    The metric is M = L L', scaled to M[Q_LOAD, Q_LOAD] = 1; `entries` are those of the initial L, shape (c (c + 1)/2,).
+    The loss measures violations of the rate `rate` [1/s] by the closed loops F + G K, `closed`, shape (n, c, c).
 
     Adam (Kingma & Ba 2015) on X of L = L_0 (I + X). With H = L^-1 (F + G K)' L the growth is g, the largest eigenvalue
     of H H', at its unit eigenvector u; v = H'u. As dH = H E - E H for E = L^-1 dL, dg = 2 tr((v v' - g u u') E').
@@ -215,7 +218,7 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
     limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(DISCARDED_SHARE * len(closed))
     moved, change, mean, square = closed.transpose(0, 2, 1), 0.0 * eye, 0.0 * eye, 0.0 * eye
     best, found = np.inf, start
-    for step in range(STEPS):
+    for step in range(DESCENT_STEPS):
         factor = start @ (eye + change)
         half = np.linalg.inv(factor) @ moved @ factor
         grown, vectors = np.linalg.eigh(half @ half.transpose(0, 2, 1))
@@ -233,13 +236,13 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
         slope = (v.T * weights) @ v - (u.T * (weights * grown[asked, -1])) @ u
         slope = np.tril(np.linalg.inv(eye + change).T @ slope) * (2.0 / SAMPLE_PERIOD) + 2e-3 * change
         mean, square = 0.9 * mean + 0.1 * slope, 0.999 * square + 0.001 * slope**2
-        pace = (STEP * (1.0 - step / STEPS) + 1e-4) / (1.0 - 0.9 ** (step + 1))
+        pace = (LEARNING_RATE * (1.0 - step / DESCENT_STEPS) + 1e-4) / (1.0 - 0.9 ** (step + 1))
         change = change - pace * mean / (np.sqrt(square / (1.0 - 0.999 ** (step + 1))) + 1e-8)
     weight = found @ found.T
     return cholesky_entries(weight / weight[Q_LOAD, Q_LOAD])
 
 
-HELD_OUT_EVERY = 5
+HELD_OUT_INTERVAL = 5
 """Interval of the held-out rollouts: every fifth."""
 SLOW_GAIN_MARGIN = 0.005
 """Reserve above the highest small K_p whose rollouts do not decay, over the compensated law's base K_p: with C_1 below
@@ -352,9 +355,9 @@ def _certify(
     violated, foreign = (row["violated"] for row in table.rows[-2:])
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data),
-        "rates": {"rate": RATE, "foreign_rate": FOREIGN_RATE, "margin": MARGIN},
+        "rates": {"rate": CONTRACTION_RATE, "foreign_rate": FOREIGN_RATE, "margin": RATE_MARGIN},
         "design": asdict(design), "model": model.digest, "violated": violated, "foreign_violated": foreign,
-        "where": describe_violations(metric, held_out, RATE),
+        "where": describe_violations(metric, held_out, CONTRACTION_RATE),
     }  # fmt: skip
     return replace(metric, thresholds=thresholds, training=facts), table
 
@@ -400,7 +403,7 @@ def collect_rollouts(
         rollouts.append(rollout := roll_out(plant, bench, data, index, overlap_free))
         windows = draw_windows(rollout, loop, data, index)
         if windows is not None and rollout.label != NEITHER:
-            (held_out if index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1 else kept).append(windows)
+            (held_out if index % HELD_OUT_INTERVAL == HELD_OUT_INTERVAL - 1 else kept).append(windows)
     return Windows.concatenate(kept), Windows.concatenate(held_out), rollouts
 
 

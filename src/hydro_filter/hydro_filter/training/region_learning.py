@@ -2,8 +2,8 @@
 """Certified region of a bench file: the box of a run's states, the metric proved to contract over it, and its file.
 
 The box is the range of every state in a run that follows a sine of 1 Hz at the law's largest gains of the region,
-widened by a tenth at either end. The largest force of `AMPLITUDES` whose box has a proof gives the region. Unproved
-regions are not written.
+widened by a tenth at either end. The largest force of `FORCE_AMPLITUDES` whose box has a proof gives the region.
+Unproved regions are not written.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hydro_filter.region.certified_region import (
     delay_samples,
     region_path,
 )
-from hydro_filter.region.parameters import STATES, bench_parameters, containment_share, region_states
+from hydro_filter.region.parameters import STATE_NAMES, bench_parameters, containment_share, region_states
 from hydro_filter.region.proof import prove_cell
 from hydro_filter.training.region_metric import solve_cell
 from hydro_sim.box.box import BoxConfig
@@ -41,14 +41,14 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
 
-AMPLITUDES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
+FORCE_AMPLITUDES = (1.0, 2.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 """Amplitudes over the bench's force: 300, 200, 100 and 50 N on the nominal one."""
-SECONDS, SETTLED = 6.0, 1000
+RUN_TIME, SETTLING_SAMPLES = 6.0, 1000
 RANGE_MARGIN = 0.1
 """Margin at either end of a range, over its width."""
 SPLIT_TOLERANCES = (*TOLERANCED_PARAMETERS, "dead_time")
 """Tolerances that may be split: a bench has one value of each, so that every part may have a metric of its own."""
-RESERVES, FAST_RESERVES = (0.9, 0.6, 1.3, 2.5), (3.0, 5.0, 8.0, 1.5)
+RATE_MARGINS, FAST_RATE_MARGINS = (0.9, 0.6, 1.3, 2.5), (3.0, 5.0, 8.0, 1.5)
 """1/s, margins on lambda for the radius that the vertices leave out, tried in turn: for C_1 = 1, a slow loop, and
 for smaller C_1."""
 SEGMENT_PARTS = 6
@@ -77,13 +77,13 @@ class RegionTarget:
     """Parts of each tolerance of `SPLIT_TOLERANCES`; every combination of parts has a metric of its own."""
     dead_time_tolerance: float = 0.0
     """s, tolerance of the dead time, above that of the bench file."""
-    forces: tuple[float, ...] = AMPLITUDES
+    forces: tuple[float, ...] = FORCE_AMPLITUDES
 
 
 def simulate_states(
     model: Bench, bench: Bench, target: RegionTarget, force: float, gain: float, seed: int = 0
 ) -> FloatArray:
-    """Return the states `STATES`, shape (n, 10), of a run with a sine of `force` [N], 1 Hz, at K_p = `gain`."""
+    """Return the states `STATE_NAMES`, shape (n, 10), of a run with a sine of `force` [N], 1 Hz, at K_p = `gain`."""
     loop = make_loop(model, bench)
     plant = AnalyticPlant(model, settings=Sensors.of_size(model.size))
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=force, offset=0.0, frequency=1.0)
@@ -91,17 +91,17 @@ def simulate_states(
     config = BoxConfig().of_bench(bench)
     if target.law is not None:
         config = replace(config, compensated=target.law)
-    plan = Schedule(reference=signal, gains=(gain, target.integral_gain), seconds=SECONDS, law=law)
+    plan = Schedule(reference=signal, gains=(gain, target.integral_gain), seconds=RUN_TIME, law=law)
     states = simulate(plant, bench, plan, config=config, seed=seed)
     opening = linearize(loop.record, recorded_samples(states), linearized=np.zeros(len(states), np.bool_)).opening
     valve = np.column_stack((opening, states["nominal_valve_current"] - closing_current(loop)))
-    return region_states(bench_parameters(model, bench)[0], to_matrix(states), valve)[SETTLED:]
+    return region_states(bench_parameters(model, bench)[0], to_matrix(states), valve)[SETTLING_SAMPLES:]
 
 
 def _box(samples: FloatArray, dry: float, mass: float) -> dict[str, Bounds]:
     low, high = samples.min(axis=0), samples.max(axis=0)
     wider = RANGE_MARGIN * (high - low)
-    ranges = {name: (float(a), float(b)) for name, a, b in zip(STATES, low - wider, high + wider, strict=True)}
+    ranges = {name: (float(a), float(b)) for name, a, b in zip(STATE_NAMES, low - wider, high + wider, strict=True)}
     for name in ("velocity", "opening_rate", "opening_error", "pressure_a_rate", "pressure_b_rate"):
         size = max(map(abs, ranges[name]))
         ranges[name] = (-size, size)
@@ -165,7 +165,7 @@ def _parts(tolerances: dict[str, Bounds], split: int) -> Iterator[dict[str, Boun
 
 
 def _proved(region: CertifiedRegion, tolerances: dict[str, Bounds], gains: tuple[float, ...]) -> ToleranceCell | None:
-    for reserve in RESERVES if region.velocity_compensation[1] == 1.0 else FAST_RESERVES:
+    for reserve in RATE_MARGINS if region.velocity_compensation[1] == 1.0 else FAST_RATE_MARGINS:
         cell, left = None, -math.inf
         try:
             cell = solve_cell(region, tolerances, np.array(gains), reserve)

@@ -24,7 +24,7 @@ from hydro_filter.region.interval import AffineSet, Interval
 from hydro_filter.region.proof import decay_margin, reduce_symbols
 
 ROUNDS_MAX = 12
-FIRST, ADDED = 2, 2
+INITIAL_VERTICES, ADDED_VERTICES_MAX = 2, 2
 """Vertices of each inequality in the first program; largest number of vertices added to it in a round."""
 
 
@@ -64,7 +64,9 @@ def solve_cell(
     `region.proof.prove_cell`'s.
     """
     todo, rng = make_inequalities(region, tolerances, gains), np.random.default_rng(0)
-    active = [(i, int(v)) for i, one in enumerate(todo) for v in rng.choice(len(one.signs), FIRST, replace=False)]
+    active = [
+        (i, int(v)) for i, one in enumerate(todo) for v in rng.choice(len(one.signs), INITIAL_VERTICES, replace=False)
+    ]
     cell = None
     for _ in range(ROUNDS_MAX):
         matrices = _solve(region, todo, active, len(gains), reserve)
@@ -75,7 +77,7 @@ def solve_cell(
         for i, one in enumerate(todo):
             before, after = (np.asarray(np.tensordot(s, matrices, 1), np.float64) for s in (one.before, one.after))
             left = decay_margin(region, (before, after), one.sample, one.signs)
-            worst = [(i, int(v)) for v in np.argsort(left)[:ADDED] if left[v] < 0.0]
+            worst = [(i, int(v)) for v in np.argsort(left)[:ADDED_VERTICES_MAX] if left[v] < 0.0]
             added += [place for place in worst if place not in active]
         if not added:
             break

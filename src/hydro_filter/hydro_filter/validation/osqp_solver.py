@@ -12,10 +12,10 @@ from scipy.sparse import csc_matrix
 from hydro_core.signals import CorrectionStatus
 from hydro_filter.validation.closed_form import solve_qp
 
-AGREEMENT = 1e-6
+AGREEMENT_TOLERANCE = 1e-6
 """Distance between both solutions, relative to the bounds, up to which they agree; OSQP's own tolerance is 1e-9."""
 
-SETTINGS = {
+OSQP_SETTINGS = {
     "verbose": False, "eps_abs": 1e-9, "eps_rel": 1e-9, "max_iter": 500, "check_termination": 5,
     "adaptive_rho": False, "rho": 1.0, "scaling": 0, "polishing": False,
 }  # fmt: skip
@@ -36,7 +36,7 @@ class Osqp:
         self._upper = np.array([0.0, 1.0])
         self._solver = osqp.OSQP()
         rows = csc_matrix(self._rows[:, np.newaxis])
-        self._solver.setup(csc_matrix([[1.0]]), np.zeros(1), rows, self._lower, self._upper, **SETTINGS)
+        self._solver.setup(csc_matrix([[1.0]]), np.zeros(1), rows, self._lower, self._upper, **OSQP_SETTINGS)
 
     def compare(self, a: float, b: float, low: float, high: float) -> None:
         """Solve the QP of `closed_form.solve_qp` and count whether both agree; skipped where du = 0 solves it."""
@@ -46,7 +46,7 @@ class Osqp:
         span = max(-low, high)
         found = self._ask(a, b, low, high, span)
         none = math.isnan(found) and exact.status is not CorrectionStatus.MODIFIED
-        agree = none or abs(found - exact.delta_u) <= AGREEMENT * span
+        agree = none or abs(found - exact.delta_u) <= AGREEMENT_TOLERANCE * span
         self.agreed += agree
         self.differed += not agree
 

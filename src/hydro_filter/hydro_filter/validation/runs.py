@@ -57,7 +57,7 @@ def plant_by_name(name: str, model: str | None = None) -> Plant:
 
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force * 2.0 / 3.0, frequency=1.0)
-FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force, frequency=2.0)
+FAST_SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=NOMINAL.force, frequency=2.0)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Case:
 
 CASES: dict[str, Case] = {
     "stable": Case("K_p 90, K_i 15 (paper)", (90.0, 90.0), (15.0, 15.0)),
-    "stable-fast": Case("the same, 300 N at 2 Hz", (90.0, 90.0), (15.0, 15.0), reference=FAST),
+    "stable-fast": Case("the same, 300 N at 2 Hz", (90.0, 90.0), (15.0, 15.0), reference=FAST_SINE),
     "base": Case("K_p 15, K_i 5", (15.0, 15.0), (5.0, 5.0)),
     "unstable": Case("K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)", (-40.0, 40.0), (-5.0, 5.0), hold_steps=1),
     "unstable-slow": Case("the same, drawn every 0.5 s", (-40.0, 40.0), (-5.0, 5.0), hold_steps=50),
@@ -97,7 +97,7 @@ CASES: dict[str, Case] = {
     "negative-held": Case("the same, drawn once", (-40.0, 0.0), (-5.0, 0.0)),
     "positive": Case("K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", (0.0, 40.0), (0.0, 5.0), hold_steps=1),
     "high": Case("K_p 100 to 300, K_i 5 to 15, drawn once", (100.0, 300.0), (5.0, 15.0)),
-    "high-fast": Case("the same, 300 N at 2 Hz", (100.0, 300.0), (5.0, 15.0), reference=FAST),
+    "high-fast": Case("the same, 300 N at 2 Hz", (100.0, 300.0), (5.0, 15.0), reference=FAST_SINE),
     "highest": Case("K_p 300, K_i 15", (300.0, 300.0), (15.0, 15.0)),
     "wide": Case("K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", (-40.0, 300.0), (-5.0, 15.0), hold_steps=1),
     "wide-slow": Case("the same, drawn every 0.5 s", (-40.0, 300.0), (-5.0, 15.0), hold_steps=50),
@@ -210,7 +210,7 @@ def gammas(results: list[Result], current_max: float) -> Gammas:
 
 FILTERS = ("none", "learned")
 """none: bypassed, its certificate evaluated; learned: the default."""
-FAILED = (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE, CorrectionStatus.NAN)
+UNRESTORED_STATUSES = (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE, CorrectionStatus.NAN)
 """Statuses of a sample whose certificate could not be restored."""
 SETTLING_SAMPLES = 2000
 """Samples left out of RMSE and chattering: the fade from rest."""
@@ -249,7 +249,7 @@ class Outcome:
     gammas: Gammas
     samples: int
     failed: int
-    """Samples with a status of `FAILED`."""
+    """Samples with a status of `UNRESTORED_STATUSES`."""
     agreed: int
     """Problems that OSQP solves as the filter does."""
     differed: int
@@ -308,7 +308,7 @@ def evaluate_task(task: Task) -> Outcome:
         bounded=done.bounded, peak=float(np.abs(states["load_force"]).max()),
         rmse=tracking_rmse(settled), chattering=chattering(settled),
         gammas=gammas(done.results, limit), samples=len(states),
-        failed=sum(result.status in FAILED for result in done.results),
+        failed=sum(result.status in UNRESTORED_STATUSES for result in done.results),
         agreed=osqp.agreed, differed=osqp.differed,
     )  # fmt: skip
 

@@ -15,19 +15,19 @@ from hydro_policy.commissioning.record import GateError
 from hydro_policy.task.cases import Score
 from hydro_sim.model.bench import Bench
 
-LOST_MAX = 0.01  # largest share of lost samples, and of samples with late commands, in a recording
+LOST_SHARE_MAX = 0.01  # largest share of lost samples, and of samples with late commands, in a recording
 CORRELATION_MIN = 0.8  # correlation that two signals of the same motion must exceed
 AMPLITUDE_RATIO = (0.4, 1.5)  # bounds of the load force's standard deviation over its reference's
 STANDSTILL_RATIO = 0.9  # RMSE on a sine over the sine's RMS, above which the load force did not follow
 SIGN_CHECK_FREQUENCY = 0.5  # frequency [Hz] of the motion for the sign check
-_LONGEST_GAP = 1000  # missing samples in a row from which a gap is an intended interruption, not a loss
+_INTERRUPTION_SAMPLES_MIN = 1000  # missing samples in a row from which a gap is an intended interruption, not a loss
 
 
 def sample_loss(states: StateArray, seconds: float) -> tuple[float, float]:
     """Return sample rate [1/s] and share of lost samples of a recording of `seconds` s at rest; raises GateError."""
     steps = np.diff(states["sequence"].astype(np.int64))
     lost = float(np.mean(steps - 1)) if len(steps) else 1.0
-    if lost > LOST_MAX or len(steps) < 0.3 * seconds / SAMPLE_PERIOD:
+    if lost > LOST_SHARE_MAX or len(steps) < 0.3 * seconds / SAMPLE_PERIOD:
         raise GateError(f"{len(states)} samples in {seconds:g} s, {100 * lost:.1f} % lost: see the line and its driver")
     return float(len(steps) / np.ptp(states["time"])), lost
 
@@ -56,7 +56,7 @@ def sensor_noise(states: StateArray, bench: Bench) -> tuple[dict[str, float], fl
     return noise, off
 
 
-_MINUTE = 60.0  # s, in which the force may drift by at most the amplitude with the valve closed
+_DRIFT_TIME = 60.0  # s, in which the force may drift by at most the amplitude with the valve closed
 
 
 def drift_rate(states: StateArray) -> float:
@@ -67,7 +67,7 @@ def drift_rate(states: StateArray) -> float:
 def drift_warning(states: StateArray, amplitude: float) -> str:
     """Return a warning if the load force at rest exceeds `amplitude` [N], or drifts by it in a minute; else empty."""
     force, rate = float(np.median(states["load_force"])), drift_rate(states)
-    if abs(force) <= amplitude and _MINUTE * abs(rate) <= amplitude:
+    if abs(force) <= amplitude and _DRIFT_TIME * abs(rate) <= amplitude:
         return ""
     return (
         f"disarmed, the load force stood at {force:.3g} N and crept by {rate:.2g} N/s: null the valve, or each arming "
@@ -126,7 +126,7 @@ def unusable_share(armed: StateArray) -> float:
     """Return the share of lost samples, and of samples with late commands, in the armed samples of a recording."""
     lost = np.diff(armed["sequence"].astype(np.int64)) - 1
     late = armed["flags"] & (Flag.FILTER_STALE | Flag.WATCHDOG) != 0
-    return float((lost[lost < _LONGEST_GAP].sum() + late.sum()) / len(armed))
+    return float((lost[lost < _INTERRUPTION_SAMPLES_MIN].sum() + late.sum()) / len(armed))
 
 
 def disturbed_share(scores: Sequence[Score]) -> float:

@@ -18,14 +18,14 @@ import numpy as np
 from hydro_bridge.pages import Section, results_page
 from hydro_core.cli.console import Table, UserError
 from hydro_core.files.atomic import encode_json, write_atomic
-from hydro_core.files.site import RECORD
+from hydro_core.files.site import RECORD_FILE
 from hydro_policy.task.cases import Score, relative_scores
 
-PAGE = "report.html"
+PAGE_FILE = "report.html"
 PASSED, FAILED, SKIPPED, PENDING = "passed", "failed", "skipped", "pending"
 
 
-_FOUND = {"diagnosis": ("causes",), "metric": ("certified_gains",), "controllers": ("comparison", "watch")}
+_RESULT_FIELDS = {"diagnosis": ("causes",), "metric": ("certified_gains",), "controllers": ("comparison", "watch")}
 """Fields of `Record` filled by each gate, by the gate's name."""
 
 
@@ -73,7 +73,7 @@ class Record:
 
         Raises UserError: the file is damaged, or has other gates.
         """
-        file = folder / RECORD
+        file = folder / RECORD_FILE
         if not file.is_file():
             return cls(gates=[GateResult(name=name) for name in names])
         try:
@@ -97,13 +97,13 @@ class Record:
             count += 1
         for gate in self.gates[count:]:
             gate.status, gate.reason, gate.files, self.adopted = PENDING, "", {}, ""
-            for field_name in _FOUND.get(gate.name, ()):
+            for field_name in _RESULT_FIELDS.get(gate.name, ()):
                 getattr(self, field_name).clear()
         return count
 
     def write(self, folder: Path) -> None:
         """Write commission.json and report.html."""
-        write_atomic(folder / RECORD, encode_json(self))
+        write_atomic(folder / RECORD_FILE, encode_json(self))
         causes = Table({"cause": "", "sentence": ""})
         for cause in self.causes:
             causes.add(cause=cause["id"], sentence=cause["sentence"])
@@ -117,7 +117,7 @@ class Record:
         ]
         shown = [section for section in sections if section.text or (section.table and section.table.rows)]
         about = {"plant": self.plant, "adopted": self.comparison.get(self.adopted, {}).get("name", "nothing yet")}
-        write_atomic(folder / PAGE, results_page(f"Commissioning of {folder.name}", about, shown).encode())
+        write_atomic(folder / PAGE_FILE, results_page(f"Commissioning of {folder.name}", about, shown).encode())
 
     def table(self) -> Table:
         """Return the table of the gates: status, wall time [s], findings."""

@@ -55,17 +55,17 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
-STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # time [s] between two updates
+STEP_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # time [s] between two updates
 
-ORDER = 5  # of the state-variable filter: four derivatives, two of them for the load cell's amplifier
+FILTER_ORDER = 5  # of the state-variable filter: four derivatives, two of them for the load cell's amplifier
 
 FILTER_SETTLING_TIME = 0.2  # settling time [s] of the filter after a gap, in which the fit is not updated
 
 PREDICTION_HORIZON = 0.01  # prediction horizon [s] of f_r' in the further terms, from the last sample
 
-PLAYS = (0.25, 0.5, 0.75)  # S_j over `force_scale`
+PLAY_HALF_WIDTHS = (0.25, 0.5, 0.75)  # S_j over `force_scale`
 
-START = np.array((1.0, 0.02, 1e-4, 0.0, *[0.0] * (4 + len(PLAYS))))
+INITIAL_COEFFICIENTS = np.array((1.0, 0.02, 1e-4, 0.0, *[0.0] * (4 + len(PLAY_HALF_WIDTHS))))
 """Initial a_0 to a_3, b_0 to b_3, c_0 to c_2; a_1 is half the usual lag, which bounds its initial error by as much."""
 
 BOX_SHARE = 0.75
@@ -73,8 +73,8 @@ BOX_SHARE = 0.75
 
 RATE_SAMPLES = 40  # samples of f_r' to which a cubic is fitted
 
-_CUBIC = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - RATE_SAMPLES, 1), 4, increasing=True))
-SECOND_DERIVATIVE_WEIGHTS: FloatArray = _CUBIC[1] + 2.0 * PREDICTION_HORIZON * _CUBIC[2]
+_CUBIC_FIT = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - RATE_SAMPLES, 1), 4, increasing=True))
+SECOND_DERIVATIVE_WEIGHTS: FloatArray = _CUBIC_FIT[1] + 2.0 * PREDICTION_HORIZON * _CUBIC_FIT[2]
 """Weights of the last `RATE_SAMPLES` f_r' in the predicted f_r'', `PREDICTION_HORIZON` after the last one."""
 
 VALIDITY_MASK = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
@@ -92,7 +92,7 @@ class CompensatorSettings:
     settling: Annotated[float, quantity("s", 0.01, 10.0)] = 0.3
     """Time constant with which a_0 and a_3 return to 1 and 0 where nothing is learnt."""
     weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-4
-    """Of `START` in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
+    """Of `INITIAL_COEFFICIENTS` in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
     valve_weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-2
     """Of the absence of the terms of b and c: smooth steps tell them badly from f'."""
     force_scale: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
@@ -148,9 +148,9 @@ class _Constants(NamedTuple):
 
     transition: FloatArray
     inputs: FloatArray  # of the state-variable filter; see `_filter`
-    regressors: FloatArray  # from the filtered force and its derivatives to regressors, shape (3, `ORDER`)
+    regressors: FloatArray  # from the filtered force and its derivatives to regressors, shape (3, `FILTER_ORDER`)
     scale: FloatArray  # of each regressor, shape (11,)
-    weights: FloatArray  # of `START`, shape (11,)
+    weights: FloatArray  # of `INITIAL_COEFFICIENTS`, shape (11,)
     lower: FloatArray
     upper: FloatArray  # bounds of the fit, shape (11,)
     plays: FloatArray  # S_j [N], shape (3,)
@@ -160,7 +160,7 @@ class _Memory(NamedTuple):
     """State of the estimators of n benches."""
 
     estimate: FloatArray  # a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 11)
-    states: FloatArray  # f_c, f and the terms of b and c, filtered, with their derivatives, shape (n, 9, `ORDER`)
+    states: FloatArray  # f_c, f and the terms of b and c, filtered, and derivatives, shape (n, 9, `FILTER_ORDER`)
     last: FloatArray  # the same nine of the last sample, shape (n, 9)
     within: FloatArray  # f_r - p_j, where f_r is within each play [N], shape (n, 3)
     rates: FloatArray  # last f_r' [N/s], the newest last, shape (n, `RATE_SAMPLES`); NaN: none yet
@@ -170,7 +170,7 @@ class _Memory(NamedTuple):
     excitation: FloatArray  # shape (n,)
 
 
-_SETTINGS = np.dtype([(each.name, np.float64) for each in fields(CompensatorSettings)])
+_SETTINGS_DTYPE = np.dtype([(each.name, np.float64) for each in fields(CompensatorSettings)])
 
 
 class Compensator:
@@ -193,37 +193,39 @@ class Compensator:
         self.settings, self.law = settings or CompensatorSettings(), law or BoxLaw()
         omega, force = 2.0 * math.pi, self.settings.force_scale  # 1 Hz
         valve = 1.0 / force, omega, omega * force, omega * force
-        scale = np.array((1.0, omega, omega**2, 1.0 / force, *valve, *[omega] * len(PLAYS)))
+        scale = np.array((1.0, omega, omega**2, 1.0 / force, *valve, *[omega] * len(PLAY_HALF_WIDTHS)))
         least, most, share = self.law.coefficient_min, self.law.coefficient_max, -self.law.coefficient_min[1]
         inverse: tuple[float, ...] = (1.0,)  # polynomial in s from the cell's reading to the force in front of it
         if cell is not None:
             natural = 2.0 * math.pi * cell.bandwidth
             inverse = 1.0, 2.0 * cell.damping / natural, 1.0 / natural**2
-        regressors = np.zeros((3, ORDER))
+        regressors = np.zeros((3, FILTER_ORDER))
         for row in range(3):
             regressors[row, row : row + len(inverse)] = inverse
         self._constants = _Constants(
             *_filter(self.settings.bandwidth),
             regressors=regressors / scale[:3, np.newaxis] / force,
             scale=scale,
-            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * (len(START) - 4)),
-            lower=np.array((*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAYS))),
-            upper=np.array((*most, most[3], share, share / force, share / force, *[share] * len(PLAYS))),
-            plays=np.multiply(PLAYS, force),
+            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * (4 + len(PLAY_HALF_WIDTHS))),
+            lower=np.array(
+                (*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAY_HALF_WIDTHS))
+            ),
+            upper=np.array((*most, most[3], share, share / force, share / force, *[share] * len(PLAY_HALF_WIDTHS))),
+            plays=np.multiply(PLAY_HALF_WIDTHS, force),
         )
-        self._numbers = np.array([astuple(self.settings)], _SETTINGS)
+        self._numbers = np.array([astuple(self.settings)], _SETTINGS_DTYPE)
         self.coefficients: FloatArray = np.empty((count, 4))
         """Commanded a_0 [-], a_1 [s], a_2 [s^2] (`BOX_SHARE` of the fit), a_3 [N] (all other terms), shape (n, 4)."""
         self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)  # benches whose last step counted, shape (n,)
         self.frozen = np.zeros(count, bool)  # benches whose coefficients hold on request, shape (n,)
         self._memory = _Memory(
-            estimate=np.empty((count, *START.shape)),
-            states=np.empty((count, len(START) - 2, ORDER)),
-            last=np.empty((count, len(START) - 2)),
-            within=np.empty((count, len(PLAYS))),
+            estimate=np.empty((count, *INITIAL_COEFFICIENTS.shape)),
+            states=np.empty((count, len(INITIAL_COEFFICIENTS) - 2, FILTER_ORDER)),
+            last=np.empty((count, len(INITIAL_COEFFICIENTS) - 2)),
+            within=np.empty((count, len(PLAY_HALF_WIDTHS))),
             rates=np.empty((count, RATE_SAMPLES)),
-            matrix=np.empty((count, *2 * START.shape)),
-            vector=np.empty((count, *START.shape)),
+            matrix=np.empty((count, *2 * INITIAL_COEFFICIENTS.shape)),
+            vector=np.empty((count, *INITIAL_COEFFICIENTS.shape)),
             steps=np.empty(count, np.int64),
             excitation=np.empty(count),
         )
@@ -232,11 +234,11 @@ class Compensator:
         self.reset()
 
     def reset(self, rows: int | slice = slice(None)) -> None:
-        """Reset the estimators of these benches to `START`, without memory of earlier samples."""
-        self.coefficients[rows] = START[:4] * (1.0, 1.0, BOX_SHARE, 1.0)
+        """Reset the estimators of these benches to `INITIAL_COEFFICIENTS`, without memory of earlier samples."""
+        self.coefficients[rows] = INITIAL_COEFFICIENTS[:4] * (1.0, 1.0, BOX_SHARE, 1.0)
         for array in self._memory:
             array[rows] = 0
-        self._memory.estimate[rows], self._memory.rates[rows] = START, np.nan
+        self._memory.estimate[rows], self._memory.rates[rows] = INITIAL_COEFFICIENTS, np.nan
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
@@ -272,21 +274,21 @@ class Compensator:
 
 
 def _filter(bandwidth: float) -> tuple[FloatArray, FloatArray]:
-    """Discretise the state-variable filter w^n / (s + w)^n, n = `ORDER`, over a policy step: trapezoidal rule, 1 kHz.
+    """Discretise the state-variable filter w^n / (s + w)^n, n = `FILTER_ORDER`, over a policy step: trapezoidal, 1 kHz.
 
     Returns the transition matrix of (F, F', ...), shape (n, n), and the input matrix of the last sample before the step
     and the ten samples of the step, shape (11, n).
     """
     w = 2.0 * math.pi * bandwidth
-    a = np.eye(ORDER, k=1)
-    a[-1] = [-math.comb(ORDER, k) * w ** (ORDER - k) for k in range(ORDER)]
-    b = np.zeros(ORDER)
-    b[-1] = w**ORDER
+    a = np.eye(FILTER_ORDER, k=1)
+    a[-1] = [-math.comb(FILTER_ORDER, k) * w ** (FILTER_ORDER - k) for k in range(FILTER_ORDER)]
+    b = np.zeros(FILTER_ORDER)
+    b[-1] = w**FILTER_ORDER
     half = 0.5 * SAMPLE_PERIOD * a
-    inverse = np.linalg.inv(np.eye(ORDER) - half)
-    one, gain = inverse @ (np.eye(ORDER) + half), inverse @ b * 0.5 * SAMPLE_PERIOD
-    transition: FloatArray = np.eye(ORDER)
-    inputs: FloatArray = np.zeros((ORDER, SAMPLES_PER_STEP + 1))
+    inverse = np.linalg.inv(np.eye(FILTER_ORDER) - half)
+    one, gain = inverse @ (np.eye(FILTER_ORDER) + half), inverse @ b * 0.5 * SAMPLE_PERIOD
+    transition: FloatArray = np.eye(FILTER_ORDER)
+    inputs: FloatArray = np.zeros((FILTER_ORDER, SAMPLES_PER_STEP + 1))
     for k in range(SAMPLES_PER_STEP):
         transition, inputs = one @ transition, one @ inputs
         inputs[:, k] += gain

@@ -11,12 +11,12 @@ import numpy as np
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 from hydro_policy.compensation.estimator import (
     BOX_SHARE,
+    FILTER_ORDER,
     FILTER_SETTLING_TIME,
-    ORDER,
+    INITIAL_COEFFICIENTS,
     PREDICTION_HORIZON,
     SECOND_DERIVATIVE_WEIGHTS,
-    START,
-    STEP,
+    STEP_PERIOD,
 )
 from hydro_sim.jit import njit
 
@@ -25,7 +25,7 @@ from hydro_sim.jit import njit
 def update(settings, constants, memory, samples, active, frozen, counted, coefficients):
     """Update fits and coefficients in place by a policy step; `samples`: f_c, f, f_r', f_r in SI, shape (n, 4, 10)."""
     signals = np.empty((memory.last.shape[1], SAMPLES_PER_STEP))
-    transition, inputs, before = constants.transition, constants.inputs, np.empty(ORDER)
+    transition, inputs, before = constants.transition, constants.inputs, np.empty(FILTER_ORDER)
     for i in range(len(samples)):
         counted[i] = active[i] and np.isfinite(samples[i]).all() and _plausible(settings[0], memory, samples, i)
         if counted[i]:
@@ -39,16 +39,16 @@ def update(settings, constants, memory, samples, active, frozen, counted, coeffi
                     state[:], memory.last[i, channel] = 0.0, now[0]
                     state[0] = now[0]
                 before[:] = state
-                for j in range(ORDER):
+                for j in range(FILTER_ORDER):
                     total = inputs[0, j] * memory.last[i, channel]
-                    for k in range(ORDER):
+                    for k in range(FILTER_ORDER):
                         total += transition[j, k] * before[k]
                     for k in range(SAMPLES_PER_STEP):
                         total += inputs[k + 1, j] * now[k]
                     state[j] = total
                 memory.last[i, channel] = now[-1]
             memory.steps[i] += 1
-            if memory.steps[i] * STEP > FILTER_SETTLING_TIME and not frozen[i]:
+            if memory.steps[i] * STEP_PERIOD > FILTER_SETTLING_TIME and not frozen[i]:
                 _learn(settings[0], constants, memory, i)
         else:
             memory.steps[i], memory.within[i] = 0, 0.0
@@ -74,11 +74,11 @@ def _play(plays, within, rate, seconds, into):
 @njit
 def _command(settings, constants, memory, rate, reference, coefficients, i):
     """Compute the coefficients for the next policy step; a_3 holds where f_r' is missing."""
-    found, past, added = memory.estimate[i], memory.rates[i], np.empty(len(START) - 4)
+    found, past, added = memory.estimate[i], memory.rates[i], np.empty(len(INITIAL_COEFFICIENTS) - 4)
     if np.isnan(past).any():
         past[:] = rate[0]
     past[:-SAMPLES_PER_STEP], past[-SAMPLES_PER_STEP:] = past[SAMPLES_PER_STEP:].copy(), rate
-    ahead = rate[-1] + (rate[-1] - rate[0]) * PREDICTION_HORIZON / (STEP - SAMPLE_PERIOD)
+    ahead = rate[-1] + (rate[-1] - rate[0]) * PREDICTION_HORIZON / (STEP_PERIOD - SAMPLE_PERIOD)
     _terms(settings, reference + PREDICTION_HORIZON * ahead, ahead, added)
     within = memory.within[i].copy()
     _play(constants.plays, within, 0.5 * (rate[-1] + ahead), PREDICTION_HORIZON, added[4:])
@@ -112,8 +112,8 @@ def _plausible(settings, memory, signals, i):
 @njit
 def _learn(settings, constants, memory, i):
     """Update fit and coefficients."""
-    share, states, found = STEP / settings.memory, memory.states[i], memory.estimate[i]
-    phi = np.ones(len(START))
+    share, states, found = STEP_PERIOD / settings.memory, memory.states[i], memory.estimate[i]
+    phi = np.ones(len(INITIAL_COEFFICIENTS))
     phi[:3] = constants.regressors @ states[1]
     phi[4:] = states[2:, 0] / constants.scale[4:] / settings.force_scale
     target = states[0, 0] / settings.force_scale
@@ -122,12 +122,15 @@ def _learn(settings, constants, memory, i):
     missed = target - np.sum(phi * found * constants.scale)
     ratio = min(1.0 + (missed / settings.residual_threshold) ** 2, settings.forgetting_ratio_max)
     kept = 1.0 - share * ratio * min(excitation / settings.good_excitation, 1.0)
-    memory.matrix[i] = kept * memory.matrix[i] + STEP * np.outer(phi, phi)
-    memory.vector[i] = kept * memory.vector[i] + STEP * phi * target
+    memory.matrix[i] = kept * memory.matrix[i] + STEP_PERIOD * np.outer(phi, phi)
+    memory.vector[i] = kept * memory.vector[i] + STEP_PERIOD * phi * target
     if excitation >= settings.least_excitation:
         matrix = memory.matrix[i] + np.diag(constants.weights)
-        fit = np.linalg.solve(matrix, memory.vector[i] + constants.weights * START * constants.scale) / constants.scale
+        fit = (
+            np.linalg.solve(matrix, memory.vector[i] + constants.weights * INITIAL_COEFFICIENTS * constants.scale)
+            / constants.scale
+        )
         found[:] = np.minimum(np.maximum(fit, constants.lower), constants.upper)
     else:
-        found[0] += (1.0 - found[0]) * STEP / settings.settling
-        found[3] -= found[3] * STEP / settings.settling
+        found[0] += (1.0 - found[0]) * STEP_PERIOD / settings.settling
+        found[3] -= found[3] * STEP_PERIOD / settings.settling

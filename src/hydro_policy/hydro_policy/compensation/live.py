@@ -25,7 +25,7 @@ from hydro_policy.compensation.residual import AdaptedLaw, Network, Residual
 
 LAW_STATE_LIFETIME = 50  # samples for which the last /hydro/law_state is valid; none is published under the paper's law
 
-_KEPT = LAW_STATE_LIFETIME // SAMPLES_PER_STEP + 2
+_BUFFERED_STEPS_MAX = LAW_STATE_LIFETIME // SAMPLES_PER_STEP + 2
 """Incomplete policy steps that are buffered, so that valid law messages find their samples on a busy machine, too."""
 
 
@@ -66,7 +66,7 @@ class LiveCompensation:
         self.reset()
 
     def reset(self, *, learned: bool = False) -> None:
-        """Reset estimator and residual, with the coefficients at `estimator.START`; frozen coefficients are kept.
+        """Reset estimator, residual, and coefficients to `estimator.INITIAL_COEFFICIENTS`; frozen ones are kept.
 
         `learned`: whether the learned residual acts from now on; it does not while the coefficients are frozen.
         """
@@ -135,7 +135,7 @@ class LiveCompensation:
         """Store signals of a sample; update the estimate once its policy step is complete."""
         number, index = divmod(sequence - 1, SAMPLES_PER_STEP)
         if number not in self._steps:
-            self._steps = {n: step for n, step in self._steps.items() if abs(number - n) < _KEPT}
+            self._steps = {n: step for n, step in self._steps.items() if abs(number - n) < _BUFFERED_STEPS_MAX}
             self._steps[number] = _Step()
         step = self._steps[number]
         step.signals[rows, index] = values

@@ -49,7 +49,7 @@ WINDOW_MIN = 50  # shortest averaging window of a difference, policy steps
 PERIOD_DIFFERENCE, DISTINCT_DIFFERENCE = 0.01, 1.0
 """Thresholds of the mean squared difference at a lag over the reference's variance: a lag below the first is a period
 if a shorter lag exceeds the second."""
-_POWER = 1.0 / 300.0  # averaging rate of mean and variance, per policy step
+_AVERAGING_RATE = 1.0 / 300.0  # averaging rate of mean and variance, per policy step
 
 
 class PeriodDetector:
@@ -67,7 +67,7 @@ class PeriodDetector:
 
     def step(self, reference: FloatArray, age: npt.NDArray[np.int64]) -> None:
         """Update by one policy step: its reference, shape (n,), and the number of steps observed so far, shape (n,)."""
-        change = _POWER * (age > 0)
+        change = _AVERAGING_RATE * (age > 0)
         self._mean = np.where(age > 1, self._mean + change * (reference - self._mean), reference)
         self._variance = np.where(
             age > 1, self._variance + change * ((reference - self._mean) ** 2 - self._variance), 0
@@ -97,40 +97,40 @@ NOMINAL_SCALE = 300.0
 """Force scale [N] of the training benches; forces of another bench are scaled to it."""
 
 RATE_LAGS = np.array((0, 5, 10, 20, 35, 55, 90))  # lags of f_r' in z, samples before the last one
-LOOKAHEAD, KERNEL_HALF_LENGTH, SIGMA, PREDICTION_LATENCY = 16, 24, 8.0, 12
+LOOKAHEAD, KERNEL_HALF_LENGTH, KERNEL_SIGMA, PREDICTION_LATENCY = 16, 24, 8.0, 12
 """Horizon of the predicted correction from the last sample; half length and standard deviation of the kernel S; latency
 from the start of a policy step to the effect of its p; all in samples.
 
 In the graph a_3 acts from the fifth sample after the one on which it was decided (`benchmarks.residual`)."""
-KERNEL = np.exp(-0.5 * (np.arange(-KERNEL_HALF_LENGTH, KERNEL_HALF_LENGTH + 1) / SIGMA) ** 2)
+KERNEL = np.exp(-0.5 * (np.arange(-KERNEL_HALF_LENGTH, KERNEL_HALF_LENGTH + 1) / KERNEL_SIGMA) ** 2)
 KERNEL /= KERNEL.sum()
-DELAY = 4  # policy steps after which a needed correction is known
+CORRECTION_DELAY = 4  # policy steps after which a needed correction is known
 BUFFER_STEPS = 12  # policy steps whose samples are buffered
-MEMORY = 400  # needed corrections in memory, 4 s
-LAGS = (0, 2, 5, 10, 20, 40)  # lags of the recent needed corrections, policy steps before the last one
-WIDTHS = (0.25, 0.6)  # widths of the Gaussian kernels for the mean over similar z
+MEMORY_STEPS = 400  # needed corrections in memory, 4 s
+CORRECTION_LAGS = (0, 2, 5, 10, 20, 40)  # lags of the recent needed corrections, policy steps before the last one
+SIMILARITY_WIDTHS = (0.25, 0.6)  # widths of the Gaussian kernels for the mean over similar z
 PERIOD_WEIGHTS = (1.0, 0.5, 0.25)  # weights of the corrections needed one, two and three periods ago
-SMOOTHING = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0  # of these corrections, over policy steps
-SMOOTHING_DELAY = DELAY + 1 + len(SMOOTHING) // 2
+SMOOTHING_WEIGHTS = np.array((1.0, 2.0, 3.0, 2.0, 1.0)) / 9.0  # of these corrections, over policy steps
+SMOOTHING_DELAY = CORRECTION_DELAY + 1 + len(SMOOTHING_WEIGHTS) // 2
 """Policy steps after which the smoothed corrections of a step and the next are known."""
-SETTLING = BUFFER_STEPS + 100  # initial policy steps whose corrections are not repeated: the law converges
+SETTLING_STEPS = BUFFER_STEPS + 100  # initial policy steps whose corrections are not repeated: the law converges
 HALF_WEIGHT_CHANGE = 1.0  # N at `NOMINAL_SCALE`: change of the law's f_c since a correction at which its weight halves
 REPEAT_GAIN = 0.9  # share of a repeated correction that is applied
-FORGETTING = 0.01 / 1.5  # forgetting rate of the correlations, per policy step
+FORGETTING_RATE = 0.01 / 1.5  # forgetting rate of the correlations, per policy step
 
-TERMS = 3 * len(RATE_LAGS) + 4  # entries of z
-INPUTS = 2 * TERMS + 6 + len(LAGS) + 2 * len(WIDTHS)
-OUTPUTS = 2
-WEIGHTING = np.array([0.5, 0.7, 1.0] * len(RATE_LAGS) + [1.5, 0.7, 1.0, 0.0])
-"""Weights of the entries of z in the distance between two situations, shape (`TERMS`,)."""
+TERM_COUNT = 3 * len(RATE_LAGS) + 4  # entries of z
+INPUT_COUNT = 2 * TERM_COUNT + 6 + len(CORRECTION_LAGS) + 2 * len(SIMILARITY_WIDTHS)
+OUTPUT_COUNT = 2
+DISTANCE_WEIGHTS = np.array([0.5, 0.7, 1.0] * len(RATE_LAGS) + [1.5, 0.7, 1.0, 0.0])
+"""Weights of the entries of z in the distance between two situations, shape (`TERM_COUNT`,)."""
 
-WARM_UP, RAMP = 65, 50  # policy steps before the residual acts, and over which it is ramped in
-PAUSE, RESTART_RAMP = 100, 15
+WARM_UP_STEPS, RAMP_STEPS = 65, 50  # policy steps before the residual acts, and over which it is ramped in
+PAUSE_STEPS_MAX, RESTART_RAMP_STEPS = 100, 15
 """Policy steps: length of a pause after which the warm-up restarts, and of the ramp after a shorter pause."""
 HALF_AUTHORITY_RMS, MEAN_SQUARE_RATE = 9.0, 0.03
 """RMS of w [N at `NOMINAL_SCALE`] at which half of the prediction is applied; averaging rate of its square per step."""
 PREDICTION_MAX, RESIDUAL_MAX = 12.0, 30.0  # bounds of p and of w, N at `NOMINAL_SCALE`
-GAIN = 0.8  # share of the prediction that is applied
+PREDICTION_GAIN = 0.8  # share of the prediction that is applied
 PRODUCT_RATE, AUTHORITY_RATE = 0.01, 0.03
 """Per policy step: rate of the averaged products of S(e) and p, and of the authority that follows them."""
 POWER_REGULARISATION = 0.01  # N^2 at `NOMINAL_SCALE`: regularisation, added to the mean square of p
@@ -154,14 +154,14 @@ class Network:
             with resources.as_file(resources.files("hydro_policy") / "data" / "residual.safetensors") as shipped:
                 return cls.load(shipped)
         tensors, header = weights.load(path)
-        if header.get("structure") != STRUCTURE or tensors["mean"].shape != (INPUTS,):
+        if header.get("structure") != STRUCTURE or tensors["mean"].shape != (INPUT_COUNT,):
             raise weights.WeightsError(f"{path} holds no residual of this version: train it again")
         count = sum(name.startswith("weight") for name in tensors)
         layers = tuple((tensors[f"weight_{k}"].astype(float), tensors[f"bias_{k}"].astype(float)) for k in range(count))
         return cls(tensors["mean"].astype(float), tensors["spread"].astype(float), layers)
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Return predictions [N at `NOMINAL_SCALE`], shape (n, 2), of inputs, shape (n, `INPUTS`)."""
+        """Return predictions [N at `NOMINAL_SCALE`], shape (n, 2), of inputs, shape (n, `INPUT_COUNT`)."""
         x = np.clip((inputs - self.mean) / self.spread, -6.0, 6.0)
         *hidden, (weight, bias) = self.layers
         for inner, offset in hidden:
@@ -186,9 +186,9 @@ class Residual:
         """Reset to the initial state: no samples, no corrections, full authority."""
         n, samples = self._count, BUFFER_STEPS * SAMPLES_PER_STEP
         self.value: FloatArray = np.zeros(n)  # w [N], to be added to a_3 of the next policy step, shape (n,)
-        self.inputs: FloatArray = np.zeros((n, INPUTS))  # of the network at the last step, shape (n, `INPUTS`)
+        self.inputs: FloatArray = np.zeros((n, INPUT_COUNT))  # of the network at the last step
         self.needed: FloatArray = np.zeros(n)
-        """Correction [N at `NOMINAL_SCALE`] needed `DELAY` steps ago, shape (n,)."""
+        """Correction [N at `NOMINAL_SCALE`] needed `CORRECTION_DELAY` steps ago, shape (n,)."""
         self.age: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # policy steps since it started, shape (n,)
         self._counting: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # last policy steps that counted
         self._pause: npt.NDArray[np.int64] = np.zeros(n, np.int64)  # that did not
@@ -199,13 +199,13 @@ class Residual:
         self._error: FloatArray = np.zeros((n, samples))
         self._predicted: FloatArray = np.zeros((n, BUFFER_STEPS))  # p of the last steps, the one that acts next last
         self._full_prediction: FloatArray = np.zeros((n, BUFFER_STEPS))  # the same with full authority
-        self._seen: FloatArray = np.zeros((n, DELAY + 1, TERMS))  # z of the last steps
-        self._zy, self._zz = np.zeros((n, TERMS)), np.zeros((n, TERMS))
-        self._y, self._z = np.zeros((n, MEMORY)), np.full((n, MEMORY, TERMS), 1e3)
+        self._seen: FloatArray = np.zeros((n, CORRECTION_DELAY + 1, TERM_COUNT))  # z of the last steps
+        self._zy, self._zz = np.zeros((n, TERM_COUNT)), np.zeros((n, TERM_COUNT))
+        self._y, self._z = np.zeros((n, MEMORY_STEPS)), np.full((n, MEMORY_STEPS, TERM_COUNT), 1e3)
         self._mean, self._variance = np.zeros(n), np.zeros(n)
         self._period = PeriodDetector(n)
         self._recent: FloatArray = np.zeros((n, SMOOTHING_DELAY + 1, 9))  # needed correction, law, reference
-        self._past: FloatArray = np.zeros((n, len(PERIOD_WEIGHTS) * PERIOD_MAX, OUTPUTS + 8))
+        self._past: FloatArray = np.zeros((n, len(PERIOD_WEIGHTS) * PERIOD_MAX, OUTPUT_COUNT + 8))
         """Of the last steps, in turn: corrections, law, reference."""
         self._steps = 0
 
@@ -221,7 +221,7 @@ class Residual:
 
         `reference`, `rate`, `measured`: f_r [N], f_r' [N/s] and f [N], shape (n, 10). `coefficients`: a_0 to a_3 of the
         law without a residual, shape (n, 4). `counted`: whether each bench's samples are used (`Compensator.counted`),
-        shape (n,); other benches pause, for more than `PAUSE` steps with a restart of the warm-up.
+        shape (n,); other benches pause, for more than `PAUSE_STEPS_MAX` steps with a restart of the warm-up.
         """
         finite = (np.isfinite(signal).all(axis=1) for signal in (reference, rate, measured, coefficients))
         fine: npt.NDArray[np.bool_] = np.all(tuple(finite), axis=0)
@@ -232,7 +232,7 @@ class Residual:
         self._rate = np.concatenate((self._rate[:, SAMPLES_PER_STEP:], rates), axis=1)
         self._error = np.concatenate((self._error[:, SAMPLES_PER_STEP:], error), axis=1)
         self._counting, self._pause = np.where(fine, self._counting + 1, 0), np.where(fine, 0, self._pause + 1)
-        self.age = np.where(fine | (self.age > 0) & (self._pause <= PAUSE), self.age + 1, 0)
+        self.age = np.where(fine | (self.age > 0) & (self._pause <= PAUSE_STEPS_MAX), self.age + 1, 0)
         self._learn()
         now = np.where(np.isfinite(reference[:, -1]), reference[:, -1], 0.0) / self._scale
         self._period.step(now, self.age)
@@ -245,8 +245,9 @@ class Residual:
         shape = np.stack((self.needed, *a.T[:3], a[:, 3] / self._scale, now, self._rate[:, -1], second), axis=1)
         shape = np.concatenate((shape, np.ones((self._count, 1))), axis=1)
         late = self._recent = np.concatenate((self._recent[:, 1:], shape[:, np.newaxis]), axis=1)
-        taps, part = len(SMOOTHING), LOOKAHEAD / SAMPLES_PER_STEP - 1.0  # its correction acts `LOOKAHEAD` samples later
-        corrections = (late[:, -1 - taps : -1, 0] @ SMOOTHING, late[:, -taps:, 0] @ SMOOTHING)
+        # its correction acts `LOOKAHEAD` samples later
+        taps, part = len(SMOOTHING_WEIGHTS), LOOKAHEAD / SAMPLES_PER_STEP - 1.0
+        corrections = (late[:, -1 - taps : -1, 0] @ SMOOTHING_WEIGHTS, late[:, -taps:, 0] @ SMOOTHING_WEIGHTS)
         acted = (1.0 - part) * late[:, 1, 5:] + part * late[:, 2, 5:]
         entry = np.concatenate((np.stack(corrections, axis=1), late[:, 0, 1:5], acted), axis=1)
         self._past[:, self._steps % self._past.shape[1]] = entry
@@ -256,9 +257,9 @@ class Residual:
         return self.value.copy()
 
     def _learn(self) -> None:
-        """Compute the correction needed `DELAY` steps ago; update authority, correlations and memory by it."""
+        """Compute the correction needed `CORRECTION_DELAY` steps ago; update authority, correlations, memory by it."""
         # first sample of S, among the kept ones
-        first = (BUFFER_STEPS - DELAY) * SAMPLES_PER_STEP + LOOKAHEAD - 1 - KERNEL_HALF_LENGTH
+        first = (BUFFER_STEPS - CORRECTION_DELAY) * SAMPLES_PER_STEP + LOOKAHEAD - 1 - KERNEL_HALF_LENGTH
         at = (np.arange(first, first + len(KERNEL)) - PREDICTION_LATENCY) / SAMPLES_PER_STEP
         low = np.clip(np.floor(at).astype(int), 0, BUFFER_STEPS - 1)
         high, between = np.minimum(low + 1, BUFFER_STEPS - 1), at - low
@@ -272,27 +273,27 @@ class Residual:
         self._product += share * (left * predicted - self._product)
         self._power += share * (predicted**2 - self._power)
         change = AUTHORITY_RATE * np.clip(self._product / (self._power + POWER_REGULARISATION), -1.0, 1.0)
-        self.authority = np.clip(self.authority + known * (self.age > WARM_UP + RAMP) * change, 0.0, 1.0)
-        z = self._seen[:, -DELAY]
-        self._zy += FORGETTING * known[:, np.newaxis] * (self.needed[:, np.newaxis] * z - self._zy)
-        self._zz += FORGETTING * known[:, np.newaxis] * (z * z - self._zz)
-        place = self._steps % MEMORY
+        self.authority = np.clip(self.authority + known * (self.age > WARM_UP_STEPS + RAMP_STEPS) * change, 0.0, 1.0)
+        z = self._seen[:, -CORRECTION_DELAY]
+        self._zy += FORGETTING_RATE * known[:, np.newaxis] * (self.needed[:, np.newaxis] * z - self._zy)
+        self._zz += FORGETTING_RATE * known[:, np.newaxis] * (z * z - self._zz)
+        place = self._steps % MEMORY_STEPS
         self._y[:, place] = self.needed
-        self._z[:, place] = np.where(known[:, np.newaxis], z * WEIGHTING, 1e3)
+        self._z[:, place] = np.where(known[:, np.newaxis], z * DISTANCE_WEIGHTS, 1e3)
         self._steps += 1
 
     def _inputs(self, z: FloatArray, a: FloatArray) -> FloatArray:
-        """Return the network's inputs, shape (n, `INPUTS`). `z`: shape (n, `TERMS`). `a`: a_0 to a_3, shape (n, 4)."""
+        """Return the network's inputs, shape (n, `INPUT_COUNT`); `z`: (n, `TERM_COUNT`), `a`: a_0 to a_3, (n, 4)."""
         level = a[:, 3] / self._scale
         self._mean += 0.02 * (level - self._mean)
         self._variance += 0.02 * ((level - self._mean) ** 2 - self._variance)
         spread = np.sqrt(self._variance) / 5.0
         law = (20.0 * (a[:, 0] - 1.0), 40.0 * (a[:, 1] - 0.04), 2000.0 * (a[:, 2] - 5e-4), self._mean / 10.0, spread,
                level / 10.0)  # fmt: skip
-        late = [self._y[:, (self._steps - 1 - lag) % MEMORY] for lag in LAGS]
-        distance = np.sum((self._z - (z * WEIGHTING)[:, np.newaxis]) ** 2, axis=2)
+        late = [self._y[:, (self._steps - 1 - lag) % MEMORY_STEPS] for lag in CORRECTION_LAGS]
+        distance = np.sum((self._z - (z * DISTANCE_WEIGHTS)[:, np.newaxis]) ** 2, axis=2)
         alike = []
-        for width in WIDTHS:
+        for width in SIMILARITY_WIDTHS:
             near = np.exp(-distance / (2.0 * width * width))
             total = near.sum(1)
             alike += [np.sum(near * self._y, axis=1) / (total + 1.0), total / (total + 5.0)]
@@ -300,26 +301,27 @@ class Residual:
         return np.concatenate((z, correlation * z, np.stack((*law, *late, *alike), axis=1)), axis=1)
 
     def _predict(self, a: FloatArray) -> None:
-        predicted: FloatArray = np.zeros((self._count, OUTPUTS))
+        predicted: FloatArray = np.zeros((self._count, OUTPUT_COUNT))
         if self._network is not None:
             law = a / np.array((1.0, 1.0, 1.0, self._scale))
-            total, weight = np.zeros((self._count, OUTPUTS)), np.zeros((self._count, 1))
+            total, weight = np.zeros((self._count, OUTPUT_COUNT)), np.zeros((self._count, 1))
             for number, usual in enumerate(PERIOD_WEIGHTS):  # corrections needed whole periods ago
                 back = (number + 1) * self._period.steps - SMOOTHING_DELAY
-                known = (back >= 0.0) & (back + SMOOTHING_DELAY + SETTLING < self.age)
+                known = (back >= 0.0) & (back + SMOOTHING_DELAY + SETTLING_STEPS < self.age)
                 back = np.where(known, back, 0.0)
                 low, length = np.floor(back).astype(int), self._past.shape[1]
                 between = (back - low)[:, np.newaxis]
                 late, early = (self._past[np.arange(self._count), (self._steps - low - k) % length] for k in (0, 1))
                 then = (1.0 - between) * late + between * early
-                changed = np.sum((then[:, OUTPUTS : OUTPUTS + 4] - law) * then[:, OUTPUTS + 4 :], axis=1)
+                changed = np.sum((then[:, OUTPUT_COUNT : OUTPUT_COUNT + 4] - law) * then[:, OUTPUT_COUNT + 4 :], axis=1)
                 share = (usual * known / (1.0 + (changed / HALF_WEIGHT_CHANGE) ** 2))[:, np.newaxis]
-                total, weight = total + share * then[:, :OUTPUTS], weight + share
+                total, weight = total + share * then[:, :OUTPUT_COUNT], weight + share
             repeated = total / np.maximum(weight, 1e-6)
             confidence = self._period.confidence[:, np.newaxis] * np.minimum(weight, 1.0)
-            predicted = (1.0 - confidence) * GAIN * self._network(self.inputs) + confidence * REPEAT_GAIN * repeated
-        ramp = np.clip((self.age - WARM_UP) / RAMP, 0.0, 1.0) * np.clip(self._counting / RESTART_RAMP, 0.0, 1.0)
-        ramp = ramp[:, np.newaxis]
+            predicted = (1.0 - confidence) * PREDICTION_GAIN * self._network(self.inputs)
+            predicted += confidence * REPEAT_GAIN * repeated
+        ramp = np.clip((self.age - WARM_UP_STEPS) / RAMP_STEPS, 0.0, 1.0)
+        ramp = (ramp * np.clip(self._counting / RESTART_RAMP_STEPS, 0.0, 1.0))[:, np.newaxis]
         sound = np.isfinite(predicted).all(axis=1, keepdims=True)
         wished = np.where(sound, np.clip(ramp * predicted, -PREDICTION_MAX, PREDICTION_MAX), 0.0)
         full = a[:, 0] * wished[:, 0] + a[:, 1] * (wished[:, 1] - wished[:, 0]) / 0.01
@@ -353,7 +355,7 @@ class AdaptedLaw:
         return a
 
     def reset(self, *, learned: bool) -> None:
-        """Reset estimator and residual, with the coefficients at `estimator.START`; frozen coefficients are kept.
+        """Reset estimator, residual, and coefficients to `estimator.INITIAL_COEFFICIENTS`; frozen ones are kept.
 
         `learned`: whether the residual acts from now on.
         """

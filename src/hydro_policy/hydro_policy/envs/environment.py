@@ -17,7 +17,7 @@ from hydro_core.signals import STATE_FIELDS, FloatArray, Law, ReferenceSignal, S
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs.vector_env import VectorBench, records
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, TaskSettings, events, observe, rewards, terminations
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, TaskSettings, events, observe, rewards, terminations
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -44,10 +44,10 @@ class Episodes:
         """
         if self.randomisation is None:
             return reference
-        if np.random.default_rng((seed, episode, events.KNOWN)).random() < self.randomisation.known_share:
+        if np.random.default_rng((seed, episode, events.KNOWN_STREAM)).random() < self.randomisation.known_share:
             vector_bench.replace(index, self.box_bench, self.plant())
             return reference
-        bench_seed = events.stream_seed(seed, episode, events.BENCH)
+        bench_seed = events.stream_seed(seed, episode, events.BENCH_STREAM)
         drawn = events.draw_bench(self.randomisation, self.source, bench_seed)
         vector_bench.replace(index, self.box_bench, drawn.plant, drawn.gain_delay, drawn.dead_time)
         return drawn.limit_amplitude(reference)
@@ -80,7 +80,7 @@ class Environment:
 
     def __init__(self, vector_bench: VectorBench, task: TaskSettings, law: Law = Law.PAPER) -> None:
         self.vector_bench, self.task, self.law = vector_bench, task, law
-        self.observation: FloatArray = np.zeros((len(vector_bench), OBSERVATIONS))
+        self.observation: FloatArray = np.zeros((len(vector_bench), OBSERVATION_SIZE))
         """Observations to act upon, shape (n, 13)."""
         self._references = [ReferenceSignal()] * len(vector_bench)
         self._seeds: npt.NDArray[np.int64] = np.zeros(len(vector_bench), np.int64)
@@ -102,7 +102,7 @@ class Environment:
         if self._adapted is not None:
             self._adapted.estimator.reset(index)
         first = records(self.vector_bench.samples[index, -1], STATE_FIELDS)
-        self.observation[index] = observe(first, np.zeros(ACTIONS), self.task.size)
+        self.observation[index] = observe(first, np.zeros(ACTION_SIZE), self.task.size)
 
     def step(self, actions: FloatArray, *, restart: bool = True) -> Transitions:
         """Advance ten samples under `actions`, shape (n, 2); `restart`: restart the episode of tripped benches."""

@@ -44,7 +44,12 @@ from hydro_policy.compensation.residual import AdaptedLaw
 from hydro_policy.envs import FilterName
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
-from hydro_sim.box.firmware import COEFFICIENTS, VALVE_GAIN_SCALE, VELOCITY_COMPENSATION, signal_record
+from hydro_sim.box.firmware import (
+    SHAPING_COEFFICIENT_COUNT,
+    VALVE_GAIN_SCALE_INDEX,
+    VELOCITY_COMPENSATION_INDEX,
+    signal_record,
+)
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model import plant as plants_of
 from hydro_sim.model.bench import Bench
@@ -109,26 +114,29 @@ PLANT_TYPES: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], Non
 benchmark may add a type."""
 
 
-_ARMED = np.uint32(Flag.ARMED)
+_ARMED_BIT = np.uint32(Flag.ARMED)
 
 
 class VectorFilter(NamedTuple):
-    """Filter between policy and box, with one state per bench; without a filter the box sets FILTER_STALE."""
+    """Compiled filter of vectorised benches: decision function, parameters, states, and input and output buffers.
+
+    If no filter runs, `fresh` is False, commands are sent as without a fresh filter, and the box sets FILTER_STALE.
+    """
 
     fresh: bool  # whether a filter runs
     decide: int  # address of the compiled decision function
-    parts: Records
-    memory: Records
-    seen: Records  # buffers for the present bench's sample and decision, shape (1,) each
-    made: Records
+    parameters: Records
+    states: Records  # one row per bench
+    sample: Records  # buffers for the present bench's sample and decision, shape (1,) each
+    decision: Records
 
 
 def vector_filter(kind: FilterName, box_bench: Bench, count: int) -> VectorFilter:
     """Return a filter of this kind for `count` benches, designed for the bench `box_bench`."""
-    parts = default_filter(box_bench).record if kind == "learned" else np.zeros(1, filter_records.FILTER)
-    seen, made = np.zeros(1, filter_records.SAMPLE), np.zeros(1, filter_records.DECISION)
-    memory = filter_records.new_memories(count)
-    return VectorFilter(kind == "learned", filter_records.decide_address(), parts, memory, seen, made)
+    parameters = default_filter(box_bench).record if kind == "learned" else np.zeros(1, filter_records.FILTER_DTYPE)
+    sample, decision = np.zeros(1, filter_records.SAMPLE_DTYPE), np.zeros(1, filter_records.DECISION_DTYPE)
+    states = filter_records.new_memories(count)
+    return VectorFilter(kind == "learned", filter_records.decide_address(), parameters, states, sample, decision)
 
 
 DEAD_TIME_MAX = 8  # maximum delay of a command, samples
@@ -158,8 +166,8 @@ class VectorBench:
         for index, plant in enumerate(plants):
             self._copy(self.rows, index, plant)
         self.settings = np.concatenate([self.config.constants(bench) for bench in benches])
-        self.boxes = np.zeros(count, firmware.DOUBLE.box)
-        self.commands = np.zeros(count, firmware.DOUBLE.command)
+        self.boxes = np.zeros(count, firmware.DOUBLE_STRUCTURES.box)
+        self.commands = np.zeros(count, firmware.DOUBLE_STRUCTURES.command)
         self.links = np.zeros(count, LINK_DTYPE)
         self.links["gain_delay"] = 1
         self.samples: StateArray = np.zeros((count, SAMPLES_PER_STEP), STATE_DTYPE)
@@ -196,12 +204,12 @@ class VectorBench:
         code.hydro_c_receive(*memory, firmware.address_of(command), 0.0)
         wanted = Command(
             arm=True, reference=reference, delta_kp=changes[0], delta_ki=changes[1], filter_fresh=self.filters.fresh,
-            law=law, velocity_compensation=float(safe[VELOCITY_COMPENSATION]),
-            valve_gain_scale=float(safe[VALVE_GAIN_SCALE]),
+            law=law, velocity_compensation=float(safe[VELOCITY_COMPENSATION_INDEX]),
+            valve_gain_scale=float(safe[VALVE_GAIN_SCALE_INDEX]),
         )  # fmt: skip
         fill_command(command, wanted)
         self.links[index]["held"] = 0.0
-        self.filters.memory[index] = np.zeros(1, self.filters.memory.dtype)[0]
+        self.filters.states[index] = np.zeros(1, self.filters.states.dtype)[0]
         first = self.samples[index, -1:]
         _exchange(firmware.function_addresses(), self.settings[one], box, command, self.filters, index, read, first)
         self.compensated[index, -1] = box["acting"]["reference"][0]
@@ -217,7 +225,7 @@ class VectorBench:
         shape (benches, 4); None: unchanged.
         """
         if coefficients is None:
-            coefficients = self.commands["shaping"][:, :COEFFICIENTS]
+            coefficients = self.commands["shaping"][:, :SHAPING_COEFFICIENT_COUNT]
         box = firmware.function_addresses(), self.settings, self.boxes, self.commands
         noise = np.stack([plant.noise.rows(SAMPLES_PER_STEP) for plant in self.plants])  # type: ignore[attr-defined]
         step = _step if type(self.rows).__module__.startswith("hydro_policy.") else _step_foreign
@@ -245,15 +253,16 @@ def _exchange(code, settings, box, command, filters, i, measurement, sample):
     firmware.tick(code.tick, box, settings, measurement, time, sample)
     command[0].delta_u = 0.0
     if filters.fresh:
-        seen, now, acting = filters.seen[0], sample[0], box[0].acting
+        seen, now, acting = filters.sample[0], sample[0], box[0].acting
         copy_vector(seen.x, measurement)
         seen.nominal, seen.current = now.nominal_valve_current, now.valve_current
         seen.reference, seen.reference_rate = now.reference_force, now.reference_force_rate
-        seen.k_p, seen.armed = now.proportional_gain, (now.flags & _ARMED) != 0
+        seen.k_p, seen.armed = now.proportional_gain, (now.flags & _ARMED_BIT) != 0
         seen.followed, seen.followed_rate = acting.reference, acting.reference_rate
-        seen.c_1, seen.c_2 = acting.shaping[VELOCITY_COMPENSATION], acting.shaping[VALVE_GAIN_SCALE]
-        filter_records.decide(filters.decide, filters.parts, filters.memory[i : i + 1], filters.seen, filters.made)
-        command[0].delta_u = filters.made[0].delta_u
+        seen.c_1, seen.c_2 = acting.shaping[VELOCITY_COMPENSATION_INDEX], acting.shaping[VALVE_GAIN_SCALE_INDEX]
+        state = filters.states[i : i + 1]
+        filter_records.decide(filters.decide, filters.parameters, state, filters.sample, filters.decision)
+        command[0].delta_u = filters.decision[0].delta_u
 
 
 @njit
@@ -269,7 +278,7 @@ def _step(code, settings, boxes, commands, filters, plants, links, changes, coef
             advance(plants, i, noise[i, k], link.held[link.dead_time])
             if k == link.gain_delay - 1:
                 commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
-                for j in range(COEFFICIENTS):
+                for j in range(SHAPING_COEFFICIENT_COUNT):
                     commands[i].shaping[j] = coefficients[i, j]
             sample = samples[i, k : k + 1]
             read = measurement(plants, i)

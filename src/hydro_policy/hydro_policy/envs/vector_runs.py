@@ -18,7 +18,7 @@ from hydro_policy.compensation.residual import AdaptedLaw, Residual
 from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.sac.policy import Policy
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
+from hydro_policy.task.mdp import ACTION_SIZE, BASE_GAINS, GainRange, observe
 
 VectorController = Callable[[FloatArray], FloatArray]
 """Function from the last samples of all benches, shape (n, 14), to their gain changes, shape (n, 2)."""
@@ -35,14 +35,14 @@ class VectorPolicyController:
     def __call__(self, samples: FloatArray) -> FloatArray:
         """See `VectorController`."""
         if self._previous is None:
-            self._previous = np.zeros((len(samples), ACTIONS))
+            self._previous = np.zeros((len(samples), ACTION_SIZE))
         self._previous = self.policy.act(observe(samples, self._previous, self.policy.size))
         return self.gains.changes(self._previous)
 
 
-def fixed_gains(gains: FloatArray, base: tuple[float, float] = BASE) -> VectorController:
+def fixed_gains(gains: FloatArray, base: tuple[float, float] = BASE_GAINS) -> VectorController:
     """Return a vectorised controller of fixed gains (K_p, K_i), shape (n, 2) or (2,)."""
-    return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTIONS))
+    return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTION_SIZE))
 
 
 @dataclass(frozen=True)

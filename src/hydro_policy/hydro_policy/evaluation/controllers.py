@@ -12,9 +12,9 @@ from hydro_core.signals import FloatArray, LawCommand
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.runs.run_directory import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy
-from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
+from hydro_policy.task.mdp import ACTION_SIZE, BASE_GAINS, GainRange, observe
 
-PAPERS_LAW = LawCommand()
+PAPER_LAW_COMMAND = LawCommand()
 
 
 class Controller:
@@ -27,7 +27,7 @@ class Controller:
     @property
     def law(self) -> LawCommand:
         """Force law to command for this controller, with the present coefficients."""
-        return PAPERS_LAW
+        return PAPER_LAW_COMMAND
 
     def reset(self) -> None:
         """Reset the controller's state before a run; by default there is none."""
@@ -41,7 +41,7 @@ class FixedGains(Controller):
     """Controller of fixed total gains (K_p, K_i); the box's base gains are subtracted. `kind`: name for tables."""
 
     def __init__(
-        self, proportional: float, integral: float, base: tuple[float, float] = BASE, kind: str = "fixed"
+        self, proportional: float, integral: float, base: tuple[float, float] = BASE_GAINS, kind: str = "fixed"
     ) -> None:
         if not (math.isfinite(proportional) and math.isfinite(integral)):
             raise ValueError(f"fixed gains are two finite numbers, not {proportional:g} and {integral:g}")
@@ -62,7 +62,7 @@ class Compensated(Controller):
     """
 
     def __init__(
-        self, compensation: LiveCompensation, base: tuple[float, float] = BASE, *, learned: bool = False
+        self, compensation: LiveCompensation, base: tuple[float, float] = BASE_GAINS, *, learned: bool = False
     ) -> None:
         self.name = "compensated, learned residual" if learned else "compensated"
         self._compensation, self._learned = compensation, learned
@@ -75,7 +75,7 @@ class Compensated(Controller):
         return self._compensation.command
 
     def reset(self) -> None:
-        """Reset the coefficients to `compensation.estimator.START`: (1, 0.02 s, 1e-4 s^2, 0 N)."""
+        """Reset the coefficients to `compensation.estimator.INITIAL_COEFFICIENTS`: (1, 0.02 s, 1e-4 s^2, 0 N)."""
         self._compensation.reset(learned=self._learned)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
@@ -89,11 +89,11 @@ class PolicyController(Controller):
     def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
         self.name, self.gain_range = name, gains
         self._policy = policy
-        self._action: FloatArray = np.zeros(ACTIONS)
+        self._action: FloatArray = np.zeros(ACTION_SIZE)
 
     def reset(self) -> None:
         """Discard the previous action."""
-        self._action = np.zeros(ACTIONS)
+        self._action = np.zeros(ACTION_SIZE)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`."""

@@ -17,12 +17,12 @@ from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.supervision.plant_supervisor import Outputs
-from hydro_policy.task.mdp import ACTIONS, REFERENCE_RATE, Step, observe, rewards
+from hydro_policy.task.mdp import ACTION_SIZE, REFERENCE_RATE, Step, observe, rewards
 
 if TYPE_CHECKING:  # evaluate does without
     from hydro_policy.sac.sac import ReplayBuffer
 
-EXPLORING = "exploring policy"
+EXPLORER_NAME = "exploring policy"
 SETTLING_STEPS = 50  # initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s
 
 
@@ -78,7 +78,7 @@ class Explorer(Controller):
     the actor's parameters if they are newer, else None. `wake`: notifies the learner of a transition.
     """
 
-    name = EXPLORING
+    name = EXPLORER_NAME
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class Explorer(Controller):
         self.current = EpisodeRecord(episode=0)  # the present episode, or the last one
         self._replay, self._outputs, self._new_weights, self._wake = replay, outputs, new_weights, wake
         self._observation: FloatArray | None = None
-        self._action: FloatArray = np.zeros(ACTIONS)
+        self._action: FloatArray = np.zeros(ACTION_SIZE)
 
     def act(self, step: Step) -> None:
         """Publish the newest policy's gains for a step, then store the transition, which would delay the gains."""

@@ -22,7 +22,7 @@ from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.task.cases import EvaluationSettings, Score, relative_scores
 from hydro_policy.task.mdp import GainRange
 
-Gains = tuple[float, float]
+GainPair = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,21 +67,21 @@ class GridSearch:
 
     def __init__(self, settings: GridSettings) -> None:
         self.settings = settings
-        self.results: dict[Gains, FloatArray] = {}
+        self.results: dict[GainPair, FloatArray] = {}
         """Force RMSE [N] on each reference by pair (K_p, K_i); infinite where the run was stopped."""
         self._pairs = self._search()
         self._next = next(self._pairs, None)
 
-    def next(self) -> Gains | None:
+    def next(self) -> GainPair | None:
         """Return the next pair to try; None when the search is complete."""
         return self._next
 
-    def add_result(self, pair: Gains, rmse: Sequence[float]) -> None:
+    def add_result(self, pair: GainPair, rmse: Sequence[float]) -> None:
         """Record a pair's RMSE on each reference; infinite or NaN: it was stopped."""
         self.results[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
         self._next = next(self._pairs, None)
 
-    def _search(self) -> Iterator[Gains]:
+    def _search(self) -> Iterator[GainPair]:
         limits = self.settings
         for ki in limits.ki_values:  # coarse
             kp, promising = limits.kp_min, True
@@ -100,7 +100,7 @@ class GridSearch:
                     yield p, i
 
     @property
-    def scores(self) -> dict[Gains, float]:
+    def scores(self) -> dict[GainPair, float]:
         """Score by pair: mean over references of RMSE relative to the smallest there; infinite if a run was stopped."""
         return {**dict.fromkeys(self.results, np.inf), **relative_scores(self.results)}
 
@@ -110,7 +110,7 @@ class GridSearch:
         return bool(relative_scores(self.results))
 
     @property
-    def best(self) -> Gains:
+    def best(self) -> GainPair:
         """Pair with the smallest score; without `any_completed` a stopped one."""
         scores = self.scores
         return min(scores, key=scores.__getitem__)

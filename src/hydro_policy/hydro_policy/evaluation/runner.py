@@ -20,32 +20,37 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from hydro_core.signals import FAULTS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
+from hydro_core.signals import FAULT_FLAGS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray, Law
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.exploration import Explorer
 from hydro_policy.evaluation.trial import Plan, Trial
 from hydro_policy.runs.run_directory import RunRecord
 from hydro_policy.supervision.monitor import SafetyMonitor
-from hydro_policy.supervision.plant_supervisor import BASE_GAINS_UNSTABLE, FALLBACK, TRIPS_MAX, PlantSupervisor
+from hydro_policy.supervision.plant_supervisor import (
+    BASE_GAINS_UNSTABLE_MESSAGE,
+    FALLBACK_GAIN_CHANGES,
+    TRIPS_MAX,
+    PlantSupervisor,
+)
 from hydro_policy.task.cases import DISTURBED_SHARE_MAX, Score, Trace, score
 from hydro_policy.task.mdp import LOAD_FORCE, REFERENCE, REFERENCE_RATE, Step, StepClock, hold_flags
 from hydro_sim.files import load_force
 
 REPEATS_MAX = 2  # largest number of restarts of a disturbed trial
 
-WATCHDOG_TRIP = "the box heard nothing for too long and tripped: the machine was held up"
+WATCHDOG_TRIP_MESSAGE = "the box heard nothing for too long and tripped: the machine was held up"
 
-BUSY = "if the machine is busy, close other programs"
+BUSY_HINT = "if the machine is busy, close other programs"
 BASE_GAINS_SHARE_MAX = 0.5  # share of samples under base gains above which a run is no measurement of its controller
 
-UNFILTERED = "no filter of this bench decides, or it comes late (`ros2 topic echo /diagnostics` tells)"
+UNFILTERED_MESSAGE = "no filter of this bench decides, or it comes late (`ros2 topic echo /diagnostics` tells)"
 
 LAW_ARMINGS_MAX = 3
 """Largest number of armings under another law than the commanded one; after more, its trials count as stopped."""
-LAW_NOT_ADOPTED = "the plant does not take up the force law that is commanded"
-FROZEN = "A person had frozen the coefficients of the compensated law."
-ANOTHER_LAW = "the next controller needs another force law: the plant is disarmed, and armed again with that"
+LAW_NOT_ADOPTED_MESSAGE = "the plant does not take up the force law that is commanded"
+FROZEN_MESSAGE = "A person had frozen the coefficients of the compensated law."
+LAW_CHANGE_MESSAGE = "the next controller needs another force law: the plant is disarmed, and armed again with that"
 
 
 @dataclass
@@ -174,7 +179,7 @@ class TrialRunner(Generic[P]):
             return self._hold(trial, held, sequence, step)
         if self.supervisor.mismatched and not self.supervisor.recovering and not self.supervisor.blocking_reason(now):
             self.supervisor.note_action(now)
-            gains = (0.0, 0.0) if compensated else FALLBACK  # as the guard passes them
+            gains = (0.0, 0.0) if compensated else FALLBACK_GAIN_CHANGES  # as the guard passes them
             return self._hold(trial, gains, sequence, step)
         if self._run is None:
             if not self.supervisor.may_start(now):
@@ -251,10 +256,10 @@ class TrialRunner(Generic[P]):
         self._law_armings *= wrong or not flags & Flag.ARMED
         self._wrong_law = wrong
         if self._law_armings > LAW_ARMINGS_MAX:
-            self._give_up_law(law.law, LAW_NOT_ADOPTED)
+            self._give_up_law(law.law, LAW_NOT_ADOPTED_MESSAGE)
         elif wrong and self.override.gains(now) is None:
             self._run = None
-            self.supervisor.block_runs(ANOTHER_LAW)
+            self.supervisor.block_runs(LAW_CHANGE_MESSAGE)
         elif not wrong and sequence % SAMPLES_PER_STEP == 0:
             self._outputs.publish_law(law, self._steps)
 
@@ -285,8 +290,8 @@ class TrialRunner(Generic[P]):
         trial.controller.reset()
         compensated = trial.controller.law.law is not Law.PAPER
         frozen = self.compensation is not None and self.compensation.frozen and compensated
-        if frozen and FROZEN not in self.warnings:
-            self.warnings.append(FROZEN)
+        if frozen and FROZEN_MESSAGE not in self.warnings:
+            self.warnings.append(FROZEN_MESSAGE)
         if self.monitor is not None:
             self.monitor.reset()
         self._outputs.publish_reference(trial.case.signal)
@@ -331,15 +336,15 @@ class TrialRunner(Generic[P]):
         missed, late = run.missed / (run.last - run.first + 1), ""
         if share > DISTURBED_SHARE_MAX:
             what = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
-            late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: {BUSY}"
+            late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: {BUSY_HINT}"
         elif missed > DISTURBED_SHARE_MAX:  # the estimator of an adapted law excludes these
-            late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY}"
+            late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY_HINT}"
         if late and share <= BASE_GAINS_SHARE_MAX and self._again(trial, late):
             return
         acted = float(np.median(k_p)), float(np.median(k_i))
         if asked is None or not np.allclose(acted, np.array(asked, float), rtol=1e-3, atol=1e-3):
             if share > BASE_GAINS_SHARE_MAX:
-                self._leave_out(trial, f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED}")
+                self._leave_out(trial, f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED_MESSAGE}")
                 return
             if asked is not None:
                 gains = "K_p = {:g} and K_i = {:g} acted".format(*acted)
@@ -385,12 +390,12 @@ class TrialRunner(Generic[P]):
 
     def _on_trip(self, flags: int, sample: FloatArray) -> None:
         """Attribute a trip to the running trial, except under an override, or after late samples or commands."""
-        silent, run = not flags & FAULTS, None if self.override.active else self._run
-        if run is not None and not (silent and (self.plan.training or self._again(run.trial, WATCHDOG_TRIP))):
-            self._stop(run.trial, WATCHDOG_TRIP if silent else self.supervisor.condition, sample)
+        silent, run = not flags & FAULT_FLAGS, None if self.override.active else self._run
+        if run is not None and not (silent and (self.plan.training or self._again(run.trial, WATCHDOG_TRIP_MESSAGE))):
+            self._stop(run.trial, WATCHDOG_TRIP_MESSAGE if silent else self.supervisor.condition, sample)
         elif self.supervisor.trips >= TRIPS_MAX and not self.plan.training and (trial := self.plan.trial) is not None:
             self.supervisor.trips = 0
-            self._give_up_law(trial.controller.law.law, BASE_GAINS_UNSTABLE)
+            self._give_up_law(trial.controller.law.law, BASE_GAINS_UNSTABLE_MESSAGE)
         elif not self.supervisor.recovering and (self.override.active or not self.plan.training):
             self.supervisor.start_recovery()
 

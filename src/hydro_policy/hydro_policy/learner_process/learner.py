@@ -32,13 +32,13 @@ from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, save
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import Losses, ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from hydro_sim.files.pairing import with_provenance
 
-CHUNK = 8  # updates between two publications and polls of the pipe, some 1 to 2 ms
-_IDLE = 0.05  # s between two polls of an idle learner without a wake
+CHUNK_UPDATES = 8  # updates between two publications and polls of the pipe, some 1 to 2 ms
+_IDLE_POLL_PERIOD = 0.05  # s between two polls of an idle learner without a wake
 
-CONTEXT = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
+SPAWN_CONTEXT = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
 
 
 class LatestValue:
@@ -83,8 +83,8 @@ class LatestValue:
         return bool(self._version[0] > self._seen)
 
 
-_COUNTS = ("updates", "alpha", "ready", "checkpoints", "rollbacks", "rollbacks_asked")
-STATUS = np.dtype([(name, np.float64) for name in (*_COUNTS, *Losses._fields)])
+_COUNTER_FIELDS = ("updates", "alpha", "ready", "checkpoints", "rollbacks", "rollbacks_asked")
+STATUS_DTYPE = np.dtype([(name, np.float64) for name in (*_COUNTER_FIELDS, *Losses._fields)])
 """Record of a learner's status: updates, alpha, 1 once weights are published, checkpoints written, rollbacks done and
 requested (the latter written by the acting process), losses."""
 
@@ -94,22 +94,22 @@ class LearnerMemory:
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.capacity, length = settings.replay_capacity, len(agent(settings).state)
-        self._replay = self._block(ReplayBuffer.nbytes(OBSERVATIONS, ACTIONS, self.capacity))
+        self._replay = self._block(ReplayBuffer.nbytes(OBSERVATION_SIZE, ACTION_SIZE, self.capacity))
         self._latest, self._good = self._block(LatestValue.nbytes(length)), self._block(LatestValue.nbytes(length))
-        self._status = self._block(STATUS.itemsize)
+        self._status = self._block(STATUS_DTYPE.itemsize)
 
     def _block(self, size: int) -> Any:
-        return CONTEXT.RawArray(ctypes.c_uint8, size)
+        return SPAWN_CONTEXT.RawArray(ctypes.c_uint8, size)
 
     def open(self) -> tuple[ReplayBuffer, LatestValue, LatestValue, Any]:
-        """Return replay buffer, latest and good `Sac.state`, and status (`STATUS`) for use in one process."""
-        replay = ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
-        return replay, LatestValue(self._latest), LatestValue(self._good), np.frombuffer(self._status, STATUS)[0]
+        """Return replay buffer, latest and good `Sac.state`, and status (`STATUS_DTYPE`) for use in one process."""
+        replay = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, self.capacity, self._replay)
+        return replay, LatestValue(self._latest), LatestValue(self._good), np.frombuffer(self._status, STATUS_DTYPE)[0]
 
 
 def agent(settings: TrainingSettings, blob: bytes | None = None) -> Sac:
     """Return a fresh agent, or the one of a file's content. Raises ValueError: as `sac.restore`."""
-    sac = Sac(OBSERVATIONS, ACTIONS, settings.sac)
+    sac = Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac)
     if blob is not None:
         restore(sac, blob)
     return sac
@@ -152,9 +152,9 @@ class Learner:
         return self.settings.updates_due(self.replay.total_appended) - self.sac.updates
 
     def work(self) -> int:
-        """Roll back if requested, perform up to `CHUNK` pending updates and publish; returns their number."""
+        """Roll back if requested, perform up to `CHUNK_UPDATES` pending updates and publish; returns their number."""
         self._obey()
-        count = min(self.pending_updates, CHUNK)
+        count = min(self.pending_updates, CHUNK_UPDATES)
         if count > 0:
             self.sac.learn(self.replay, count)
             self.publish()
@@ -234,9 +234,9 @@ def write_run(
 
 def compile_updates(settings: SacSettings) -> None:
     """Compile the updates through one update of a temporary learner, so that learning starts with the first episode."""
-    replay = ReplayBuffer(OBSERVATIONS, ACTIONS, 2 * settings.batch_size + 128)
+    replay = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, 2 * settings.batch_size + 128)
     replay.extend(np.zeros((settings.batch_size, replay.rows.shape[1]), np.float32))
-    Sac(OBSERVATIONS, ACTIONS, settings).learn(replay, 1)
+    Sac(OBSERVATION_SIZE, ACTION_SIZE, settings).learn(replay, 1)
 
 
 def run_learner(
@@ -260,7 +260,7 @@ def run_learner(
         learner = Learner(memory, settings, run)  # ready from here on
         while True:
             worked = learner.work()
-            while requests.poll(0.0 if worked else _IDLE):
+            while requests.poll(0.0 if worked else _IDLE_POLL_PERIOD):
                 request = requests.recv()
                 if request == END:
                     return

@@ -21,8 +21,8 @@ import numpy as np
 from hydro_core.errors import UserError
 from hydro_core.signals import FloatArray
 from hydro_policy.learner_process.learner import (
-    CONTEXT,
     END,
+    SPAWN_CONTEXT,
     WAKE,
     LearnerFault,
     LearnerMemory,
@@ -36,9 +36,9 @@ from hydro_policy.sac.sac import Losses, dump
 
 NICENESS = 10  # of a learner for which the plant does not wait
 SETTLE_TIMEOUT = 60.0  # longest wait for a learner's due updates, s of wall clock
-RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
+RESTARTS_MAX, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
-_GLANCE = 2e-4  # polling period of the learner's progress during a wait, s
+_POLL_PERIOD = 2e-4  # polling period of the learner's progress during a wait, s
 
 
 class LearnerError(UserError):
@@ -154,7 +154,7 @@ class LearnerSupervisor:
         """If `synchronous`, wait for `done`, at most a minute, and not for a learner that is dead or starting."""
         give_up = time.monotonic() + SETTLE_TIMEOUT
         while self.synchronous and not done() and self._status["ready"] and time.monotonic() < give_up and self.alive:
-            time.sleep(_GLANCE)
+            time.sleep(_POLL_PERIOD)
 
     def store_good_agent(self, good: bytes) -> None:
         """Store an agent, as returned by `sac.dump`, as the last good state."""
@@ -191,7 +191,7 @@ class LearnerSupervisor:
         code, now = self._process.exitcode, time.monotonic()
         how = f"killed by signal {-code}" if code is not None and code < 0 else self._said or f"exit code {code}"
         self._deaths = [*(death for death in self._deaths if now - death <= RESTART_WINDOW), now]
-        if len(self._deaths) > RESTARTS:
+        if len(self._deaths) > RESTARTS_MAX:
             raise LearnerError(f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s ({how})")
         self.restarts += 1
         self._requests.close()
@@ -238,10 +238,12 @@ class LearnerSupervisor:
         self._status["ready"] = 0.0
         self._said = ""  # by a learner that ends
         self._requests: Connection
-        self._requests, theirs = CONTEXT.Pipe()
+        self._requests, theirs = SPAWN_CONTEXT.Pipe()
         # The arguments are small: more than the pipe to the child holds would wait for it.
         arguments = (self._memory, self._settings, self._run, theirs, self._niceness)
-        self._process: BaseProcess = CONTEXT.Process(target=run_learner, args=arguments, name="learner", daemon=True)
+        self._process: BaseProcess = SPAWN_CONTEXT.Process(
+            target=run_learner, args=arguments, name="learner", daemon=True
+        )
         # Ctrl-C and a hangup go to the whole terminal, and would meet the child importing, long before it can say that
         # it ignores them. A blocked signal is inherited; ours, if one comes now, waits. Where the resource tracker of
         # multiprocessing is first started it lets SIGINT through again: so that comes before.

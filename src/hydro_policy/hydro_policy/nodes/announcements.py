@@ -68,7 +68,7 @@ class Announcer:
             print_above_progress(f"! the log ends here: {error.strerror}")
 
 
-_LOUD = ("warn", "error", "fatal", "traceback", "bypass")
+_WARNING_WORDS = ("warn", "error", "fatal", "traceback", "bypass")
 
 
 def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
@@ -77,16 +77,16 @@ def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
 
     def take(text: str) -> None:
         keep(text)
-        if any(word in text.lower() for word in _LOUD) and (line := repeat_filter.filter(text.rstrip("\n"))):
+        if any(word in text.lower() for word in _WARNING_WORDS) and (line := repeat_filter.filter(text.rstrip("\n"))):
             print_above_progress(line)
 
     return take
 
 
-_REFUSED = 2  # exit status of all our commands for invalid input
+_REFUSAL_STATUS = 2  # exit status of all our commands for invalid input
 
 
-UNRECORDED = "acting goes on unrecorded"
+UNRECORDED_MESSAGE = "acting goes on unrecorded"
 
 
 @dataclass
@@ -94,7 +94,7 @@ class CompanionWatch:
     """Watch over companion processes: reports each unexpected end once."""
 
     running: list[Companion]
-    unrecorded: str = UNRECORDED  # consequence of the recorder's end, for the message
+    unrecorded: str = UNRECORDED_MESSAGE  # consequence of the recorder's end, for the message
     refused: str = ""
     """Message of a companion that rejected its input, and will not return; empty: none."""
     lost: str = ""  # message about an essential companion that ended, and its consequence
@@ -110,7 +110,7 @@ class CompanionWatch:
                 outcome = f"what it had written stays readable, {self.unrecorded}"
             status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
             told.append(f"{companion.name} ended by itself ({status}): {outcome}")
-            if code == _REFUSED:
+            if code == _REFUSAL_STATUS:
                 said = companion.last_line.removeprefix("error: ").removeprefix(f"{companion.name}: ")
                 self.refused = self.refused or f"{companion.name}: {said}"
             elif companion.name != "recorder":

@@ -36,15 +36,15 @@ from hydro_sim.excitation import ExcitationRange, Segment, draw_schedule, load_s
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import NOMINAL, Bench
 
-SECONDS = 600.0  # s of a schedule, by default
-REST = 1.0  # s of the bench at rest, recorded before arming
-TRIPS_IN_A_ROW = 3
-LEASE_WAIT = 5.0  # timeout for the lease on the plant, s: longer than it keeps the lease of a killed node
-TRIPPED = 3  # exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there
+SCHEDULE_TIME = 600.0  # s of a schedule, by default
+REST_TIME = 1.0  # s of the bench at rest, recorded before arming
+CONSECUTIVE_TRIPS_MAX = 3
+LEASE_TIMEOUT = 5.0  # timeout for the lease on the plant, s: longer than it keeps the lease of a killed node
+TRIPPED_STATUS = 3  # exit status after `CONSECUTIVE_TRIPS_MAX` trips: the recording is complete up to there
 
 
 class SchedulePlan(Plan):
-    """Plan of a schedule: each segment an unscored trial, until `TRIPS_IN_A_ROW` in a row have tripped the plant.
+    """Plan of a schedule: each segment an unscored trial, until `CONSECUTIVE_TRIPS_MAX` in a row trip the plant.
 
     `schedule`: segments with total gains. `base`: base gains of the box, K_p [1/s] and K_i [1/s^2].
     """
@@ -70,7 +70,7 @@ class SchedulePlan(Plan):
     @property
     def end_reason(self) -> str:
         """Reason for ending before the schedule's end; empty if there is none."""
-        many = self.in_a_row >= TRIPS_IN_A_ROW
+        many = self.in_a_row >= CONSECUTIVE_TRIPS_MAX
         return f"the plant tripped {self.in_a_row} times in a row: it is left disarmed" if many else ""
 
 
@@ -79,11 +79,12 @@ def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="collect",
         description="Record random references and gains for training.",
-        epilog=f"It ends with status {TRIPPED} after {TRIPS_IN_A_ROW} trips in a row, and leaves the plant disarmed.",
+        epilog=f"It ends with status {TRIPPED_STATUS} after {CONSECUTIVE_TRIPS_MAX} trips in a row, and leaves the "
+        "plant disarmed.",
     )
     made.add_argument("--out", type=writable_folder, metavar="BAG", help="recording to make")
     made.add_argument(
-        "--seconds", type=bounded_number(1.0, 36000.0), help=f"length of the schedule (default: {SECONDS:g})"
+        "--seconds", type=bounded_number(1.0, 36000.0), help=f"length of the schedule (default: {SCHEDULE_TIME:g})"
     )
     made.add_argument("--seed", type=bounded_number(0), help="of the schedule (default: 1)")
     made.add_argument(
@@ -109,7 +110,7 @@ def main() -> int:
         parser().error("give --out, --write-schedule, or both")
     if options.schedule and (options.seconds, options.seed) != (None, None):
         parser().error("--seconds and --seed draw a schedule: --schedule FILE has its own")
-    options.seconds, options.seed = options.seconds or SECONDS, 1 if options.seed is None else options.seed
+    options.seconds, options.seed = options.seconds or SCHEDULE_TIME, 1 if options.seed is None else options.seed
     bench = Bench.load(options.bench) if options.bench else None
     if options.schedule:
         schedule = load_schedule(options.schedule)
@@ -131,7 +132,7 @@ def main() -> int:
         plan = collect(options, schedule, bench)
     if plan.end_reason:
         print(f"error: {plan.end_reason}; {options.out} holds what was played so far", file=sys.stderr)
-        return TRIPPED
+        return TRIPPED_STATUS
     if plan.trips:
         print(f"the plant tripped {plan.trips} times; the schedule went on with the next segment")
     print(f"{options.out}: {plan.played:g} s played" + (" to their end" if plan.trips else ""))
@@ -141,7 +142,7 @@ def main() -> int:
 def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Bench | None) -> SchedulePlan:
     """Play the schedule while it is recorded; returns its plan, with the trips and the time played."""
     with CleanupStack() as stack:
-        node = GraphNode("collect", lease_wait_max=LEASE_WAIT)
+        node = GraphNode("collect", lease_wait_max=LEASE_TIMEOUT)
         stack.callback(leave_graph, node)
         refuse_unknown_parameters(node)
         if not node.wait_for_plant() or node.box is None:
@@ -206,7 +207,7 @@ def rest_recorded_requirement(node: GraphNode) -> Requirement:
         nonlocal since
         if since > -inf:
             since = min(since, node.now()) if recording.ready() and not node.armed else inf
-            since = -inf if node.now() - since >= REST else since
+            since = -inf if node.now() - since >= REST_TIME else since
         return since == -inf
 
     name = "a second of the still bench"

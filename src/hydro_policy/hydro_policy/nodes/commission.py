@@ -45,32 +45,32 @@ from hydro_policy.commissioning.record import (
 )
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.nodes.plant_options import require_matching_policy
-from hydro_policy.nodes.site_runs import EMULATED, TRUTH, Site
+from hydro_policy.nodes.site_runs import EMULATED_PLANT, TRUTH_FILE, Site
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import Bench
 
-REPEAT_FROM = "gains"
+FIRST_REPEATED_GATE = "gains"
 """Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
-LOG = "commission.log"
-AT_REST = "rest"
-REST = 10.0  # s recorded at rest
+LOG_FILE = "commission.log"
+REST_RECORDING = "rest"
+REST_TIME = 10.0  # s recorded at rest
 AMPLITUDE_SHARE_MAX = 0.8
 """Largest amplitude over the force at which the compensated law cuts off: its a_0 is up to 1.25."""
-ATTEMPTS = 3
-TRAINING = EvaluationSettings(frequencies=(0.5, 1.0, 2.0), multisine=True, steps=True)
-HELD_OUT = EvaluationSettings(frequencies=(0.7, 1.5))
-COMPARED = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0))
-POLICY = "policy"  # folder of the pretrained policy
+ATTEMPTS_MAX = 3
+TRAINING_REFERENCES = EvaluationSettings(frequencies=(0.5, 1.0, 2.0), multisine=True, steps=True)
+HELD_OUT_REFERENCES = EvaluationSettings(frequencies=(0.7, 1.5))
+COMPARISON_REFERENCES = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0))
+POLICY_FOLDER = "policy"  # folder of the pretrained policy
 OPERATION_NOTES = (
     f"The filter says MISMATCH where the bench is no longer the one that was diagnosed: {RECOMMISSION_HINT}.",
     "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
 )
-PAPER_ONLY = (
+PAPER_ONLY_MESSAGE = (
     "the box runs the paper's force law only, and a bench that is not known yet moves under the compensated law: add "
     "that to the box (protocol.md), or go on by hand (your_own_bench.md, section 6)"
 )
-FIXED_SHARES = (0.5, 0.9)  # K_p of the fixed gains that are compared, over the largest certified
+FIXED_GAIN_SHARES = (0.5, 0.9)  # K_p of the fixed gains that are compared, over the largest certified
 
 
 # Until this bench has a filter, all motions are under the compensated law without one: it tracks with 0.3 to 2.5 times
@@ -99,7 +99,7 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def link(at: Site) -> str:
     """Gate of the link: conformance and ten seconds at rest, for rate, loss, latency, the box's bench and laws."""
-    report = at.folder / site.REPORTS / "conformance.json"
+    report = at.folder / site.REPORTS_FOLDER / "conformance.json"
     report.unlink(missing_ok=True)
     words = ("--port", at.free_port(), "--bench", str(at.bench), "--json", str(report))
     try:
@@ -110,16 +110,16 @@ def link(at: Site) -> str:
     wrong = [f"{row['case']}: {row['found']}" for row in read_json(report)["rows"] if row["result"] == "FAIL"]
     if wrong:
         raise GateError("the box does not keep the protocol: " + "; ".join(wrong))
-    at.record_rest(AT_REST, REST)
-    folder = at.recording(AT_REST)
+    at.record_rest(REST_RECORDING, REST_TIME)
+    folder = at.recording(REST_RECORDING)
     states = _states(folder)
     status = {e.key: e.value for _, m in read_messages(folder, DIAGNOSTICS) for s in m.status for e in s.values
               if s.name == "bridge"}  # fmt: skip
     if status.get("box differs", "no") != "no":
         raise GateError(f"the box is not what its bench file says: {status['box differs']}")
     if not next(read_messages(folder, BOX_LAW))[1].offered:
-        raise GateError(PAPER_ONLY)
-    rate, lost = checks.sample_loss(states, REST)
+        raise GateError(PAPER_ONLY_MESSAGE)
+    rate, lost = checks.sample_loss(states, REST_TIME)
     told = status.get("command out to confirmation in", "not told")
     return f"{rate:.0f} samples/s, {100 * lost:.2g} % lost; command and its answer: {told}"
 
@@ -127,13 +127,13 @@ def link(at: Site) -> str:
 def sensors(at: Site) -> str:
     """Gate of the sensors: noise and plausibility of each signal at rest, hydraulic force against pressures."""
     bench = Bench.load(at.bench)
-    states = _states(at.recording(AT_REST))
+    states = _states(at.recording(REST_RECORDING))
     noise, off = checks.sensor_noise(states, bench)
-    box = next(read_messages(at.recording(AT_REST), BOX))[1]
+    box = next(read_messages(at.recording(REST_RECORDING), BOX))[1]
     at.record.base_gains = [float(box.base_kp), float(box.base_ki)]
     if not at.record.amplitude:
         at.record.amplitude = bench.size.force
-    law = next(read_messages(at.recording(AT_REST), BOX_LAW))[1]
+    law = next(read_messages(at.recording(REST_RECORDING), BOX_LAW))[1]
     most = AMPLITUDE_SHARE_MAX * float(law.reference_max)
     if at.record.amplitude > most:
         raise GateError(f"--amplitude {at.record.amplitude:.0f}: this box's force law reaches {most:.0f} N")
@@ -167,22 +167,22 @@ def gains(at: Site) -> str:
 def excitation(at: Site) -> str:
     """Gate of the excitation: training and held-out recordings, repeated for lost samples or late commands."""
     told = []
-    for name, settings in (("training", TRAINING), ("held_out", HELD_OUT)):
-        for _ in range(ATTEMPTS):
+    for name, settings in (("training", TRAINING_REFERENCES), ("held_out", HELD_OUT_REFERENCES)):
+        for _ in range(ATTEMPTS_MAX):
             _tracking_rmse(at, name, settings)
             worst = checks.unusable_share(_armed(at.recording(name)))
-            if worst <= checks.LOST_MAX:
+            if worst <= checks.LOST_SHARE_MAX:
                 break
         else:
             late = f"{100 * worst:.1f} % of {name} were lost or commanded late"
-            raise GateError(f"{late}, {ATTEMPTS} times: end other work")
+            raise GateError(f"{late}, {ATTEMPTS_MAX} times: end other work")
         told.append(f"{name} {100 * worst:.2g} %")
     return f"lost or commanded late: {', '.join(told)}"
 
 
 def diagnosis(at: Site) -> str:
     """Gate of the diagnosis: identification of the effects that the bench file lacks; an unknown one fails it."""
-    out = at.folder / site.REPORTS / "diagnosis"
+    out = at.folder / site.REPORTS_FOLDER / "diagnosis"
     training, held_out = (str(at.recording(name)) for name in ("training", "held_out"))
     words = (training, "--holdout", held_out, "--bench", str(at.bench), "--out", str(out), "--quiet")
     at.run("hydro_diagnosis", "diagnose", *words)
@@ -191,17 +191,17 @@ def diagnosis(at: Site) -> str:
     if report["verdict"] == "unknown":
         places = "; ".join(place["sentence"] for place in report["location"])
         raise GateError(f"the bench differs from its file by what has no name: {places}")
-    (at.folder / site.METRIC).unlink(missing_ok=True)  # of the model before: the next gate may be interrupted
-    shutil.copyfile(out / site.MODEL, at.folder / site.MODEL)
+    (at.folder / site.METRIC_FILE).unlink(missing_ok=True)  # of the model before: the next gate may be interrupted
+    shutil.copyfile(out / site.MODEL_FILE, at.folder / site.MODEL_FILE)
     ids = ", ".join(cause["id"] for cause in report["effects"]) or "no cause"
     return f"{report['verdict']}: {ids}"
 
 
 def metric(at: Site) -> str:
     """Gate of the metric: contraction metric of the diagnosed bench, certified gains, no MISMATCH on held-out data."""
-    out = at.folder / site.METRIC
+    out = at.folder / site.METRIC_FILE
     held_out = at.recording("held_out")
-    words = ("--model", str(at.folder / site.MODEL), "--bench", str(at.bench), "--out", str(out))
+    words = ("--model", str(at.folder / site.MODEL_FILE), "--bench", str(at.bench), "--out", str(out))
     said = at.run("hydro_filter", "learn_metric", *words, "--recording", str(held_out), "--law", "both")
     found = ScheduledMetric.load(out)
     if reason := found.validity_error(out.name):
@@ -210,7 +210,7 @@ def metric(at: Site) -> str:
         "paper" if one.velocity_compensation == 1.0 else "compensated": [float(one.gains[0]), float(one.gains[-1])]
         for one in found.all_metrics
     }
-    own = loop_filter(found, Bench.load(str(at.folder / site.MODEL)), Bench.load(at.bench))
+    own = loop_filter(found, Bench.load(str(at.folder / site.MODEL_FILE)), Bench.load(at.bench))
     checks.require_matching_filter(_states(held_out), own)
     ranges = (f"{law} law: K_p {low:g} to {high:g} 1/s" for law, (low, high) in at.record.certified_gains.items())
     return "; ".join([*ranges, *([said] if len(at.record.certified_gains) < 2 else [])])
@@ -218,29 +218,29 @@ def metric(at: Site) -> str:
 
 def policy(at: Site) -> str:
     """Gate of the policy, with --policy: pretraining on the diagnosed bench."""
-    shutil.rmtree(at.folder / POLICY, ignore_errors=True)
+    shutil.rmtree(at.folder / POLICY_FOLDER, ignore_errors=True)
     if not at.policy:
         raise GateSkipped("--policy trains one in simulation")
-    at.run("hydro_policy", "pretrain", "--site", str(at.folder), "--out", str(at.folder / POLICY))
-    return f"pretrained on {site.MODEL}: {POLICY}/report.html"
+    at.run("hydro_policy", "pretrain", "--site", str(at.folder), "--out", str(at.folder / POLICY_FOLDER))
+    return f"pretrained on {site.MODEL_FILE}: {POLICY_FOLDER}/report.html"
 
 
 def controllers(at: Site) -> str:
     """Gate of the controllers: evaluation behind the filter, of fixed gains, compensated law, residual, policy."""
     kp, ki = at.record.base_gains
     top = at.record.certified_gains.get("paper", (kp, kp))[1]
-    fixed = [(kp, ki), *((round(share * top), 3.0 * ki) for share in FIXED_SHARES if share * top > kp)]
+    fixed = [(kp, ki), *((round(share * top), 3.0 * ki) for share in FIXED_GAIN_SHARES if share * top > kp)]
     chosen: list[Controller] = [FixedGains(*pair, (kp, ki)) for pair in fixed]
-    trained, policies = at.folder / POLICY, list[Path]()
+    trained, policies = at.folder / POLICY_FOLDER, list[Path]()
     if trained.is_dir():
         require_matching_policy(trained, BoxIdentity.of_file(at.bench, (kp, ki)))
         chosen.insert(0, policy_controller(trained))
         policies.append(policy_file(trained))
-    words = ("--model", str(at.folder / site.MODEL), "--metric", str(at.folder / site.METRIC))
-    settings = replace(COMPARED, amplitude=at.record.amplitude)
+    words = ("--model", str(at.folder / site.MODEL_FILE), "--metric", str(at.folder / site.METRIC_FILE))
+    settings = replace(COMPARISON_REFERENCES, amplitude=at.record.amplitude)
     results = at.compare("controllers", settings, chosen, words=words, learned=True, policies=policies)
     worst = checks.disturbed_share(results.scores)
-    if worst > checks.LOST_MAX:
+    if worst > checks.LOST_SHARE_MAX:
         late = f"{100 * worst:.1f} % of the samples were lost or commanded late"
         raise GateError(f"{late}, though runs were repeated: end other work")
     found = controller_scores(results.scores)
@@ -284,18 +284,20 @@ def comparison(at: Site) -> str:
 
 
 GATES = (
-    Gate(name="link", run=link, files=(site.BENCH,), recordings=(AT_REST,)),
-    Gate(name="sensors", run=sensors, files=(site.BENCH,), recordings=(AT_REST,)),
-    Gate(name="signs", run=signs, files=(site.BENCH,), recordings=("signs",)),
-    Gate(name="gains", run=gains, files=(site.BENCH,), recordings=("gains",)),
+    Gate(name="link", run=link, files=(site.BENCH_FILE,), recordings=(REST_RECORDING,)),
+    Gate(name="sensors", run=sensors, files=(site.BENCH_FILE,), recordings=(REST_RECORDING,)),
+    Gate(name="signs", run=signs, files=(site.BENCH_FILE,), recordings=("signs",)),
+    Gate(name="gains", run=gains, files=(site.BENCH_FILE,), recordings=("gains",)),
     Gate(name="excitation", run=excitation, files=(), recordings=("training", "held_out")),
-    Gate(name="diagnosis", run=diagnosis, files=(site.MODEL,), recordings=("training", "held_out")),
-    Gate(name="metric", run=metric, files=(site.BENCH, site.MODEL, site.METRIC), recordings=("held_out",)),
-    Gate(name="policy", run=policy, files=(site.MODEL, POLICY)),
-    Gate(name="controllers", run=controllers, files=(site.MODEL, site.METRIC), recordings=("controllers",)),
-    Gate(name="comparison", run=comparison, files=(f"{site.REPORTS}/controllers/evaluation.json",)),
+    Gate(name="diagnosis", run=diagnosis, files=(site.MODEL_FILE,), recordings=("training", "held_out")),
+    Gate(
+        name="metric", run=metric, files=(site.BENCH_FILE, site.MODEL_FILE, site.METRIC_FILE), recordings=("held_out",)
+    ),
+    Gate(name="policy", run=policy, files=(site.MODEL_FILE, POLICY_FOLDER)),
+    Gate(name="controllers", run=controllers, files=(site.MODEL_FILE, site.METRIC_FILE), recordings=("controllers",)),
+    Gate(name="comparison", run=comparison, files=(f"{site.REPORTS_FOLDER}/controllers/evaluation.json",)),
 )
-NAMES = tuple(gate.name for gate in GATES)
+GATE_NAMES = tuple(gate.name for gate in GATES)
 
 
 def _tracking_rmse(at: Site, name: str, settings: EvaluationSettings, share: float = 1.0) -> float:
@@ -329,7 +331,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--site", required=True, type=writable_folder, metavar="DIR", help="folder of this bench")
     plant = result.add_mutually_exclusive_group()
     plant.add_argument("--port", metavar="PATH", help="serial port of the box; a site keeps it")
-    plant.add_argument("--plant", choices=(EMULATED,), help="commission an emulated bench in its place")
+    plant.add_argument("--plant", choices=(EMULATED_PLANT,), help="commission an emulated bench in its place")
     result.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; a site keeps it")
     result.add_argument(
         "--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of; a site keeps it"
@@ -346,8 +348,12 @@ def parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     result.add_argument("--policy", action="store_true", help="pretrain a policy in simulation, and compare it, too")
     repeat = result.add_mutually_exclusive_group()
-    repeat.add_argument("--from", dest="start", choices=NAMES, metavar="GATE", help=f"repeat from: {', '.join(NAMES)}")
-    repeat.add_argument("--again", action="store_true", help=f"the bench has changed: repeat from {REPEAT_FROM}")
+    repeat.add_argument(
+        "--from", dest="start", choices=GATE_NAMES, metavar="GATE", help=f"repeat from: {', '.join(GATE_NAMES)}"
+    )
+    repeat.add_argument(
+        "--again", action="store_true", help=f"the bench has changed: repeat from {FIRST_REPEATED_GATE}"
+    )
     return result
 
 
@@ -356,18 +362,18 @@ def main() -> int:
     """Entry point; status 0 where all gates passed, 1 where one failed."""
     options = parser().parse_args()
     folder: Path = options.site
-    record = Record.load(folder, NAMES)
+    record = Record.load(folder, GATE_NAMES)
     changed = _take(options, folder, record)
-    untrained = options.policy and record.gates[NAMES.index("policy")].status != PASSED
-    start = REPEAT_FROM if options.again else options.start or ("policy" if untrained else None)
+    untrained = options.policy and record.gates[GATE_NAMES.index("policy")].status != PASSED
+    start = FIRST_REPEATED_GATE if options.again else options.start or ("policy" if untrained else None)
     starts = [name for name in (start, "signs" if changed else None) if name]
-    first = record.reset_invalid_gates(folder, min((NAMES.index(name) for name in starts), default=len(GATES)))
+    first = record.reset_invalid_gates(folder, min((GATE_NAMES.index(name) for name in starts), default=len(GATES)))
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
     with ExitStack() as stack:
-        log = stack.enter_context((folder / LOG).open("a", buffering=1, encoding="utf-8"))
+        log = stack.enter_context((folder / LOG_FILE).open("a", buffering=1, encoding="utf-8"))
         stack.enter_context(running_ros())
-        rearm = options.arm == "auto" if options.arm else record.plant == EMULATED
+        rearm = options.arm == "auto" if options.arm else record.plant == EMULATED_PLANT
         at = Site(folder, record, rearm=rearm, policy=options.policy, log=log)
         stack.callback(at.close)
         for gate, result in zip(GATES[first:], record.gates[first:], strict=True):
@@ -380,7 +386,7 @@ def main() -> int:
             except (GateError, NotReadyError, CompanionError, PairingError) as error:
                 result.reason, result.status = str(error), FAILED
             result.seconds = round(time.monotonic() - began, 1)
-            recordings = (f"{site.RECORDINGS}/{name}" for name in gate.recordings)
+            recordings = (f"{site.RECORDINGS_FOLDER}/{name}" for name in gate.recordings)
             result.files = digests(folder, (*gate.files, *recordings))
             record.write(folder)
             print(f"{gate.name}: {result.status}: {result.reason} ({result.seconds:.0f} s)")
@@ -398,12 +404,12 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
     plant = options.plant or options.port or record.plant
     if not plant:
         raise UserError("which bench? Name its --port, or --plant emulator")
-    if EMULATED in (record.plant, plant) and record.plant not in ("", plant):
+    if EMULATED_PLANT in (record.plant, plant) and record.plant not in ("", plant):
         raise UserError(f"{folder} is the site of {record.plant}, not of {plant}: name another --site")
-    if options.truth and plant != EMULATED:
+    if options.truth and plant != EMULATED_PLANT:
         raise UserError("--truth is of the emulated bench: it goes with --plant emulator")
-    own = folder / site.BENCH
-    given = options.bench or (bench_digest.shipped_bench_file() if plant == EMULATED else None)
+    own = folder / site.BENCH_FILE
+    given = options.bench or (bench_digest.shipped_bench_file() if plant == EMULATED_PLANT else None)
     if own.is_file():
         if options.bench and bench_digest.digest(bench_digest.read_parameters(options.bench)) != bench_digest.digest(
             bench_digest.read_parameters(own)
@@ -418,7 +424,7 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
     if options.truth:
         if not options.truth.is_file():
             raise UserError(f"--truth {options.truth}: there is no such file")
-        shutil.copyfile(options.truth, folder / TRUTH)
-    (folder / site.REPORTS).mkdir(exist_ok=True)
+        shutil.copyfile(options.truth, folder / TRUTH_FILE)
+    (folder / site.REPORTS_FOLDER).mkdir(exist_ok=True)
     before, record.plant, record.amplitude = record.amplitude, plant, options.amplitude or record.amplitude
     return record.amplitude != before

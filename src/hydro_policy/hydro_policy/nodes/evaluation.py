@@ -23,7 +23,7 @@ from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section
 from hydro_bridge.ros.companion import CompanionError, start_dashboard
 from hydro_bridge.ros.node import declare_parameters, leave_graph, refuse_unknown_parameters
-from hydro_bridge.safety.guard import NOT_OFFERED
+from hydro_bridge.safety.guard import LAW_NOT_OFFERED_MESSAGE
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.bench_scales import rescale
 from hydro_core.cli.console import UserError
@@ -39,7 +39,7 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.parameters import keep_overridden
 from hydro_policy.nodes.plant_options import (
-    NO_FILTER,
+    NO_FILTER_WORDS,
     box_mismatch,
     expected_box,
     load_cell,
@@ -55,7 +55,7 @@ from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor, corrections_requirement
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import BASE, GainRange
+from hydro_policy.task.mdp import BASE_GAINS, GainRange
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
 
@@ -66,14 +66,14 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
         require_matching_policy(path, box)
     controllers: list[Controller] = [policy_controller(path) for path in options.policy]
     gains = options.fixed or ([] if options.law == "compensated" else [(90.0, 15.0), (15.0, 5.0)])
-    return controllers + [FixedGains(kp, ki, box.base_gains or BASE) for kp, ki in gains]
+    return controllers + [FixedGains(kp, ki, box.base_gains or BASE_GAINS) for kp, ki in gains]
 
 
 def required_gain_range(
     controllers: Sequence[Controller], grid: GridSettings | None = None, base: tuple[float, float] | None = None
 ) -> GainRange:
     """Return the range of gain changes that the guard must pass for controllers and grid, on a box with base gains."""
-    base = base or BASE
+    base = base or BASE_GAINS
     ranges = [controller.gain_range for controller in controllers] or [FixedGains(*base, base).gain_range]
     if grid is not None:
         corners = ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))
@@ -167,7 +167,7 @@ def evaluate(options: argparse.Namespace) -> int:
         record = f"ros2 run hydro_bridge recorder --out {options.record}"
         raise UserError(f"--record is of no use where the plant runs already: start `{record}` beside it")
     filtered = options.law != "compensated" or options.fixed or options.policy or options.grid
-    if options.filter.split() == list(NO_FILTER) and filtered:
+    if options.filter.split() == list(NO_FILTER_WORDS) and filtered:
         raise UserError(
             "--filter none leaves the compensated law: say --law compensated, without --fixed, --policy, --grid"
         )
@@ -177,7 +177,7 @@ def evaluate(options: argparse.Namespace) -> int:
 
 def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: EvaluationSettings) -> int:
     """Run the evaluation with its results in `run`; returns the exit status."""
-    box, cell, unfiltered = expected_box(options), load_cell(options), options.filter.split() == list(NO_FILTER)
+    box, cell, unfiltered = expected_box(options), load_cell(options), options.filter.split() == list(NO_FILTER_WORDS)
     controllers, rearm = make_controllers(options, box), may_rearm(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
     with CleanupStack() as stack:
@@ -206,14 +206,14 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
             start_dashboard(stack, node, wanted=options.dashboard, log=node.announcer.write_log)
         if options.law != "paper" and node.law is None:
             if options.law == "compensated" or cell:
-                raise NotReadyError(NOT_OFFERED)
-            node.report(f"{NOT_OFFERED}; the paper's law alone is compared")
+                raise NotReadyError(LAW_NOT_OFFERED_MESSAGE)
+            node.report(f"{LAW_NOT_OFFERED_MESSAGE}; the paper's law alone is compared")
         box = BoxIdentity.of_box(node.box)
         settings = keep_overridden(node, settings, rescale(settings, NOMINAL, node.size))
         controllers = make_controllers(options, box)
         node.box_fault = partial(box_mismatch, box)
         gain_range = guard_range(required_gain_range(controllers, grid, box.base_gains))
-        node.override = GainOverride(gain_range, node.override.report, box.base_gains or BASE)
+        node.override = GainOverride(gain_range, node.override.report, box.base_gains or BASE_GAINS)
         policies = [describe_policy(policy_file(path)) for path in options.policy]
         for sentence in policies:
             node.report(sentence)

@@ -30,16 +30,23 @@ from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.commander import LEASE_WAIT_MAX, Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, RecorderMonitor
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, RosoutLogger, Status, publisher_conflicts
-from hydro_bridge.ros.messages import CORRECTIONS, LAW_STATES, STATES, seconds, subscribe, subscribe_to_box
+from hydro_bridge.ros.messages import (
+    CORRECTION_CODEC,
+    LAW_STATE_CODEC,
+    STATE_CODEC,
+    seconds,
+    subscribe,
+    subscribe_to_box,
+)
 from hydro_bridge.ros.node import request_realtime, spin
 from hydro_bridge.ros.topics import (
     BOX_LAW,
     CORRECTION,
     FREEZE_SERVICE,
-    GRAPH,
     LAW_STATE,
     OVERRIDE_SERVICE,
     POLICY,
+    RECORDED_TOPICS,
     STATE,
     Mailbox,
     create_publisher,
@@ -59,15 +66,15 @@ from hydro_msgs.msg import PolicyStep
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.runner import Session
-from hydro_policy.nodes.announcements import UNRECORDED, Announcer, CompanionWatch
+from hydro_policy.nodes.announcements import UNRECORDED_MESSAGE, Announcer, CompanionWatch
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.model.bench import NOMINAL
 
-_SAMPLE = slice(2, 2 + len(STATE_FIELDS))  # of a state's record, behind stamp and sequence
-_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
+_SAMPLE_SLICE = slice(2, 2 + len(STATE_FIELDS))  # of a state's record, behind stamp and sequence
+_STEP_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
 
 
 @dataclass
@@ -85,8 +92,8 @@ class GainTiming:
         self.response.add(published - arrived)
         self.age.add(age)
         interval, self.published = published - self.published, published
-        if interval < 5 * _PERIOD:
-            self.jitter.add(abs(interval - _PERIOD))
+        if interval < 5 * _STEP_PERIOD:
+            self.jitter.add(abs(interval - _STEP_PERIOD))
 
 
 class CleanupStack(ExitStack):
@@ -98,13 +105,13 @@ class CleanupStack(ExitStack):
             return super().__exit__(*error)
 
 
-TICK = 0.05  # s
-NICE = -15
+TICK_PERIOD = 0.05  # s
+NICENESS = -15
 """Niceness: before all ordinary processes, after bridge and filter, whose deadline is 1 ms; that of gains is 10 ms."""
 
 
-SILENT = 60.0  # s of wall clock without a sample after which the time of a plant on its own clock advances anyway
-_TICK_SAMPLES = round(TICK / SAMPLE_PERIOD)
+SILENCE_MAX = 60.0  # s of wall clock without a sample after which the time of a plant on its own clock advances anyway
+_TICK_SAMPLES = round(TICK_PERIOD / SAMPLE_PERIOD)
 
 
 class GraphNode(Node):
@@ -163,13 +170,13 @@ class GraphNode(Node):
         self._commander = Commander(self, self._on_lease, termination.request_termination, self.warn, lease_wait_max)
         self._commander.on_answer, self._commander.stamp = self._answer, self._stamp
         self.publish_law, self.publish_reference = self._commander.publish_law, self._commander.publish_reference
-        self._states = subscribe(self, STATE, STATES, self._on_state)
+        self._states = subscribe(self, STATE, STATE_CODEC, self._on_state)
         self._mailbox = Mailbox(name)
         self._corrections: Subscription | None = None  # read at each policy step
         self._answers = SampleAcknowledger(self, COMMANDER_WINDOW, self._states)
         subscribe_to_box(self, self._on_box)
         create_subscription(self, BOX_LAW, self._on_box_law)
-        self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(TICK_PERIOD, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def supervisor(
         self, *needed: Requirement, rearm: bool, after: PlantSupervisor | None = None, filtered: bool = True
@@ -185,7 +192,7 @@ class GraphNode(Node):
         return made
 
     def watch_companions(
-        self, companions: list[Companion], recording: Path | None, unrecorded: str = UNRECORDED
+        self, companions: list[Companion], recording: Path | None, unrecorded: str = UNRECORDED_MESSAGE
     ) -> None:
         """Watch these companions; arming requires that the recorder of `recording` receives samples.
 
@@ -227,7 +234,7 @@ class GraphNode(Node):
         self._session, self._each_tick, self._done = session, each_tick, Future()
         needed = (requirement for requirement in session.supervisor.readiness.requirements if requirement.by_wall_clock)
         self._readiness = Readiness(tuple(needed), self.warn)
-        scheduling = request_realtime(realtime=self._realtime and not self.paced, nice=NICE)
+        scheduling = request_realtime(realtime=self._realtime and not self.paced, nice=NICENESS)
         if scheduling != self._scheduling:
             self.report(f"gains are sent under {scheduling}")
             self._scheduling = scheduling
@@ -278,7 +285,7 @@ class GraphNode(Node):
         """Return the session's time [s]: of the monotonic clock, or of the plant's own clock."""
         if not self.paced:
             return time.monotonic()
-        return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENT)
+        return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENCE_MAX)
 
     def disarm(self, *, still: bool = False) -> None:
         """Release the lease, which disarms the plant, and wait at most 2 s for the answer.
@@ -295,7 +302,9 @@ class GraphNode(Node):
     def listen_to_corrections(self) -> None:
         """Subscribe to the filter's corrections, and pass them to the session at each policy step."""
         if self._corrections is None:
-            self._corrections = self._mailbox.subscribe(CORRECTION, GRAPH[CORRECTION][0], GRAPH[STATE][1])
+            self._corrections = self._mailbox.subscribe(
+                CORRECTION, RECORDED_TOPICS[CORRECTION][0], RECORDED_TOPICS[STATE][1]
+            )
 
     def compensate(self, compensation: LiveCompensation) -> None:
         """Connect an online estimator: law states in, diagnostics out, a service to freeze it. Call once."""
@@ -316,7 +325,7 @@ class GraphNode(Node):
         self.create_service(SetBool, FREEZE_SERVICE, freeze)
         DiagnosticsPublisher(self, status, name="compensation")
         take = compensation.on_law_state  # each before its sample
-        subscribe(self, LAW_STATE, LAW_STATES, lambda m: take(m.sequence, m.law, m.compensated_reference))
+        subscribe(self, LAW_STATE, LAW_STATE_CODEC, lambda m: take(m.sequence, m.law, m.compensated_reference))
 
     def destroy_node(self) -> None:
         """Leave the graph."""
@@ -406,7 +415,7 @@ class GraphNode(Node):
                 self._read_corrections(message.sequence)
             now = 1e-9 * message.stamp if message.flags & Flag.PACED else arrived
             sends = self._commander.holds_lease and not session.finished
-            if sends and session.on_sample(message.sequence, np.array(message[_SAMPLE]), message.flags, now):
+            if sends and session.on_sample(message.sequence, np.array(message[_SAMPLE_SLICE]), message.flags, now):
                 age = seconds(self._commander.last_gains.header.stamp) - 1e-9 * message.stamp
                 self.timing.add(arrived, self._gains_out, age)
             if self.paced and message.sequence % _TICK_SAMPLES == 0 and not session.finished:
@@ -446,8 +455,8 @@ class GraphNode(Node):
         """
         if self._corrections is None:
             return
-        fetched = self._mailbox.fetch(self._corrections, GRAPH[STATE][1].depth)
-        self._early += [message for data, _ in fetched if (message := CORRECTIONS.unpack(data)) is not None]
+        fetched = self._mailbox.fetch(self._corrections, RECORDED_TOPICS[STATE][1].depth)
+        self._early += [message for data, _ in fetched if (message := CORRECTION_CODEC.unpack(data)) is not None]
         if self.paced:
             count = sum(((before - 2 - message.sequence) % 2**32) < 2**31 for message in self._early)
         else:
@@ -478,7 +487,7 @@ class GraphNode(Node):
             elif self._session is not None:
                 if self.paced:
                     self._readiness.check(time.monotonic())
-                if not self.paced or (time.monotonic() - self._arrived > SILENT and self._owed is None):
+                if not self.paced or (time.monotonic() - self._arrived > SILENCE_MAX and self._owed is None):
                     self._tick(self._session, self.now())
                 self._each_tick()
                 self._answer()

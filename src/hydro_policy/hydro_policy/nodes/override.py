@@ -14,9 +14,9 @@ from hydro_bridge.ros.topics import OVERRIDE_SERVICE
 from hydro_core.cli.console import UserError, command, make_parser
 from hydro_msgs.srv import OverrideGains
 
-DISCOVERY = 10.0  # s, to find the service: on a busy machine announcements get lost and come again each few seconds
-TIMEOUT = 3.0  # s, for its answer
-_WHO = "a person, by `override`"
+DISCOVERY_TIMEOUT = 10.0  # s, to find the service: a busy machine loses announcements, repeated each few seconds
+ANSWER_TIMEOUT = 3.0  # s, for its answer
+_REQUESTER = "a person, by `override`"
 
 
 @command()
@@ -35,11 +35,11 @@ def main() -> None:
         raise UserError("override needs --kp and --ki, or --off")
     gains = {} if options.off else {"proportional_gain": options.kp, "integral_gain": options.ki}
     seconds = 0.0 if options.off else options.seconds
-    wanted = OverrideGains.Request(active=not options.off, name=_WHO, whom=options.whom, seconds=seconds, **gains)
+    wanted = OverrideGains.Request(active=not options.off, name=_REQUESTER, whom=options.whom, seconds=seconds, **gains)
     answer = call_service(
         "override", ros, OVERRIDE_SERVICE, OverrideGains, wanted,
-        absent=f"no trainer or evaluate found in {DISCOVERY:g} s: there are no gains to take over",
-        unanswered=f"no answer within {TIMEOUT:g} s: look at the gains in /hydro/state, or ask again",
-        discovery_timeout=DISCOVERY, timeout=TIMEOUT,
+        absent=f"no trainer or evaluate found in {DISCOVERY_TIMEOUT:g} s: there are no gains to take over",
+        unanswered=f"no answer within {ANSWER_TIMEOUT:g} s: look at the gains in /hydro/state, or ask again",
+        discovery_timeout=DISCOVERY_TIMEOUT, timeout=ANSWER_TIMEOUT,
     )  # fmt: skip
     print(answer)

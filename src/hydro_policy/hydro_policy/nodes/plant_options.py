@@ -21,14 +21,14 @@ from hydro_core.settings import read_yaml
 from hydro_policy.compensation.estimator import LoadCell
 from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.runs.run_directory import RunDirectory
-from hydro_policy.task.mdp import BASE
+from hydro_policy.task.mdp import BASE_GAINS
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched, read_provenance
 
 if TYPE_CHECKING:
     from hydro_policy.runs.initial_agent import InitialAgent
 
 PLANTS = ("sim", "emulator", "bench", "external")
-NO_FILTER = ("none",)  # words of `--filter none`
+NO_FILTER_WORDS = ("none",)  # words of `--filter none`
 LAWS = ("both", "paper", "compensated")  # values of `evaluate --law`
 SCRATCH = "scratch"  # value of `--from` for no agent, besides a run's folder
 
@@ -94,7 +94,7 @@ _OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     for name, hint in get_type_hints(PlantOptions, include_extras=True).items()
     if get_origin(hint) is Annotated
 }
-_KEPT = _OPTIONS.keys() - {"hand_over"}  # options that a resumed run keeps
+_RETAINED_OPTIONS = _OPTIONS.keys() - {"hand_over"}  # options that a resumed run keeps
 
 
 def add_plant_options(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +114,7 @@ def add_option(parser: argparse._ActionsContainer, name: str) -> None:
 
 def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
     """Return the plant options as stored in YAML, with absolute paths."""
-    words = {name: value for name in _OPTIONS if name in _KEPT and (value := getattr(options, name))}
+    words = {name: value for name in _OPTIONS if name in _RETAINED_OPTIONS and (value := getattr(options, name))}
     return {
         name: value if isinstance(value, list) else str(Path(value).absolute() if os.path.exists(value) else value)
         for name, value in words.items()
@@ -127,15 +127,16 @@ def restore_plant_options(result: argparse.ArgumentParser, run: RunDirectory, sa
     plant = plant if isinstance(plant, dict) else {}
     if said.get("plant", plant.get("plant")) == plant.get("plant"):
         files = {name for name, (_, option) in _OPTIONS.items() if option.get("type") is Path}
-        words = {name: Path(value) if name in files else value for name, value in plant.items() if name in _KEPT}
+        retained = {name: value for name, value in plant.items() if name in _RETAINED_OPTIONS}
+        words = {name: Path(value) if name in files else value for name, value in retained.items()}
         result.set_defaults(**words)
 
 
 def apply_site(options: argparse.Namespace) -> None:
     """Set the options that --site replaces: bench, base gains, filter, model. Raises UserError: one is given, too."""
-    files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL} --metric {site.METRIC}"}
-    files |= {"model": site.MODEL} if options.plant == "sim" else {}
-    site.apply_site_option(options, bench=site.BENCH, **files)
+    files = {} if options.plant == "external" else {"filter": f"--model {site.MODEL_FILE} --metric {site.METRIC_FILE}"}
+    files |= {"model": site.MODEL_FILE} if options.plant == "sim" else {}
+    site.apply_site_option(options, bench=site.BENCH_FILE, **files)
     if options.site and not options.base_gains and options.plant in _OPTIONS["base_gains"][0]:
         options.base_gains = site.base_gains(options.site)
 
@@ -165,7 +166,7 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
     return made
 
 
-PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
+PRETRAIN_HINT = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
 
 
 def expected_box(options: argparse.Namespace) -> BoxIdentity:
@@ -178,7 +179,7 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
         raise UserError(f"--model {options.model}: there is no such file")
     if options.plant == "external":
         return BoxIdentity.of_file(options.bench) if options.bench else BoxIdentity(digest="", source="what runs")
-    box = BoxIdentity.of_file(options.bench, tuple(options.base_gains or BASE))
+    box = BoxIdentity.of_file(options.bench, tuple(options.base_gains or BASE_GAINS))
     from hydro_sim.box.box import BoxConfig  # with numba, which takes a second: not for --help or a slip
 
     return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
@@ -200,10 +201,10 @@ def box_mismatch(plan: BoxIdentity, box: BoxDescription) -> str:
 def require_matching_agent(start: InitialAgent | None, box: BoxIdentity) -> None:
     """Raise PairingError if this agent was not made for this box."""
     if start is not None:
-        remedy = f"{PRETRAIN}, or begin without one: --from scratch"
+        remedy = f"{PRETRAIN_HINT}, or begin without one: --from scratch"
         raise_if_mismatched(mismatch(f"the agent {start.source.name}", start.made, box, remedy))
 
 
 def require_matching_policy(path: Path, box: BoxIdentity) -> None:
     """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
-    raise_if_mismatched(mismatch(f"the policy {path.name}", read_provenance(policy_file(path)), box, PRETRAIN))
+    raise_if_mismatched(mismatch(f"the policy {path.name}", read_provenance(policy_file(path)), box, PRETRAIN_HINT))

@@ -28,7 +28,7 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_core.files import bench_digest
 from hydro_policy.nodes.announcements import companion_output
 from hydro_policy.nodes.graph_node import GraphNode
-from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions
+from hydro_policy.nodes.plant_options import NO_FILTER_WORDS, PlantOptions
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.learned_bench import shipped_bench
@@ -89,7 +89,7 @@ def start_plant(
     if options.plant == "external":
         return ""
     uncovered = ""
-    if options.filter != NO_FILTER:
+    if options.filter != NO_FILTER_WORDS:
         _, settings = requested_filter(options.filter, options.bench)
         if settings.bypass and guard_range(gains).delta_kp_max > GuardSettings().delta_kp_max:
             uncovered = "the filter is bypassed: only the monitor and the box's force limit protect from high gains"
@@ -107,7 +107,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     """
     if options.plant == "external":
         return []
-    from hydro_filter.controller.factory import LEARNED
+    from hydro_filter.controller.factory import SHIPPED_METRIC
 
     bench = ["--bench", str(options.bench)] if options.bench else []
     started: list[tuple[str, str, list[str]]] = []
@@ -129,14 +129,14 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
             arguments += ["--faults", options.faults] if options.faults else []
             started.append(("hydro_sim", "emulator", arguments))
         words = [*scheduling, *(["--port", port] if port else []), *bench]
-    filtered, parameters = options.filter != NO_FILTER, dict[str, Any]()
+    filtered, parameters = options.filter != NO_FILTER_WORDS, dict[str, Any]()
     if peers and not options.real_time:
         parameters["pace.peers"] = " ".join(peers)
     wanted, default = asdict(guard_range(gains)), asdict(GuardSettings())
     wider = {f"guard.{name}": float(value) for name, value in wanted.items() if value != default[name]}
     if filtered and wider:
         named = any(word.split("=")[0] == "--metric" for word in options.filter)
-        relies_on = " ".join(options.filter if named else (f"--metric {LEARNED}", *options.filter))
+        relies_on = " ".join(options.filter if named else (f"--metric {SHIPPED_METRIC}", *options.filter))
         parameters |= {**wider, "guard.relies_on": relies_on}
     if options.plant == "sim" and options.base_gains is not None:
         kp, ki = map(float, options.base_gains)
@@ -159,7 +159,7 @@ def recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     if options.plant == "sim":
         model = options.model or (None if options.bench else shipped_bench())
         metadata.append("model=analytic" if model is None else f"model_sha256={_digest(model)}")
-    if options.filter != NO_FILTER:
+    if options.filter != NO_FILTER_WORDS:
         choice, _ = requested_filter(options.filter, options.bench)
         metadata += [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()]
     attachments = filter(None, (options.bench or bench_digest.shipped_bench_file(), *options.attachments))

@@ -20,8 +20,8 @@ from hydro_policy.nodes.graph_node import GraphNode
 if TYPE_CHECKING:  # evaluate does without
     from hydro_policy.training_plan import TrainingPlan
 
-_REDRAW = 4  # ticks of 50 ms
-_BAR = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
+_REDRAW_TICKS = 4  # ticks of 50 ms
+_BAR_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
 """Without a rate: waiting and examinations take their time too."""
 
 
@@ -33,7 +33,7 @@ class TrialProgress:
 
     def __init__(self, session: TrialRunner[Any], label: str, total: float = 0.0, bar_format: str = "") -> None:
         self._session, self._label, self._total = session, label, total or session.plan.total
-        form = bar_format or (_BAR.replace("{elapsed}", "{elapsed}<{remaining}") if self._total else None)
+        form = bar_format or (_BAR_FORMAT.replace("{elapsed}", "{elapsed}<{remaining}") if self._total else None)
         self._bar: tqdm[None] = progress(total=self._total or None, label=label, bar_format=form)
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ class TrainingProgress(TrialProgress):
     def __init__(self, node: GraphNode, session: TrialRunner[TrainingPlan]) -> None:
         self._node, self._plan, self._learner = node, session.plan, session.plan.learner
         self._steps = self._plan.settings.task.steps_per_episode
-        super().__init__(session, "waiting", self._plan.settings.episodes * self._steps, _BAR)
+        super().__init__(session, "waiting", self._plan.settings.episodes * self._steps, _BAR_FORMAT)
         self.phase: Callable[[], Phase] = lambda: session.phase
         self._ticks, self._told = 0, self._plan.progress.episode
         self._examined = len(self._plan.progress.exams)
@@ -91,7 +91,7 @@ class TrainingProgress(TrialProgress):
             self._node.report(_exam_line(progress.exams[self._examined], self._plan))
             self._examined += 1
         self._ticks += 1
-        if self._ticks % _REDRAW == 0:
+        if self._ticks % _REDRAW_TICKS == 0:
             self._redraw()
 
     def publish(self) -> None:

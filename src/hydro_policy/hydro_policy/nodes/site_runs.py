@@ -19,7 +19,7 @@ from typing import IO
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.ros.companion import Companion, RecorderMonitor
 from hydro_bridge.ros.node import leave_graph
-from hydro_bridge.safety.guard import NOT_OFFERED
+from hydro_bridge.safety.guard import LAW_NOT_OFFERED_MESSAGE
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_core.cli.console import UserError, print_above_progress, terminal_lines
 from hydro_core.files import site
@@ -30,7 +30,7 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.nodes.announcements import CompanionWatch, companion_output
 from hydro_policy.nodes.evaluation import compare_on, report_results, required_gain_range
 from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
-from hydro_policy.nodes.plant_options import NO_FILTER, PlantOptions, box_mismatch
+from hydro_policy.nodes.plant_options import NO_FILTER_WORDS, PlantOptions, box_mismatch
 from hydro_policy.nodes.plants import commands, guard_range, recorder_arguments
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run_directory import RunDirectory
@@ -40,8 +40,8 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.pairing import BoxIdentity
 
-TRUTH = "truth.yaml"  # truth of a site's emulated bench; without the file the emulator's default
-EMULATED = "emulator"
+TRUTH_FILE = "truth.yaml"  # truth of a site's emulated bench; without the file the emulator's default
+EMULATED_PLANT = "emulator"
 PORT_TIMEOUT = 60.0  # s, for the emulator's port
 RECORDER_TIMEOUT = 30.0  # s, for a recorder to complete its recording
 
@@ -50,15 +50,15 @@ class Site:
     """Site of one bench: its folder, and the processes and trials on it, until `close`.
 
     `folder`: folder of the site. `record`: record of its commissioning; its plant is the serial port of the box, or
-    `EMULATED`. `rearm`: whether the plant is armed without a person. `policy`: whether a policy is to be trained.
+    `EMULATED_PLANT`. `rearm`: whether the plant is armed without a person. `policy`: whether a policy is to be trained.
     `log`: file for the output of all processes, whose warnings are also shown.
     """
 
     def __init__(self, folder: Path, record: Record, *, rearm: bool, policy: bool, log: IO[str]) -> None:
-        self.folder, self.record, self.policy, self.bench = folder, record, policy, folder / site.BENCH
+        self.folder, self.record, self.policy, self.bench = folder, record, policy, folder / site.BENCH_FILE
         self._rearm, self._log = rearm, log
         self._typed = None if rearm else terminal_lines()
-        self._port = str(folder / "port") if record.plant == EMULATED else record.plant
+        self._port = str(folder / "port") if record.plant == EMULATED_PLANT else record.plant
         self._emulator: Companion | None = None
         self._running: list[Companion] = []  # emulator and bridge
         self._node: GraphNode | None = None
@@ -72,7 +72,7 @@ class Site:
 
     def recording(self, name: str) -> Path:
         """Return the folder of a recording."""
-        return self.folder / site.RECORDINGS / name
+        return self.folder / site.RECORDINGS_FOLDER / name
 
     def run(self, package: str, executable: str, *words: str, echo: bool = True) -> str:
         """Run an executable to its end, with exclusive use of machine and port; returns its last line of output.
@@ -97,9 +97,9 @@ class Site:
     def free_port(self) -> str:
         """Return the serial port, released by bridge and node; the first call starts the emulator, if any."""
         self._disconnect()
-        if self.record.plant != EMULATED or self._emulator is not None:
+        if self.record.plant != EMULATED_PLANT or self._emulator is not None:
             return self._port
-        port, truth = Path(self._port), self.folder / TRUTH
+        port, truth = Path(self._port), self.folder / TRUTH_FILE
         port.unlink(missing_ok=True)  # of one that was killed
         words = ["--link", self._port, "--bench", str(self.bench)]
         words += ["--truth", str(truth)] if truth.is_file() else []
@@ -121,7 +121,7 @@ class Site:
 
     def compare(
         self, name: str, settings: EvaluationSettings, controllers: Sequence[Controller] = (), *,
-        words: Sequence[str] = NO_FILTER, learned: bool = False, policies: Sequence[Path] = (),
+        words: Sequence[str] = NO_FILTER_WORDS, learned: bool = False, policies: Sequence[Path] = (),
     ) -> TrialRunner[Comparison]:  # fmt: skip
         """Run a comparison with the compensated law, and write its report; returns the runner with the results.
 
@@ -129,15 +129,15 @@ class Site:
         the compensated law. `words`: the filter's command line. `learned`: whether that law is also run with the
         learned residual. `policies`: policy files whose digests the recording contains.
         """
-        run = RunDirectory(self.folder / site.REPORTS / name)
+        run = RunDirectory(self.folder / site.REPORTS_FOLDER / name)
         shutil.rmtree(run.path, ignore_errors=True)
         run.path.mkdir(parents=True)
         with self._recorded(name, required_gain_range(controllers), words, policies) as (node, recorder):
             if node.law is None:
-                raise NotReadyError(NOT_OFFERED)
+                raise NotReadyError(LAW_NOT_OFFERED_MESSAGE)
             if self._typed is not None:
                 node.listen_for_enter(self._typed)
-            filtered = tuple(words) != NO_FILTER
+            filtered = tuple(words) != NO_FILTER_WORDS
             needed = (corrections_requirement(lambda: node.corrected),) if filtered else ()
             supervisor = node.supervisor(recorder, *needed, rearm=self._rearm, filtered=filtered)
             results = compare_on(node, controllers, supervisor, settings=settings, learned=learned)
@@ -155,7 +155,7 @@ class Site:
 
     @contextmanager
     def _recorded(
-        self, name: str, gain_range: GainRange, words: Sequence[str] = NO_FILTER, policies: Sequence[Path] = ()
+        self, name: str, gain_range: GainRange, words: Sequence[str] = NO_FILTER_WORDS, policies: Sequence[Path] = ()
     ) -> Iterator[tuple[GraphNode, Requirement]]:
         """Record to `name`: yields node and recorder's requirement; disarms the plant before the recording ends.
 
@@ -181,7 +181,7 @@ class Site:
             if not node.wait_for_plant(law=True) or node.box is None:
                 raise KeyboardInterrupt
             node.override = GainOverride(guard_range(gain_range), node.override.report, node.box.base_gains)
-            if options.filter != NO_FILTER:
+            if options.filter != NO_FILTER_WORDS:
                 node.listen_to_corrections()
             self._node, self._serves = node, serves
         node, folder = self._node, self.recording(name)

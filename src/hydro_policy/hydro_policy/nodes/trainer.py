@@ -18,7 +18,7 @@ from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_s
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run_directory import RunDirectory
 
-DEMO = {"plant": "emulator", "configuration": "wide", "episodes": 6, "exam_every": 3, "evaluate": True}
+DEMO_OPTIONS = {"plant": "emulator", "configuration": "wide", "episodes": 6, "exam_every": 3, "evaluate": True}
 """Options of --demo: a short training on the emulator over the serial link, recorded and evaluated, in 6 minutes."""
 
 EPILOG = """\
@@ -80,7 +80,7 @@ def parse_options(words: Sequence[str]) -> argparse.Namespace:
     """Parse the command line; --demo changes the defaults."""
     result = parser()
     if result.parse_args(words).demo:
-        result.set_defaults(**DEMO)
+        result.set_defaults(**DEMO_OPTIONS)
     options = result.parse_args(words)
     if options.resume is not None:
         run = RunDirectory(options.resume)

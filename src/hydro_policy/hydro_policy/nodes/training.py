@@ -28,7 +28,7 @@ from hydro_policy.nodes.evaluation import compare_on, conditions, remove_rejecte
 from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.parameters import declare_settings, keep_overridden
 from hydro_policy.nodes.plant_options import (
-    NO_FILTER,
+    NO_FILTER_WORDS,
     SCRATCH,
     box_mismatch,
     expected_box,
@@ -43,14 +43,14 @@ from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs import report as curves
 from hydro_policy.runs.digest import platform_description, run_digest
-from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
+from hydro_policy.runs.initial_agent import AGENT_FILE, InitialAgent, load_initial_agent, shipped_agent
 from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
+from hydro_policy.task.mdp import ACTION_SIZE, BASE_GAINS, OBSERVATION_SIZE
 from hydro_policy.training_plan import Progress, TrainingPlan, training
 from hydro_sim.files.pairing import BoxIdentity, Provenance, mismatch, raise_if_mismatched
 from hydro_sim.model.bench import NOMINAL
@@ -70,7 +70,7 @@ def prepare(
     """
     start, checkpoint, box = None, None, expected_box(options)
     if options.plant != "external":
-        if (words := plant_options(options).filter) == NO_FILTER:
+        if (words := plant_options(options).filter) == NO_FILTER_WORDS:
             raise UserError("--filter none is for the compensated law of `evaluate`: a policy trains behind the filter")
         requested_filter(words, options.bench)
     node.box_fault = partial(box_mismatch, box)
@@ -86,7 +86,7 @@ def prepare(
             start = load_initial_agent(options.start)
         require_matching_agent(start, box)
         updates = UPDATES_PER_STEP["agent" if start else "scratch"]
-        settings = configuration(options.configuration, base=box.base_gains or BASE, size=box.size or NOMINAL)
+        settings = configuration(options.configuration, base=box.base_gains or BASE_GAINS, size=box.size or NOMINAL)
         settings = replace(settings, updates_per_step=updates)
         settings = start.adapt_settings(settings) if start else settings
     else:
@@ -110,8 +110,9 @@ def prepare(
             size = settings.task.size
             settings = keep_overridden(node, settings, rescale(settings, size, box.size or size))
         if new and start is None:
-            base, gains = box.base_gains or BASE, settings.task.gains
-            shifted = keep_overridden(node, gains, gains.shifted(BASE[0] - base[0], BASE[1] - base[1]), "task.gains.")
+            base, gains = box.base_gains or BASE_GAINS, settings.task.gains
+            shifted = gains.shifted(BASE_GAINS[0] - base[0], BASE_GAINS[1] - base[1])
+            shifted = keep_overridden(node, gains, shifted, "task.gains.")
             settings = replace(settings, task=replace(settings.task, gains=shifted))
     if settings.made is not None and not new:
         remedy = "go on with it on its own box, or begin one here"
@@ -130,14 +131,14 @@ def prepare(
 
 def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpoint) -> None:
     """Raise ValueError, one sentence that names the damaged file, unless the run can be resumed from its folder."""
-    best = run.best / AGENT
-    agents = {run.latest / AGENT: checkpoint.learner} | ({best: best.read_bytes()} if best.is_file() else {})
+    best = run.best / AGENT_FILE
+    agents = {run.latest / AGENT_FILE: checkpoint.learner} | ({best: best.read_bytes()} if best.is_file() else {})
     for path, agent in agents.items():
         try:
-            restore(Sac(OBSERVATIONS, ACTIONS, settings.sac), agent)
+            restore(Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac), agent)
         except ValueError as error:
             raise ValueError(f"{path} cannot be gone on from: {error}") from error
-    if checkpoint.replay.shape[1] != sum(ReplayBuffer(OBSERVATIONS, ACTIONS, 65).widths):
+    if checkpoint.replay.shape[1] != sum(ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, 65).widths):
         raise ValueError(f"{run.latest / 'replay.npy'} holds transitions of {checkpoint.replay.shape[1]} numbers")
     if not checkpoint.trainer:  # nothing had happened yet
         return
@@ -150,12 +151,12 @@ def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpo
 
 def write_initial_checkpoint(run: RunDirectory, settings: TrainingSettings, start: InitialAgent | None) -> None:
     """Write the first checkpoint: the initial agent, and an empty replay buffer."""
-    agent = start.agent if start else dump(Sac(OBSERVATIONS, ACTIONS, settings.sac))
-    nothing = ReplayBuffer(OBSERVATIONS, ACTIONS, settings.sac.batch_size + 128)
+    agent = start.agent if start else dump(Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac))
+    nothing = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, settings.sac.batch_size + 128)
     write_run(run, settings, agent, nothing, {})
 
 
-SEARCHED = EvaluationSettings(frequencies=(1.0, 2.0))  # references of the search for the best fixed gains
+SEARCH_REFERENCES = EvaluationSettings(frequencies=(1.0, 2.0))  # references of the search for the best fixed gains
 
 
 def paper_controllers(plan: TrainingPlan, start: InitialAgent | None) -> list[Controller]:
@@ -185,7 +186,7 @@ def print_files(
     listed = [
         ("policy", run.policy),
         ("checkpoint", run.latest),
-        ("best agent", run.best / AGENT),
+        ("best agent", run.best / AGENT_FILE),
         ("what happened", run.record),
         ("recording", recording),
         ("evaluation", run.evaluation),
@@ -205,7 +206,7 @@ def print_files(
     print(f"  compare again    ros2 run hydro_policy evaluate {plant} --policy {run.path} --fixed 90 15 --fixed 15 5")
 
 
-LEFT_OUT = (
+LEFT_OUT_MESSAGE = (
     "best fixed gains and compensated law are not compared, since a person would have to arm the plant for them: "
     "`evaluate --grid` does that"
 )
@@ -251,7 +252,7 @@ def train(options: argparse.Namespace) -> int:
         if uncovered := start_plant(stack, node, plant, settings.task.gains, run.path, page=options.dashboard):
             record.add("uncovered", uncovered)
         state = (checkpoint.trainer or None) if checkpoint else None
-        best = (run.best / AGENT).read_bytes() if checkpoint and (run.best / AGENT).is_file() else None
+        best = (run.best / AGENT_FILE).read_bytes() if checkpoint and (run.best / AGENT_FILE).is_file() else None
         plan = TrainingPlan(settings, learner, node, state=state, best=best, record=record)
         supervisor = node.supervisor(
             plant_supervisor.learner_requirement(lambda: learner.ready), rearm=may_rearm(options)
@@ -303,7 +304,7 @@ def train_and_evaluate(
     inference = plan.explorer.inference.summary()
     node.report(f"gains at 100 Hz: jitter {node.timing.jitter.summary()}; inference took {inference}")
     if plan.progress.exams and not plan.improved:
-        node.report(curves.NONE_BETTER)
+        node.report(curves.NONE_BETTER_MESSAGE)
     if not finished or plan.abort_reason or not options.evaluate:
         return finished and not plan.abort_reason, None
     readiness = Readiness([plant_supervisor.learner_requirement(lambda: plan.learner.ready)], node.report)
@@ -316,11 +317,11 @@ def train_and_evaluate(
     bar.phase = lambda: Phase.EVALUATING
     grid = coarse_grid(plan.settings.task.gains, plan.settings.base_gains) if rearm else None
     if not rearm:
-        node.report(LEFT_OUT)
+        node.report(LEFT_OUT_MESSAGE)
     force = node.size.force
     results = compare_on(
         node, paper_controllers(plan, start), node.supervisor(rearm=rearm, after=session.supervisor), rearm=rearm,
-        settings=EvaluationSettings(amplitude=force), grid=grid, searched=replace(SEARCHED, amplitude=force),
+        settings=EvaluationSettings(amplitude=force), grid=grid, searched=replace(SEARCH_REFERENCES, amplitude=force),
         compensated=rearm, cell=cell, learned=cell is None, record=plan.record,
     )  # fmt: skip
     if results is None:

@@ -70,7 +70,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Entry point."""
     options = parser().parse_args()
-    site.apply_site_option(options, model=site.MODEL, box=site.BENCH)
+    site.apply_site_option(options, model=site.MODEL_FILE, box=site.BENCH_FILE)
     if options.site and not options.base_gains:
         options.base_gains = site.base_gains(options.site)
     from hydro_policy.pretraining.run import pretrain  # it compiles: not for --help or a slip

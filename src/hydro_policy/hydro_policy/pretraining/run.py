@@ -30,7 +30,7 @@ from hydro_policy.envs.simulation import SimulationSetup
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
-from hydro_policy.runs.initial_agent import AGENT
+from hydro_policy.runs.initial_agent import AGENT_FILE
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run_directory import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import Policy
@@ -41,14 +41,14 @@ from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL
 from hydro_sim.plotting import BLUE, add_legend, figure
 
-SOURCE = "pretrain.yaml"  # file name in a run's folder, beside config.yaml
-CURVE = "curve.png"  # file name of the learning curve, too
-SAVE_PERIOD = 20.0  # minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk
+SETUP_FILE = "pretrain.yaml"  # file name in a run's folder, beside config.yaml
+CURVE_FILE = "curve.png"  # file name of the learning curve, too
+CHECKPOINT_INTERVAL = 20.0  # minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk
 REPLAY_MAX = 1_152_000  # maximum number of transitions in a pretraining's replay buffer, 138 MB: 640 episodes
 
 
 def pretrain(options: argparse.Namespace) -> int:
-    """Run the pretraining of the command line; returns the exit status."""
+    """Run or resume the pretraining that the command line specifies; returns the exit status."""
     run = RunDirectory(options.resume or options.out)
     settings, source = resumed_settings(run, sys.argv[1:]) if options.resume else requested_settings(options)
     raise_if_mismatched(source.pairing_error())
@@ -60,9 +60,9 @@ def pretrain(options: argparse.Namespace) -> int:
     pretraining = Pretraining(simulation, source.simulated(), source.box_bench())
     if not options.resume:
         run.create().save_settings(settings)
-        write_atomic(run.path / SOURCE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
+        write_atomic(run.path / SETUP_FILE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
     elif any(run.latest.glob("*")):  # else interrupted during the first round: it starts again
-        best = run.path / AGENT
+        best = run.path / AGENT_FILE
         pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
     began = time.monotonic()
     try:
@@ -74,7 +74,7 @@ def pretrain(options: argparse.Namespace) -> int:
     finally:
         if pretraining.history:
             told = {"seed": settings.seed, "best score": pretraining.best_score, "code_version": code_version()}
-            curve = Section(heading="Learning curve", picture=run.path / CURVE)
+            curve = Section(heading="Learning curve", picture=run.path / CURVE_FILE)
             sections = [curve, Section(heading="Rounds", table=curve_table(pretraining))]
             write_page(run, f"Pretraining {run.path.name}", {**asdict(source), **told}, sections)
         else:
@@ -82,7 +82,8 @@ def pretrain(options: argparse.Namespace) -> int:
     curve_table(pretraining).show(options.json)
     print(
         f"{run.path}: best score {pretraining.best_score:.3f}, {pretraining.sac.updates} updates, "
-        f"{time.monotonic() - began:.0f} s\npolicy {run.policy}, learning curve {run.path / CURVE}, page {run.page}",
+        f"{time.monotonic() - began:.0f} s\n"
+        f"policy {run.policy}, learning curve {run.path / CURVE_FILE}, page {run.page}",
         file=sys.stderr,
     )
     return 0
@@ -128,13 +129,13 @@ def resumed_settings(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingS
 def load_simulation_setup(folder: Path) -> SimulationSetup:
     """Return the simulation set-up of a run on disk. Raises UserError: the folder holds no pretraining."""
     try:
-        return from_mapping(SimulationSetup, read_yaml(folder / SOURCE), SOURCE)
+        return from_mapping(SimulationSetup, read_yaml(folder / SETUP_FILE), SETUP_FILE)
     except SettingsError as error:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error
 
 
 def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    """Run the remaining rounds; save the run after the first, the last, and every `SAVE_PERIOD` in between."""
+    """Run the remaining rounds; save the run after the first, the last, and every `CHECKPOINT_INTERVAL` in between."""
     settings = pretraining.settings.training
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
@@ -156,7 +157,7 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
         scalars.add("pretraining", entry)
         if pretraining.finished or time.monotonic() > due:
             best = pretraining.best or dump(pretraining.sac)
-            write_atomic(run.path / AGENT, with_provenance(best, settings.made))
+            write_atomic(run.path / AGENT_FILE, with_provenance(best, settings.made))
             policy = Policy(settings.sac, settings.task.size)
             policy.load_flat(actor_parameters(best))
             notes = {
@@ -167,8 +168,8 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
             policy.save(run.policy, settings.task.gains, notes, settings.made)
             agent = with_provenance(dump(pretraining.sac), settings.made)
             save_checkpoint(run.latest, agent, pretraining.replay, pretraining.state())
-            draw_curve(pretraining, run.path / CURVE)
-            due = time.monotonic() + SAVE_PERIOD
+            draw_curve(pretraining, run.path / CURVE_FILE)
+            due = time.monotonic() + CHECKPOINT_INTERVAL
         bar.set_postfix_str(f"{entry['score']:.2f} of fixed gains' RMSE, best {pretraining.best_score:.2f}")
     bar.close()
 

@@ -31,7 +31,7 @@ from hydro_policy.runs.run_directory import Checkpoint, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.sac import ReplayBuffer, Sac, dump, restore
 from hydro_policy.task.cases import EvaluationSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, events
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, events
 from hydro_policy.task.mdp.events import Randomisation, RandomisedBench
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
@@ -41,7 +41,7 @@ REFERENCE_GAINS = (90.0, 15.0)  # K_p, K_i of the paper's controller III, which 
 COMPLETION_SHARE_MIN = 0.02
 """Smallest share of drawn benches on which the reference gains do not trip, since scores are relative to them."""
 
-TRIPPED = 10.0  # score of a run in which the box trips, in RMSE of the reference gains
+TRIPPED_SCORE = 10.0  # score of a run in which the box trips, in RMSE of the reference gains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +77,8 @@ class Pretraining:
         training = settings.training
         self.vector_bench = self._make_vector_bench(settings.benches)
         self.environment = Environment(self.vector_bench, training.task)
-        self.sac = Sac(OBSERVATIONS, ACTIONS, training.sac)
-        self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
+        self.sac = Sac(OBSERVATION_SIZE, ACTION_SIZE, training.sac)
+        self.replay = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, training.replay_capacity)
         self.policy = Policy(training.sac, training.task.size)
         self.rng = np.random.default_rng(training.seed)
         self.episode = 0  # episodes finished
@@ -112,7 +112,7 @@ class Pretraining:
             )
             for index, number in enumerate(numbers)
         ]
-        seeds = [events.stream_seed(training.seed, number, events.NOISE) for number in numbers]
+        seeds = [events.stream_seed(training.seed, number, events.NOISE_STREAM) for number in numbers]
         observation = self.environment.reset(references, seeds)
         returns, trips = np.zeros(len(self.vector_bench)), 0
         for _ in range(training.task.steps_per_episode):
@@ -151,7 +151,7 @@ class Pretraining:
         rmse = self._rmse(
             vector_runs.VectorPolicyController(self.policy, self.settings.training.task.gains), self._examined
         )
-        ratio = np.where(np.isnan(rmse), TRIPPED, rmse / self._reference)
+        ratio = np.where(np.isnan(rmse), TRIPPED_SCORE, rmse / self._reference)
         score = float(ratio.mean())
         if score < self.best_score:
             self.best_score, self.best = score, dump(self.sac)
@@ -168,7 +168,7 @@ class Pretraining:
         """Draw the held-out benches of the examinations, only ones on which the reference gains do not trip."""
         wanted, seed = self.settings.examined, self.settings.training.seed
         for number in range(round(wanted / COMPLETION_SHARE_MIN)):
-            drawn = events.stream_seed(seed, number, events.EXAMINED)
+            drawn = events.stream_seed(seed, number, events.EXAM_STREAM)
             bench = events.draw_bench(randomisation, self._episodes.source, drawn)
             rmse = self._rmse(fixed, [bench])
             if np.isfinite(rmse).all():

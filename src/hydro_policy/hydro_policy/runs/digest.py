@@ -26,7 +26,7 @@ from hydro_bridge.bags.recording import stream_bag
 from hydro_core.signals import STATE_FIELDS
 from hydro_policy.task.cases import Score
 
-_ROW = np.dtype([("numbers", "<f8", (1 + len(STATE_FIELDS),)), ("flags", "<u4"), ("sequence", "<u4")])
+_ROW_DTYPE = np.dtype([("numbers", "<f8", (1 + len(STATE_FIELDS),)), ("flags", "<u4"), ("sequence", "<u4")])
 
 
 def run_digest(policy: Path, recordings: Iterable[Path], rows: Sequence[Score]) -> str:
@@ -43,7 +43,7 @@ def run_digest(policy: Path, recordings: Iterable[Path], rows: Sequence[Score]) 
                 continue
             first = states["time"][0] if first is None else first
             last = int(states["sequence"][-1])
-            packed = np.empty(len(states), _ROW)
+            packed = np.empty(len(states), _ROW_DTYPE)
             packed["numbers"][:, 0] = np.rint(1e9 * (states["time"] - first))
             for column, name in enumerate(STATE_FIELDS):
                 packed["numbers"][:, column + 1] = states[name]

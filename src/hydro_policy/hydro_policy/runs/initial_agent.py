@@ -13,15 +13,15 @@ from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.sac import Sac, dump, restore, settings_of
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, GainRange
 from hydro_sim.files.pairing import Provenance, read_provenance
 from hydro_sim.model.bench import NOMINAL
 
-AGENT = "learner.safetensors"
+AGENT_FILE = "learner.safetensors"
 
 ACTOR_LEARNING_RATE_SCALE = 0.1  # factor on the actor's learning rate on the bench
 
-REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
+REWARD_FIELDS = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
 """Fields of `TaskSettings` that define the reward."""
 
 
@@ -66,20 +66,22 @@ def load_initial_agent(path: Path) -> InitialAgent:
     """
     run = RunDirectory(path)
     folders = (path, run.best, run.latest)
-    found = next((folder / AGENT for folder in folders if (folder / AGENT).is_file()), None)
+    found = next((folder / AGENT_FILE for folder in folders if (folder / AGENT_FILE).is_file()), None)
     if found is None:
-        raise ValueError(f"{path} holds no {AGENT}: an agent to start from is a run's folder, or one made by pretrain")
+        raise ValueError(
+            f"{path} holds no {AGENT_FILE}: an agent to start from is a run's folder, or one made by pretrain"
+        )
     try:
         content = found.read_bytes()
         sac = settings_of(content)
-        agent = Sac(OBSERVATIONS, ACTIONS, sac)
+        agent = Sac(OBSERVATION_SIZE, ACTION_SIZE, sac)
         restore(agent, content)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{found} is not an agent: {error}") from error
     agent.updates = 0  # or its past updates would count as done for future transitions
     policy, gains, notes = load_policy(run.policy)
     task = notes.get("task")
-    reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
+    reward = {name: float(task[name]) for name in REWARD_FIELDS if name in task} if isinstance(task, dict) else {}
     return InitialAgent(
         dump(agent), sac, gains, reward, path, read_provenance(found) or read_provenance(run.policy), policy.size
     )

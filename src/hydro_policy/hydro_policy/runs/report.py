@@ -16,9 +16,11 @@ from hydro_core.files.atomic import write_atomic
 from hydro_policy.runs.run_directory import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
-NONE_BETTER = "no policy trained here was better, by more than noise, than the one it started from: that is kept"
+NONE_BETTER_MESSAGE = (
+    "no policy trained here was better, by more than noise, than the one it started from: that is kept"
+)
 _LOSSES = ("critics_loss", "actor_loss")
-_TOLD = ("start", "uncovered", "stop", "override", "end")
+_LISTED_EVENTS = ("start", "uncovered", "stop", "override", "end")
 
 
 def sections(record: RunRecord, curve: Path) -> list[Section]:
@@ -27,7 +29,7 @@ def sections(record: RunRecord, curve: Path) -> list[Section]:
     last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
     summary = f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}."
     if exams and episodes and not any(exam["best"] and exam["episode"] > 0 for exam in exams):
-        summary += f" {NONE_BETTER[0].upper()}{NONE_BETTER[1:]}."
+        summary += f" {NONE_BETTER_MESSAGE[0].upper()}{NONE_BETTER_MESSAGE[1:]}."
     found = [Section(heading="Learning curve", text=summary, picture=curve)]
     if exams:
         columns = {
@@ -44,7 +46,7 @@ def sections(record: RunRecord, curve: Path) -> list[Section]:
         found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=table))
     happened = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
     for event in record.events:
-        if event["kind"] in _TOLD:
+        if event["kind"] in _LISTED_EVENTS:
             when = str(event.get("time", ""))
             with suppress(ValueError):
                 when = datetime.fromisoformat(when).astimezone(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -38,10 +38,10 @@ from numpy.typing import NDArray
 from hydro_core.files.atomic import encode_json, fsync_folder, write_atomic
 from hydro_core.files.tensors import InvalidTensorError, check_finite
 from hydro_core.settings import SettingsError, check, from_mapping, quantity, read_yaml
-from hydro_policy.sac.settings import SacSettings, present_names
+from hydro_policy.sac.settings import SacSettings, rename_legacy_keys
 from hydro_policy.supervision.monitor import MonitorSettings
 from hydro_policy.task.cases import ExamSettings
-from hydro_policy.task.mdp import BASE, TaskSettings
+from hydro_policy.task.mdp import BASE_GAINS, TaskSettings
 from hydro_sim.files.pairing import Provenance
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class TrainingSettings:
         """Base gains K_p [1/s] and K_i [1/s^2] of the box, to which the policy's gain changes are added."""
         made = self.made
         if made is None or made.base_kp is None or made.base_ki is None:
-            return BASE
+            return BASE_GAINS
         return made.base_kp, made.base_ki
 
     def __post_init__(self) -> None:
@@ -147,7 +147,7 @@ class RunDirectory:
             if "warmup_steps" in values:  # until 2026-11
                 values["learning_starts"] = values.pop("warmup_steps")
             if isinstance(values.get("sac"), dict):
-                values["sac"] = present_names(values["sac"])
+                values["sac"] = rename_legacy_keys(values["sac"])
             return from_mapping(TrainingSettings, values, self.config.name)
         except ValueError as error:
             raise ValueError(f"{self.path} holds no run to resume: {error}") from error
@@ -182,7 +182,7 @@ class Scalars:
         self._writer.flush()
 
 
-_TRAINED = ("episode", "exam", "stop")  # kinds of events after which the policy has changed
+_POLICY_CHANGE_EVENTS = ("episode", "exam", "stop")  # kinds of events after which the policy has changed
 
 
 class RunRecord:
@@ -229,7 +229,7 @@ class RunRecord:
     def events_of_interrupted(self, kind: str) -> list[dict[str, Any]]:
         """Return the events of a kind of an interrupted comparison: those since the last training or complete end."""
         events = self.events
-        over = (n + 1 for n, one in enumerate(events) if one["kind"] in _TRAINED or one.get("complete"))
+        over = (n + 1 for n, one in enumerate(events) if one["kind"] in _POLICY_CHANGE_EVENTS or one.get("complete"))
         return [event for event in events[max(over, default=0) :] if event["kind"] == kind]
 
     def flush(self) -> None:

@@ -23,24 +23,24 @@ from hydro_sim.jit import njit
 
 Floats = npt.NDArray[Any]
 
-BLOCK = 128
+BLOCK_SIZE = 128
 """Transitions that are processed together: eight vectors of float32, and a layer fits the first-level cache."""
-BLOCKS = 4
-GAP = 16
+BLOCK_COUNT = 4
+ROW_GAP = 16
 """Numbers between rows, one cache line: rows a power of two apart would share the same few places of the cache."""
-ROW = BLOCK * BLOCKS + GAP  # numbers from one row to the next
-BATCH_MAX = BLOCK * BLOCKS  # largest batch
+STRIDE = BLOCK_SIZE * BLOCK_COUNT + ROW_GAP  # numbers from one row to the next
+BATCH_MAX = BLOCK_SIZE * BLOCK_COUNT  # largest batch
 
-LOOSE = {"reassoc", "contract"}
+FASTMATH_FLAGS = {"reassoc", "contract"}
 """Sums may be reordered and fused, which vectorizes them; NaN and infinity keep their meaning."""
 
 # Unsigned throughout: a signed index may be negative, which numba checks for, and which keeps a loop from vectorizing.
 _U = np.uint64
 _0, _1, _2, _3, _4 = _U(0), _U(1), _U(2), _U(3), _U(4)
-_BLOCK, _ROW, _ROW2, _ROW3 = _U(BLOCK), _U(ROW), _U(2 * ROW), _U(3 * ROW)
+_BLOCK, _ROW, _ROW2, _ROW3 = _U(BLOCK_SIZE), _U(STRIDE), _U(2 * STRIDE), _U(3 * STRIDE)
 
 
-@njit(fastmath=LOOSE)
+@njit(fastmath=FASTMATH_FLAGS)
 def affine(w, b, x, y, at):
     """Affine layer y = w^T x + b, for the block that starts at `at`; w of shape (rows of x, rows of y)."""
     n, m, at = _U(w.shape[0]), _U(w.shape[1]), _U(at)
@@ -64,7 +64,7 @@ def affine(w, b, x, y, at):
                 y[q + k], y[q + _ROW + k], y[q + _ROW2 + k], y[q + _ROW3 + k] = y0, y1, y2, y3
 
 
-@njit(fastmath=LOOSE)
+@njit(fastmath=FASTMATH_FLAGS)
 def outer(x, g, gw, gb, batch):
     """Gradients of an affine layer: gw = x g^T and gb = g 1, sums over the first `batch` transitions."""
     n, m, zero = _U(gw.shape[0]), _U(gw.shape[1]), gw.dtype.type(0.0)
@@ -92,7 +92,7 @@ def outer(x, g, gw, gb, batch):
         gb[j] = total
 
 
-@njit(fastmath=LOOSE)
+@njit(fastmath=FASTMATH_FLAGS)
 def relu(y, rows, at):
     """ReLU in place: y = max(y, 0), for the block that starts at `at`."""
     zero = y.dtype.type(0.0)
@@ -102,7 +102,7 @@ def relu(y, rows, at):
             y[begin + k] = zero if y[begin + k] < zero else y[begin + k]
 
 
-@njit(fastmath=LOOSE)
+@njit(fastmath=FASTMATH_FLAGS)
 def relu_gradient(g, y, rows, at):
     """Gradient of ReLU in place: g = 0 where the activation y is 0, for the block that starts at `at`."""
     zero = g.dtype.type(0.0)

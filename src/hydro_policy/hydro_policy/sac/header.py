@@ -15,20 +15,20 @@ import numpy as np
 from hydro_core.cli.console import command, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_policy.sac.policy import Policy, load_policy
-from hydro_policy.task.mdp import ACTIONS, GainRange, normalization
+from hydro_policy.task.mdp import ACTION_SIZE, GainRange, normalization
 from hydro_sim.box.header import header_file, initializer, wrap_words
 
 
 def header(policy: Policy, gains: GainRange, origin: str) -> str:
     """Return the header that defines `HYDRO_POLICY`; the last layer contains only the outputs of the mean."""
-    weights = [*policy.weights[:-1], policy.weights[-1][:, :ACTIONS]]
-    biases = [*policy.biases[:-1], policy.biases[-1][:ACTIONS]]
+    weights = [*policy.weights[:-1], policy.weights[-1][:, :ACTION_SIZE]]
+    biases = [*policy.biases[:-1], policy.biases[-1][:ACTION_SIZE]]
     arrays = []
     for k, pair in enumerate(zip(weights, biases, strict=True), 1):
         for name, array in zip(("HYDRO_POLICY_WEIGHT", "HYDRO_POLICY_BIAS"), pair, strict=True):
             numbers = wrap_words(f"{number!s}f" for number in np.asarray(array, np.float32).ravel())
             arrays.append(f"static const float {name}_{k}[{array.size}] = {{\n{numbers}}};\n")
-    low, high = (gains.changes(np.full(ACTIONS, end)) for end in (-1.0, 1.0))
+    low, high = (gains.changes(np.full(ACTION_SIZE, end)) for end in (-1.0, 1.0))
     center, scale = normalization(policy.size)
     members = {
         "weight": [f"HYDRO_POLICY_WEIGHT_{k}" for k in (1, 2, 3)],

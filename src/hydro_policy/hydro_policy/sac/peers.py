@@ -22,15 +22,15 @@ from hydro_core.bench_scales import BenchScales
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 
 LOG_STD_BOUNDS = (-20.0, 2.0)
 """Bounds of log sigma in stable-baselines3's SAC; skrl's models state theirs."""
 
-TOLERANCE = 1e-4
+ACTION_TOLERANCE = 1e-4
 """Largest difference of actions that is accepted; the learner's float32 causes some 1e-6 against float64 here."""
 
-Act = Callable[[FloatArray], Any]
+ActFunction = Callable[[FloatArray], Any]
 
 
 def policy_of(learner: Any, size: BenchScales) -> Policy:
@@ -45,19 +45,19 @@ def policy_of(learner: Any, size: BenchScales) -> Policy:
     layers = _layers(actor)
     shapes = [weight.shape for weight, _ in layers]
     hidden = shapes[0][1]
-    if shapes != [(OBSERVATIONS, hidden), (hidden, hidden), (hidden, 2 * ACTIONS)]:
+    if shapes != [(OBSERVATION_SIZE, hidden), (hidden, hidden), (hidden, 2 * ACTION_SIZE)]:
         sizes = " to ".join(str(count) for count in (shapes[0][0], *(shape[1] for shape in shapes)))
         raise ValueError(
-            f"an actor of {sizes} units cannot be deployed: it needs {OBSERVATIONS} observations and two equal hidden "
-            f"layers, as by net_arch=[64, 64]"
+            f"an actor of {sizes} units cannot be deployed: it needs {OBSERVATION_SIZE} observations and two equal "
+            f"hidden layers, as by net_arch=[64, 64]"
         )
     (weight, bias), *rest = layers
     layers = [(weight / scale[:, np.newaxis], bias - (center / scale) @ weight), *rest]
     policy = Policy(SacSettings(hidden_size=hidden, log_std_min=bounds[0], log_std_max=bounds[1]), size)
     policy.load_flat(np.concatenate([array.ravel() for layer in layers for array in layer]))
-    observations = center + scale * np.random.default_rng(0).standard_normal((256, OBSERVATIONS))
+    observations = center + scale * np.random.default_rng(0).standard_normal((256, OBSERVATION_SIZE))
     difference = float(np.abs(policy.act(observations) - act(observations)).max())
-    if not difference < TOLERANCE:
+    if not difference < ACTION_TOLERANCE:
         kinds = sorted({type(part).__name__ for part in actor.modules() if not list(part.children())})
         raise ValueError(
             f"the mean action is not tanh of a perceptron of ReLU (it differs by {difference:.2g}; the actor has "
@@ -66,12 +66,12 @@ def policy_of(learner: Any, size: BenchScales) -> Policy:
     return policy
 
 
-def _of_baselines(model: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float, float], Act]:
+def _of_baselines(model: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float, float], ActFunction]:
     """Return actor, normalisation (mean, deviation), bounds of log sigma, and mean action of a baselines model."""
     actor, wrapper = getattr(model, "actor", None), model.get_vec_normalize_env()
     if actor is None:
         raise ValueError(f"the mean action of {type(model).__name__} is not squashed by tanh: train SAC, TD3 or DDPG")
-    center, scale = np.zeros(OBSERVATIONS), np.ones(OBSERVATIONS)
+    center, scale = np.zeros(OBSERVATION_SIZE), np.ones(OBSERVATION_SIZE)
     if normalised := wrapper is not None and wrapper.norm_obs:
         center, scale = wrapper.obs_rms.mean, np.sqrt(wrapper.obs_rms.var + wrapper.epsilon)
 
@@ -82,13 +82,13 @@ def _of_baselines(model: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float,
     return actor, center, scale, LOG_STD_BOUNDS, act
 
 
-def _of_skrl(agent: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float, float], Act]:
+def _of_skrl(agent: Any) -> tuple[Any, FloatArray, FloatArray, tuple[float, float], ActFunction]:
     """Return actor, normalisation (mean, deviation), bounds of log sigma, and mean action of a skrl agent."""
     torch = sys.modules["torch"]  # imported with the agent; nothing here needs it
     actor, scaler = getattr(agent, "policy", None), getattr(agent, "_observation_preprocessor", None)
     if actor is None or scaler is None:
         raise ValueError(f"{type(agent).__name__} is neither a model of stable-baselines3 nor an agent of skrl")
-    center, scale = np.zeros(OBSERVATIONS), np.ones(OBSERVATIONS)
+    center, scale = np.zeros(OBSERVATION_SIZE), np.ones(OBSERVATION_SIZE)
     if hasattr(scaler, "running_mean"):
         center = scaler.running_mean.cpu().numpy()
         scale = np.sqrt(scaler.running_variance.cpu().numpy()) + scaler.epsilon
@@ -117,9 +117,9 @@ def _layers(actor: Any) -> list[tuple[FloatArray, FloatArray]]:
     if len(found) > 3 and found[-1][0].shape == found[-2][0].shape:
         mean, log_std = found[-2:]
         found[-2:] = [(np.hstack((mean[0], log_std[0])), np.concatenate((mean[1], log_std[1])))]
-    elif found[-1][0].shape[1] == ACTIONS:
+    elif found[-1][0].shape[1] == ACTION_SIZE:
         weight, bias = found[-1]
         parameter = getattr(actor, "log_std_parameter", None)
-        sigma = LOG_STD_BOUNDS[:1] * ACTIONS if parameter is None else parameter.detach().cpu().numpy().ravel()
+        sigma = LOG_STD_BOUNDS[:1] * ACTION_SIZE if parameter is None else parameter.detach().cpu().numpy().ravel()
         found[-1] = np.hstack((weight, np.zeros_like(weight))), np.concatenate((bias, sigma))
     return found

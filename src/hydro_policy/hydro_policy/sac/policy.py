@@ -19,7 +19,7 @@ from hydro_core.files.tensors import check_shapes
 from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import ACTIONS, OBSERVATION_NAMES, OBSERVATIONS, GainRange, normalization
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_NAMES, OBSERVATION_SIZE, GainRange, normalization
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import Provenance
 from hydro_sim.model.bench import NOMINAL
@@ -33,7 +33,7 @@ class Policy:
 
     def __init__(self, sac: SacSettings, size: BenchScales = NOMINAL) -> None:
         self.size = size
-        self.sizes = (OBSERVATIONS, sac.hidden_size, sac.hidden_size, 2 * ACTIONS)
+        self.sizes = (OBSERVATION_SIZE, sac.hidden_size, sac.hidden_size, 2 * ACTION_SIZE)
         self.log_std_bounds = sac.log_std_min, sac.log_std_max
         self.weights = [np.zeros((i, o)) for i, o in zip(self.sizes, self.sizes[1:], strict=False)]
         self.biases = [np.zeros(o) for o in self.sizes[1:]]
@@ -62,7 +62,7 @@ class Policy:
             hidden = np.maximum(hidden @ weight + bias, 0.0)
         output = hidden @ self.weights[-1] + self.biases[-1]
         low, high = self.log_std_bounds
-        return output[..., :ACTIONS], np.minimum(np.maximum(output[..., ACTIONS:], low), high)
+        return output[..., :ACTION_SIZE], np.minimum(np.maximum(output[..., ACTION_SIZE:], low), high)
 
     def act(self, observation: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
         """Return actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`; without it tanh(mu)."""

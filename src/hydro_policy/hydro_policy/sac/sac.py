@@ -31,14 +31,14 @@ from safetensors.numpy import load, save
 from hydro_core.files.tensors import InvalidTensorError, check_finite, check_shapes
 from hydro_core.settings import check
 from hydro_core.signals import FloatArray
-from hydro_policy.sac.dense import BATCH_MAX, BLOCK, ROW, Floats, affine, outer, relu, relu_gradient
-from hydro_policy.sac.settings import SacSettings, present_names
+from hydro_policy.sac.dense import BATCH_MAX, BLOCK_SIZE, STRIDE, Floats, affine, outer, relu, relu_gradient
+from hydro_policy.sac.settings import SacSettings, rename_legacy_keys
 from hydro_sim.jit import njit
 
 # ---------------------------------------------------------------------------------------------------- replay buffer
 
 _COUNTER_BYTES = 64  # a separate cache line
-_MARGIN = 64  # oldest rows of a full buffer that are not drawn: the other process may be overwriting them
+_MARGIN_ROWS = 64  # oldest rows of a full buffer that are not drawn: the other process may be overwriting them
 
 
 class ReplayBuffer:
@@ -55,8 +55,8 @@ class ReplayBuffer:
     """
 
     def __init__(self, observations: int, actions: int, capacity: int, memory: object | None = None) -> None:
-        if capacity <= _MARGIN:
-            raise ValueError(f"a replay buffer holds more than {_MARGIN} transitions, not {capacity}")
+        if capacity <= _MARGIN_ROWS:
+            raise ValueError(f"a replay buffer holds more than {_MARGIN_ROWS} transitions, not {capacity}")
         self.widths = (observations, observations, actions, 1, 1)
         if memory is None:
             memory = bytearray(self.nbytes(observations, actions, capacity))
@@ -94,7 +94,7 @@ class ReplayBuffer:
         produced, capacity = self.total_appended, len(self.rows)
         if produced < capacity:
             return rng.integers(produced, size=shape)
-        return (produced - 1 - rng.integers(capacity - _MARGIN, size=shape)) % capacity
+        return (produced - 1 - rng.integers(capacity - _MARGIN_ROWS, size=shape)) % capacity
 
     def snapshot(self) -> tuple[NDArray[np.float32], int]:
         """Return a copy of all stored rows, oldest first, and `total_appended` at that moment."""
@@ -123,11 +123,11 @@ def round_up_to_four(count):
     return (count + 3) // 4 * 4
 
 
-Layer = tuple[Indices, Indices]
+LayerIndices = tuple[Indices, Indices]
 """Indices of a layer's weights [member, fan_in, fan_out] and biases [member, fan_out] in the flat vector."""
 
 
-def layers(members: int, inputs: tuple[int, ...], hidden: int, outputs: int) -> tuple[int, list[Layer]]:
+def layers(members: int, inputs: tuple[int, ...], hidden: int, outputs: int) -> tuple[int, list[LayerIndices]]:
     """Return the layout of `members` perceptrons with two equal hidden layers: length of the flat vector, layers in it.
 
     Every layer is padded with zeros to a multiple of four, with gradients of zero, so that the padding stays zero.
@@ -193,20 +193,20 @@ def critic_networks(flat, inputs, hidden):
 
 
 @njit
-def empty_activations(net):
+def zero_activations(net):
     """Return zero activations and gradients for a network and the largest batch."""
     hidden, outputs = net.w3.shape
     kind = net.w1.dtype
     return Activations(
-        np.zeros(hidden * ROW, kind), np.zeros(hidden * ROW, kind), np.zeros(outputs * ROW, kind),
-        np.zeros(hidden * ROW, kind), np.zeros(hidden * ROW, kind), np.zeros(outputs * ROW, kind),
+        np.zeros(hidden * STRIDE, kind), np.zeros(hidden * STRIDE, kind), np.zeros(outputs * STRIDE, kind),
+        np.zeros(hidden * STRIDE, kind), np.zeros(hidden * STRIDE, kind), np.zeros(outputs * STRIDE, kind),
     )  # fmt: skip
 
 
 @njit
 def forward(net, x, p, batch):
     """Forward pass: h1 = relu(W1^T x + b1), h2 = relu(W2^T h1 + b2), y = W3^T h2 + b3, with x cut to the rows of W1."""
-    for at in range(0, batch, BLOCK):
+    for at in range(0, batch, BLOCK_SIZE):
         affine(net.w1, net.b1, x, p.h1, at)
         relu(p.h1, len(net.b1), at)
         affine(net.w2, net.b2, p.h1, p.h2, at)
@@ -218,7 +218,7 @@ def forward(net, x, p, batch):
 def backpropagate(net, p, batch):
     """Backward pass to the hidden layers: g2 = W3 gy and g1 = W2 g2, zero where the activation is."""
     w3, w2, zeros = net.w3.T.copy(), net.w2.T.copy(), np.zeros_like(net.b1)
-    for at in range(0, batch, BLOCK):
+    for at in range(0, batch, BLOCK_SIZE):
         affine(w3, zeros, p.gy, p.g2, at)
         relu_gradient(p.g2, p.h2, len(zeros), at)
         affine(w2, zeros, p.g2, p.g1, at)
@@ -288,9 +288,9 @@ def learn(agent, c, steps, rows, indices, noise, losses):
     q = critic_networks(agent.critics.parameters, inputs, hidden)
     q_gradient = critic_networks(agent.critics.gradient, inputs, hidden)
     target = critic_networks(agent.targets, inputs, hidden)
-    of_actor, of_q = empty_activations(actor), (empty_activations(q[0]), empty_activations(q[1]))
-    now, following = np.zeros(inputs * ROW, kind), np.zeros(inputs * ROW, kind)  # [o, a] and [o', a'] as columns
-    slope = np.zeros(round_up_to_four(m) * ROW, kind), np.zeros(round_up_to_four(m) * ROW, kind)
+    of_actor, of_q = zero_activations(actor), (zero_activations(q[0]), zero_activations(q[1]))
+    now, following = np.zeros(inputs * STRIDE, kind), np.zeros(inputs * STRIDE, kind)  # [o, a] and [o', a'] as columns
+    slope = np.zeros(round_up_to_four(m) * STRIDE, kind), np.zeros(round_up_to_four(m) * STRIDE, kind)
     reward, going_on = np.empty(batch, kind), np.empty(batch, kind)
     y, log_pi = np.empty(batch, kind), np.empty(batch, kind)
     deviation, inside = np.empty((m, batch), kind), np.empty((m, batch), kind)
@@ -303,9 +303,9 @@ def learn(agent, c, steps, rows, indices, noise, losses):
         for k in range(batch):
             row = rows[indices[update, k]]
             for i in range(n):
-                now[i * ROW + k], following[i * ROW + k] = row[i], row[n + i]
+                now[i * STRIDE + k], following[i * STRIDE + k] = row[i], row[n + i]
             for j in range(m):
-                now[(first_action + j) * ROW + k] = row[2 * n + j]
+                now[(first_action + j) * STRIDE + k] = row[2 * n + j]
             reward[k], going_on[k] = row[2 * n + m], one - row[2 * n + m + 1]
 
         # targets: y = c r + gamma (1 - d) (min_i Q'_i(o', a') - alpha log pi(a'|o')), a' ~ pi(o')
@@ -340,15 +340,15 @@ def learn(agent, c, steps, rows, indices, noise, losses):
         for i in range(2):  # dQ_i/da
             backpropagate(q[i], of_q[i], batch)
             to_actions = q[i].w1[first_action:].T.copy()
-            for at in range(0, batch, BLOCK):
+            for at in range(0, batch, BLOCK_SIZE):
                 affine(to_actions, np.zeros(round_up_to_four(m), kind), of_q[i].g1, slope[i], at)
         for j in range(m):
             for k in range(batch):
                 # d log pi/du = 2 a, da/du = 1 - a^2, du/d log sigma = sigma eps, and log N has -log sigma
-                a = now[(first_action + j) * ROW + k]
-                to_u = two * alpha * a - (slope[0][j * ROW + k] + slope[1][j * ROW + k]) * (one - a * a)
-                of_actor.gy[j * ROW + k] = share * to_u
-                of_actor.gy[(m + j) * ROW + k] = share * (to_u * deviation[j, k] - alpha) * inside[j, k]
+                a = now[(first_action + j) * STRIDE + k]
+                to_u = two * alpha * a - (slope[0][j * STRIDE + k] + slope[1][j * STRIDE + k]) * (one - a * a)
+                of_actor.gy[j * STRIDE + k] = share * to_u
+                of_actor.gy[(m + j) * STRIDE + k] = share * (to_u * deviation[j, k] - alpha) * inside[j, k]
         backward(actor, now, of_actor, batch, actor_gradient)
         adam(agent.actor, step)
         losses[update, 1] = total / batch
@@ -375,12 +375,12 @@ def sample(actor, c, x, noise, p, log_pi, deviation, inside):
     log_pi[:] = zero
     for j in range(m):
         for k in range(batch):
-            raw, eps = p.y[(m + j) * ROW + k], noise[k, j]
+            raw, eps = p.y[(m + j) * STRIDE + k], noise[k, j]
             log_std = min(max(raw, c.log_std_min), c.log_std_max)
             deviation[j, k], inside[j, k] = math.exp(log_std) * eps, one if raw == log_std else zero
-            u = p.y[j * ROW + k] + deviation[j, k]
+            u = p.y[j * STRIDE + k] + deviation[j, k]
             fading = math.exp(-two * abs(u))  # both tanh and log(1 - tanh^2) from one exponential
-            x[(first_action + j) * ROW + k] = math.copysign((one - fading) / (one + fading), u)
+            x[(first_action + j) * STRIDE + k] = math.copysign((one - fading) / (one + fading), u)
             log_1_minus_a2 = two * (log_2 - u - math.log1p(fading) - max(-two * u, zero))
             log_pi[k] += -half * eps * eps - log_std - half_log_2pi - log_1_minus_a2
 
@@ -508,8 +508,8 @@ class Sac:
 
 # ---------------------------------------------------------------------------------------------------------- its file
 
-_ADAMS = ("actor", "critics", "entropy")
-_VECTORS = ("parameters", "first_moment", "second_moment")
+_OPTIMISER_NAMES = ("actor", "critics", "entropy")
+_OPTIMISER_VECTORS = ("parameters", "first_moment", "second_moment")
 
 
 def dump(sac: Sac) -> bytes:
@@ -519,7 +519,7 @@ def dump(sac: Sac) -> bytes:
     "hydro".
     """
     tensors = {key: vector[indices] for key, vector, indices in _vectors(sac)}
-    counters = {"updates": sac.updates, **{f"{name}.steps": sac.steps for name in _ADAMS}}
+    counters = {"updates": sac.updates, **{f"{name}.steps": sac.steps for name in _OPTIMISER_NAMES}}
     return bytes(save(tensors, {"hydro": json.dumps({"counters": counters, "settings": asdict(sac.settings)})}))
 
 
@@ -542,7 +542,7 @@ def actor_parameters(blob: bytes) -> FloatArray:
 
 def settings_of(blob: bytes) -> SacSettings:
     """Return the settings of the agent in a dump."""
-    settings = SacSettings(**present_names(_opened(blob)[1]["settings"]))
+    settings = SacSettings(**rename_legacy_keys(_opened(blob)[1]["settings"]))
     check(settings)
     return settings
 
@@ -551,7 +551,9 @@ def _vectors(sac: Sac) -> list[tuple[str, Floats, Any]]:
     """Return the name in a file of each vector, the vector, and where in it the numbers of the file are."""
     indices = {**sac.parameter_indices, "entropy": slice(None)}
     kept = [
-        (f"{name}.{key}", getattr(getattr(sac.agent, name), key), indices[name]) for name in _ADAMS for key in _VECTORS
+        (f"{name}.{key}", getattr(getattr(sac.agent, name), key), indices[name])
+        for name in _OPTIMISER_NAMES
+        for key in _OPTIMISER_VECTORS
     ]
     return [*kept, ("target_critics", sac.agent.targets, indices["critics"])]
 
@@ -564,7 +566,7 @@ def _opened(blob: bytes) -> tuple[dict[str, Any], dict[str, Any]]:
         header: dict[str, Any] = json.loads(json.loads(blob[8 : 8 + length])["__metadata__"]["hydro"])
         if "actor.parameters" not in tensors:
             raise InvalidTensorError("actor.parameters is missing")
-        counted = [header["counters"]["updates"], *(header["counters"][f"{name}.steps"] for name in _ADAMS)]
+        counted = [header["counters"]["updates"], *(header["counters"][f"{name}.steps"] for name in _OPTIMISER_NAMES)]
         if not all(isinstance(count, int) and count >= 0 for count in counted):
             raise InvalidTensorError(f"its counters are {counted}")
     except (SafetensorError, KeyError, TypeError, AttributeError, ValueError) as error:

@@ -42,7 +42,7 @@ class SacSettings:
     """Seed of the initial weights, and of the batches and the noise of updates."""
 
 
-def present_names(values: Mapping[str, Any]) -> dict[str, Any]:
+def rename_legacy_keys(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return a file's settings with the former names `discount`, `target_rate` (until 2026-11) replaced by the new."""
     former = {"discount": "gamma", "target_rate": "tau"}
     return {former.get(name, name): value for name, value in values.items()}

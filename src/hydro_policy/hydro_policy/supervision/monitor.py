@@ -26,13 +26,13 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus
 from hydro_policy.task.mdp import Step
 from hydro_sim.model.bench import NOMINAL
 
-_EVALUATED = frozenset(
+_EVALUATED_STATUSES = frozenset(
     set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH}
 )
-_TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.runs.gammas`
-_RECOVERY = 20
+_VIOLATION_TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.runs.gammas`
+_RECOVERY_STEPS = 20
 """Steps after one under base gains whose u' is not due to the policy: the force recovers from the larger error."""
-_STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
+_STEP_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +59,7 @@ class SafetyMonitor:
     def __init__(self, settings: MonitorSettings | None = None) -> None:
         self.settings = settings or MonitorSettings()
         lengths = (self.settings.chatter_window, self.settings.violations_window)
-        squares, violated = (max(round(length / _STEP), 1) for length in lengths)
+        squares, violated = (max(round(length / _STEP_PERIOD), 1) for length in lengths)
         self._squares: deque[float | None] = deque(maxlen=squares)  # mean of u'^2 [A^2/s^2] per step; None: no rate
         self._violated: deque[tuple[int, int]] = deque(maxlen=violated)
         self._failed = self._answered = self._recovering = 0
@@ -87,9 +87,9 @@ class SafetyMonitor:
 
     def on_correction(self, after: float, status: int) -> None:
         """Add the filter's result for a sample: M_c [1/s] under its correction, and the correction's status."""
-        if status in _EVALUATED:
+        if status in _EVALUATED_STATUSES:
             self._answered += 1
-            self._failed += after > _TOLERANCE
+            self._failed += after > _VIOLATION_TOLERANCE
 
     def add(self, step: Step) -> str | None:
         """Add a policy step; returns the reason to stop the policy, or None."""
@@ -97,7 +97,7 @@ class SafetyMonitor:
             return "a measurement is not finite"
         if step.hold_flags:
             self.reset()
-            self._recovering = _RECOVERY
+            self._recovering = _RECOVERY_STEPS
             return None
         error, slope = abs(float(step.error.mean())), np.diff(step.current) / SAMPLE_PERIOD
         if self._recovering:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from hydro_policy.task.mdp import BASE, GainRange
+from hydro_policy.task.mdp import BASE_GAINS, GainRange
 
 
 @dataclass
@@ -21,7 +21,7 @@ class GainOverride:
     gain_range: GainRange = field(default_factory=GainRange)
     """Range of gain changes that may be requested: that of the plant's guard."""
     report: Callable[[str], None] = lambda _: None  # takes a sentence for each change
-    base: tuple[float, float] = BASE
+    base: tuple[float, float] = BASE_GAINS
     """Base gains K_p [1/s], K_i [1/s^2] of the box, to which gain changes are added (default: the paper's)."""
     _held: tuple[float, float] | None = None  # (delta_kp, delta_ki)
     _until: float = math.inf  # s

@@ -6,10 +6,10 @@ requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box reports ARMED; else a person is asked
 tripped at once          more than `TRIPS_MAX` times in a row within `RECOVERY_TIME` of arming: the bench is unstable
                          under base gains, and is not armed again
-armed and idle           no controller has acted for `IDLE`: disarmed, and armed again as above. Base gains wind up the
-                         law's integral against dry friction, and the next gains would make the current jump
+armed and idle           no controller has acted for `IDLE_TIME_MAX`: disarmed, and armed again as above. Base gains
+                         wind up the law's integral against dry friction, and the next gains would make the current jump
 MISMATCH                 the filter's model is not this bench's: nothing is armed or started until the filter decides
-                         again, and a run in progress continues under `FALLBACK`
+                         again, and a run in progress continues under `FALLBACK_GAIN_CHANGES`
 stopped                  a second of recovery, armed, base gains, no reference, before the next run, whose score would
                          otherwise include the stopped run's transient. If that needs no person, the plant is then also
                          disarmed and armed again
@@ -24,13 +24,15 @@ from typing import Protocol
 from hydro_bridge.safety.guard_settings import UNFILTERED_LIMITS
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_core.files.site import RECOMMISSION_HINT
-from hydro_core.signals import FAULTS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
+from hydro_core.signals import FAULT_FLAGS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
 COMPILE_HINT = "loading takes some seconds, and a minute more after a change without `make setup`"
 FILTER_HINT = f"{COMPILE_HINT}; if none runs, start one with `ros2 run hydro_filter filter`"
 PLANT_HINT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
-NO_FILTER = "the filter does not answer: base gains are in force where the plant's guard requires it, the default"
+NO_FILTER_MESSAGE = (
+    "the filter does not answer: base gains are in force where the plant's guard requires it, the default"
+)
 
 
 def plant_requirement(ready: Callable[[], bool]) -> Requirement:
@@ -42,7 +44,12 @@ def plant_requirement(ready: Callable[[], bool]) -> Requirement:
 def corrections_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the filter's corrections reach the plant, which else continues at base gains."""
     return Requirement(
-        name="the filter", ready=ready, hint=FILTER_HINT, timeout=90.0, timeout_message=NO_FILTER, essential=False
+        name="the filter",
+        ready=ready,
+        hint=FILTER_HINT,
+        timeout=90.0,
+        timeout_message=NO_FILTER_MESSAGE,
+        essential=False,
     )
 
 
@@ -54,7 +61,7 @@ def learner_requirement(ready: Callable[[], bool]) -> Requirement:
     )
 
 
-FALLBACK = (UNFILTERED_LIMITS.delta_kp_max, UNFILTERED_LIMITS.delta_ki_max)
+FALLBACK_GAIN_CHANGES = (UNFILTERED_LIMITS.delta_kp_max, UNFILTERED_LIMITS.delta_ki_max)
 """Gain changes (K_p, K_i) while the filter reports MISMATCH: the upper end of the range that the guard then passes, the
 paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
 
@@ -62,33 +69,33 @@ RECOVERY_TIME = 1.0  # s, armed, between a stop and the next run
 
 TRIPS_MAX = 3
 """Trips in a row within `RECOVERY_TIME` of arming that end the trials under a force law; more end the session."""
-BASE_GAINS_UNSTABLE = (
+BASE_GAINS_UNSTABLE_MESSAGE = (
     f"the box tripped {TRIPS_MAX} times within {RECOVERY_TIME:g} s of arming: its base gains do not hold this bench"
 )
 
-IDLE = 2.0  # longest time armed without a controller before one starts, s (measurements in decision 0056)
+IDLE_TIME_MAX = 2.0  # longest time armed without a controller before one starts, s (measurements in decision 0056)
 
 SAMPLE_TIMEOUT = 0.1  # s without a sample
 
-SAMPLES_LOST = "no samples came while it was armed: it is disarmed, so that the force law starts again"
-MISMATCH = (
+SAMPLES_LOST_MESSAGE = "no samples came while it was armed: it is disarmed, so that the force law starts again"
+MISMATCH_MESSAGE = (
     "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
     f"range, under the compensated law its base gains; nothing is learned or begun; {RECOMMISSION_HINT}"
 )
-MODEL_FITS = "the filter's model fits again: going on"
-MODEL_UNCHECKED = (
+MODEL_FITS_MESSAGE = "the filter's model fits again: going on"
+MODEL_UNCHECKED_MESSAGE = (
     "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
 )
 CORRECTION_TIMEOUT = 1.0
 """Timeout [s] for corrections of a bypassed filter, all of which the plant flags as stale."""
-RECOVERED = "calm again: disarmed and armed again, so that the force law starts again"
+RECOVERED_MESSAGE = "calm again: disarmed and armed again, so that the force law starts again"
 
 
-SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
-RETRY = 1.0  # s between arming or disarming requests
-REMINDER = 30.0  # s between requests to arm a plant that a person disarmed
+REARM_DELAY = 0.1  # s between disarming and arming, a hundred commands of the bridge
+RETRY_INTERVAL = 1.0  # s between arming or disarming requests
+REMINDER_INTERVAL = 30.0  # s between requests to arm a plant that a person disarmed
 ARM_HINT = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
-TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
+EARLY_ARMING_MESSAGE = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
 
 
 class Outputs(Protocol):
@@ -154,7 +161,7 @@ class PlantSupervisor:
         self._seen = -math.inf  # time of the last sample, s; -inf: lost
         self._armed_at = -math.inf
         self._last_action = -math.inf  # time of the last action of a controller, or of arming
-        self._block_reason = TOO_EARLY  # initially: it has been armed for an unknown time
+        self._block_reason = EARLY_ARMING_MESSAGE  # initially: it has been armed for an unknown time
         self._recovery_until: float | None = None  # math.inf: requested, but not armed yet
         self._arm_after = math.inf  # time to arm after a disarm
         self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm
@@ -197,26 +204,26 @@ class PlantSupervisor:
     def on_sample(self, flags: int, now: float) -> None:
         """Process a sample's flags, received at time `now` [s]."""
         if flags & Flag.ARMED and not (self.armed or self.lost):
-            wanted = self.readiness.complete or now - self._asked <= RETRY
-            self._last_action, self._block_reason = now, "" if wanted else TOO_EARLY
+            wanted = self.readiness.complete or now - self._asked <= RETRY_INTERVAL
+            self._last_action, self._block_reason = now, "" if wanted else EARLY_ARMING_MESSAGE
             self._armed_at = now
         if self.armed and flags & Flag.ARMED and now - self._armed_at >= RECOVERY_TIME:
             self.trips = 0
-        if self.armed and flags & Flag.TRIPPED and flags & FAULTS and not self.override.active:
+        if self.armed and flags & Flag.TRIPPED and flags & FAULT_FLAGS and not self.override.active:
             self.trips += 1
         self._seen, self._flags = now, flags
         if self._recovery_until is not None:
             self._recovery_until = min(self._recovery_until, now + RECOVERY_TIME) if flags & Flag.ARMED else math.inf
             if now >= self._recovery_until:
                 self._recovery_until = None
-                self._block_reason = RECOVERED if self._alone else self._block_reason
+                self._block_reason = RECOVERED_MESSAGE if self._alone else self._block_reason
 
     def on_correction(self, status: int) -> None:
         """Process the status of the filter's correction; reports a change of MISMATCH."""
         before, self._status, self._heard = self._status, status, True
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
-            after = MODEL_UNCHECKED if status == CorrectionStatus.BYPASSED else MODEL_FITS
-            self.outputs.report(MISMATCH if self.mismatched else after, warning=self.mismatched)
+            after = MODEL_UNCHECKED_MESSAGE if status == CorrectionStatus.BYPASSED else MODEL_FITS_MESSAGE
+            self.outputs.report(MISMATCH_MESSAGE if self.mismatched else after, warning=self.mismatched)
 
     def may_start(self, now: float) -> bool:
         """Return whether a trial may start: armed, all requirements met, no recovery, no blocking reason."""
@@ -228,7 +235,7 @@ class PlantSupervisor:
 
     def blocking_reason(self, now: float) -> str:
         """Return the reason why no controller may act on the armed plant; empty if one may."""
-        if not self._block_reason and now - self._last_action > IDLE:
+        if not self._block_reason and now - self._last_action > IDLE_TIME_MAX:
             waited = f"armed for {now - self._last_action:.1f} s while no controller acted"
             return f"{waited}: it is disarmed, so that the force law starts again"
         return self._block_reason
@@ -259,18 +266,18 @@ class PlantSupervisor:
         Raises NotReadyError: a requirement for arming was not met in time, or the bench is unstable under base gains.
         """
         if self.trips > TRIPS_MAX:
-            raise NotReadyError(f"{BASE_GAINS_UNSTABLE}; nothing is armed again")
+            raise NotReadyError(f"{BASE_GAINS_UNSTABLE_MESSAGE}; nothing is armed again")
         self._silent = 0.0 if self._heard else self._silent + max(now - self._ticked, 0.0)
         self._heard, self._ticked = False, now
         if not self.lost and now - self._seen > SAMPLE_TIMEOUT:
-            self._seen, self._block_reason = -math.inf, SAMPLES_LOST
+            self._seen, self._block_reason = -math.inf, SAMPLES_LOST_MESSAGE
             self._flags = int(Flag.FILTER_STALE)
             self.outputs.arm(False)
         self.readiness.check(now)
         if self.armed or self.lost:
             self._arm_after, self._asked, self._not_before, self._prompted = math.inf, -math.inf, -math.inf, ""
             why = self.blocking_reason(now) if self.armed and not (self.recovering or self.override.active) else ""
-            if why and now - self._lowered > RETRY:
+            if why and now - self._lowered > RETRY_INTERVAL:
                 if self._lowered == -math.inf:
                     self.outputs.report(why, warning=True)
                 self._lowered = now
@@ -279,15 +286,17 @@ class PlantSupervisor:
         else:
             self._lowered = -math.inf
             if not self.readiness.complete:
-                if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
+                # a person's request is valid only in the condition it was made in
+                if now - self._asked > RETRY_INTERVAL:
                     self._arm_after = math.inf
             elif now >= self._arm_after:
                 self._arm_after = math.inf
                 self.outputs.arm(True)
-            elif self._alone and now - self._asked > RETRY and now >= self._not_before:
+            elif self._alone and now - self._asked > RETRY_INTERVAL and now >= self._not_before:
                 self._arm_anew(now)
         condition, hint = self.condition, ""
-        waits = not (self.armed or self.lost or self._alone) and self.readiness.complete and now - self._asked > RETRY
+        may_ask = self.readiness.complete and now - self._asked > RETRY_INTERVAL
+        waits = not (self.armed or self.lost or self._alone) and may_ask
         if waits and condition != self._prompted:  # once in each condition
             self._prompted, hint = condition, f": {ARM_HINT}"
         if hint or self._told not in (None, condition):
@@ -297,12 +306,12 @@ class PlantSupervisor:
     def _arm_anew(self, now: float) -> None:
         """Disarm, then arm: this resets a trip, clears the law's integral, and fades the reference in."""
         self.outputs.arm(False)
-        self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
+        self._arm_after, self._asked, self._prompted = now + REARM_DELAY, now, ""
 
     def defer_to_person(self, now: float) -> None:
-        """Postpone the next arming request by `REMINDER`: the plant refused it, since a person disarmed it."""
+        """Postpone the next arming request by `REMINDER_INTERVAL`: the plant refused it, since a person disarmed it."""
         if self._alone:
-            self._arm_after, self._not_before = math.inf, now + REMINDER
+            self._arm_after, self._not_before = math.inf, now + REMINDER_INTERVAL
 
     def arm_now(self, now: float) -> None:
         """Arm at a person's request if all is ready; otherwise report what is missing."""

@@ -37,7 +37,7 @@ class Case:
         return self.segments[number - 1] if due else None
 
 
-FAST = {5.0: 1.0 / 3.0, 10.0: 1.0 / 6.0}
+FAST_SINES = {5.0: 1.0 / 3.0, 10.0: 1.0 / 6.0}
 """Fast sines, beyond the paper's: frequency [Hz] and share of the amplitude, 100 and 50 N on the nominal bench.
 
 The flow at full current is the limit: A v = q_n sqrt(2 p_s / (1 + alpha^3) / dp_n) gives k v / (2 pi f), 1020 and 510 N
@@ -84,7 +84,7 @@ class EvaluationSettings:
             signals.append(("multisine", Waveform.MULTISINE, self.amplitude, 0.5))
         if self.steps:
             signals.append(("steps", Waveform.SMOOTH_STEP, self.amplitude * 2.0 / 3.0, 0.5))
-        for frequency, share in FAST.items() if self.fast else ():
+        for frequency, share in FAST_SINES.items() if self.fast else ():
             force = self.amplitude * share
             signals.append((f"{frequency:g} Hz, {force:g} N", Waveform.SINE, force, frequency))
         cases = [Case(name, ReferenceSignal(waveform=w, amplitude=a, frequency=f)) for name, w, a, f in signals]

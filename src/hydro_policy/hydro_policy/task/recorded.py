@@ -6,9 +6,9 @@ sines with an offset, one per `FADE_TIME`, s_k at t_k = k `FADE_TIME`::
 
     f_r(t) = (1 - b) s_{k-1}(t) + b s_k(t)        b = 3 p^2 - 2 p^3,  p = (t - t_k) / FADE_TIME
 
-s_k is a least-squares fit over its two cross-fades, with s_{k-1} given; its frequency is the best of `FREQUENCIES`.
-Four parameters per 0.3 s represent a record up to about 3 Hz, so it is low-passed there; the residual is then 7 to 8 %
-of its RMS on the three ground motions of `benchmarks.hybrid_simulation`.
+s_k is a least-squares fit over its two cross-fades, with s_{k-1} given; its frequency is the best of
+`SINE_FREQUENCIES`. Four parameters per 0.3 s represent a record up to about 3 Hz, so it is low-passed there; the
+residual is then 7 to 8 % of its RMS on the three ground motions of `benchmarks.hybrid_simulation`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 
 DURATION_MAX = 20.0  # longest part of a record that is played [s]: the one with the largest RMS
-BANDWIDTH = 3.0  # cut-off frequency [Hz] of the low-pass, second order forwards and backwards
-FREQUENCIES = np.arange(0.5, 10.01, 0.25)  # candidate frequencies of a sine [Hz]
+LOW_PASS_BANDWIDTH = 3.0  # cut-off frequency [Hz] of the low-pass, second order forwards and backwards
+SINE_FREQUENCIES = np.arange(0.5, 10.01, 0.25)  # candidate frequencies of a sine [Hz]
 SEGMENT_SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)  # samples from one segment to the next
 
 
@@ -74,7 +74,7 @@ def segments(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     value = np.interp(np.arange(time[0], time[-1], SAMPLE_PERIOD), time, value)
     if len(value) < 3 * SEGMENT_SAMPLES:
         raise SettingsError(f"{path} is shorter than {3 * FADE_TIME:.1f} s")
-    smooth = sosfiltfilt(butter(2, BANDWIDTH, fs=1.0 / SAMPLE_PERIOD, output="sos"), value - value.mean())
+    smooth = sosfiltfilt(butter(2, LOW_PASS_BANDWIDTH, fs=1.0 / SAMPLE_PERIOD, output="sos"), value - value.mean())
     length = min(len(smooth), round(DURATION_MAX / SAMPLE_PERIOD))
     energy = np.concatenate(([0.0], np.cumsum(smooth**2)))
     first = int(np.argmax(energy[length:] - energy[: len(energy) - length]))
@@ -86,7 +86,7 @@ def segments(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     since, fade = SAMPLE_PERIOD * np.arange(2 * SEGMENT_SAMPLES), np.arange(SEGMENT_SAMPLES) / SEGMENT_SAMPLES
     rising = fade**2 * (3.0 - 2.0 * fade)
     weight = np.concatenate((rising, 1.0 - rising))
-    angles = 2.0 * np.pi * np.outer(FREQUENCIES, since)
+    angles = 2.0 * np.pi * np.outer(SINE_FREQUENCIES, since)
     bases = np.stack((np.ones_like(angles), np.sin(angles), np.cos(angles)), axis=-1)
     inverses = np.linalg.pinv(bases * weight[:, np.newaxis], rcond=0.03)
     made, leaving = list[ReferenceSignal](), np.zeros(SEGMENT_SAMPLES)
@@ -102,7 +102,7 @@ def segments(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
         made.append(
             ReferenceSignal(
                 waveform=Waveform.SINE, amplitude=math.hypot(sine, cosine), offset=offset,
-                frequency=float(FREQUENCIES[best]), phase=math.atan2(cosine, sine),
+                frequency=float(SINE_FREQUENCIES[best]), phase=math.atan2(cosine, sine),
             )
         )  # fmt: skip
         leaving = played[best, SEGMENT_SAMPLES:]

@@ -29,7 +29,7 @@ from hydro_core.bench_scales import rescale
 from hydro_core.settings import SettingsError, check, quantity
 from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_sim.box import firmware
-from hydro_sim.box.firmware import BENCH_FIELDS, Precision, Records, signal_record
+from hydro_sim.box.firmware import BENCH_FIELDS, Precision, RecordArray, signal_record
 from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.sensors import Sensors
@@ -105,7 +105,7 @@ class BoxConfig:
 
     def constants(
         self, bench: Bench, sensors: Sensors | None = None, name: str = NAME, precision: Precision = "double"
-    ) -> Records:
+    ) -> RecordArray:
         """Return the firmware's configuration hydro_config: one record, shape (1,).
 
         `bench`: bench that the force law assumes. `sensors`: ages of its rates; absent: the defaults. `name`: name of
@@ -114,7 +114,7 @@ class BoxConfig:
         kinds, believed, ages = firmware.STRUCTURES[precision], bench.constants()[0], sensors or Sensors()
         gains = {entry: getattr(self, entry) for entry in GAIN_FIELDS}
         # HELLO, DETAILS and LAW report limits as float32: rounded here, too, so that a host within them exceeds none
-        compensated = np.array(_law(self.compensated), firmware.SINGLE.law)
+        compensated = np.array(_law(self.compensated), firmware.SINGLE_STRUCTURES.law)
         force = float(np.float32(self.force_range))
         pressure_a, pressure_b, middle, *_ = hydraulics.rest_state(believed)
         forces = ((-force, force), (-RATE_RANGE * bench.size.force, RATE_RANGE * bench.size.force))
@@ -247,7 +247,7 @@ def law_state(state: np.void) -> LawState:
     return LawState(Law(int(acting["law"])), *followed, (a_0, a_1, a_2, a_3), c_1, c_2)
 
 
-def fill_command(record: Records, command: Command) -> None:
+def fill_command(record: RecordArray, command: Command) -> None:
     """Write a command into one record of hydro_command, shape (1,)."""
     reference = signal_record(command.reference)
     gains = (command.delta_kp, command.delta_ki, command.delta_u)

@@ -7,9 +7,9 @@
     receive(code.receive, box, config, command, t)  receive a command at box time t [s]
     tick(code.tick, box, config, x, t, sample)      run one sample on the measurement x, shape (8,)
 
-The four records have shape (1,): `DOUBLE.box`, `DOUBLE.config`, `DOUBLE.command` and `signals.STATE_DTYPE`. The caller
-owns all memory and gives the configuration with each call: a record may be copied and pickled. `make setup` builds the
-library in double and in single precision as the package hydro_firmware.
+The four records have shape (1,) and the types `box`, `config` and `command` of `DOUBLE_STRUCTURES`, and
+`signals.STATE_DTYPE`. The caller owns all memory and gives the configuration with each call: a record may be copied and
+pickled. `make setup` builds the library in double and in single precision as the package hydro_firmware.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from hydro_core.signals import FloatArray, ReferenceSignal
 from hydro_sim.model.machine_code import declare_call
 
 Precision = Literal["double", "single"]
-Records = npt.NDArray[np.void]
+RecordArray = npt.NDArray[np.void]
 Pointer = ctypes.c_void_p
 
 BURST_MAX = 516
 """HYDRO_BURST_MAX: largest number of bytes that a box sends after one sample."""
-COEFFICIENTS = 4
+SHAPING_COEFFICIENT_COUNT = 4
 """Coefficients a_0 to a_3 at the beginning of a law's shaping."""
-VELOCITY_COMPENSATION, VALVE_GAIN_SCALE = 4, 5
+VELOCITY_COMPENSATION_INDEX, VALVE_GAIN_SCALE_INDEX = 4, 5
 """Indices of C_1 and C_2 in a law's shaping."""
 
 BENCH_FIELDS = (
@@ -106,8 +106,8 @@ def structures(real: Any) -> Structures:
     return Structures(*(kinds[name] for name in Structures._fields))
 
 
-DOUBLE, SINGLE = structures(np.float64), structures(np.float32)
-STRUCTURES: dict[Precision, Structures] = {"double": DOUBLE, "single": SINGLE}
+DOUBLE_STRUCTURES, SINGLE_STRUCTURES = structures(np.float64), structures(np.float32)
+STRUCTURES: dict[Precision, Structures] = {"double": DOUBLE_STRUCTURES, "single": SINGLE_STRUCTURES}
 
 
 def library_path(precision: Precision) -> Path:
@@ -177,14 +177,14 @@ def tick(typingctx: Any, address: Any, box: Any, config: Any, measurement: Any, 
 
 
 def nominal_current(
-    config: Records, measurement: FloatArray, error: float, action: float, reference_rate: float, kp: float,
+    config: RecordArray, measurement: FloatArray, error: float, action: float, reference_rate: float, kp: float,
     velocity_compensation: float = 1.0, valve_gain_scale: float = 1.0,
 ) -> float:  # fmt: skip
     """Return u_nom [A] of the force law, before correction and saturation.
 
-    `config`: a record of `DOUBLE.config`, shape (1,). `measurement`: x, shape (8,), finite. `error`: e_c = f_c -
-    feedback [N]. `action`: I [N/s], the integral action. `reference_rate`: f_c' [N/s]. `kp`: K_p + delta K_p [1/s].
-    `velocity_compensation`, `valve_gain_scale`: C_1, C_2.
+    `config`: a record of `DOUBLE_STRUCTURES.config`, shape (1,). `measurement`: x, shape (8,), finite. `error`: e_c =
+    f_c - feedback [N]. `action`: I [N/s], the integral action. `reference_rate`: f_c' [N/s]. `kp`: K_p + delta K_p
+    [1/s]. `velocity_compensation`, `valve_gain_scale`: C_1, C_2.
     """
     numbers = (error, action, reference_rate, kp, velocity_compensation, valve_gain_scale)
     x = np.ascontiguousarray(measurement)
@@ -198,7 +198,7 @@ def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
 
 def reference_force(signal: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return value [N] and rate [N/s] of a signal that starts at time 0, at `times` [s], shape (n,) each."""
-    record, times = np.array([signal_record(signal)], DOUBLE.signal), np.ascontiguousarray(times, np.float64)
+    record, times = np.array([signal_record(signal)], DOUBLE_STRUCTURES.signal), np.ascontiguousarray(times, np.float64)
     values, rates = np.empty((2, len(times)))
     library().hydro_c_play(address_of(record), address_of(times), len(times), address_of(values), address_of(rates))
     return values, rates

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_sim.box.firmware import Records
+from hydro_sim.box.firmware import RecordArray
 
 
 def initializer(value: Any, indent: str = "") -> str:
@@ -44,7 +44,7 @@ def header_file(guard: str, origin: str, body: str) -> str:
     return f"{head}#ifndef {guard}\n#define {guard}\n\n{body}\n\n#endif\n"
 
 
-def render_header(config: Records) -> str:
+def render_header(config: RecordArray) -> str:
     """Return a C header that defines `HYDRO_BOX_CONFIG` from a record of hydro_config in double precision, shape (1,).
 
     Decimals reproduce the doubles exactly.

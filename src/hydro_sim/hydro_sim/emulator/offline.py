@@ -55,7 +55,7 @@ def record_offline(
     settings; absent: the defaults with gain limits wide enough for the segments. `seed`: of noise and random force.
     """
     settings = box or with_gain_limits_for(segments)
-    commands = np.zeros(len(segments) + 1, firmware.DOUBLE.command)
+    commands = np.zeros(len(segments) + 1, firmware.DOUBLE_STRUCTURES.command)
     fill_command(commands[:1], Command())
     for index, segment in enumerate(segments, 1):
         command = Command(

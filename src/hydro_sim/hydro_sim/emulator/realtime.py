@@ -23,7 +23,7 @@ from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.files import load_force
 
-COMMANDS = (*FAULT_NAMES, "stall", "unplug", "clear", "reboot")
+CONTROL_COMMANDS = (*FAULT_NAMES, "stall", "unplug", "clear", "reboot")
 
 
 class ControlPipe:
@@ -59,9 +59,9 @@ class ControlPipe:
 def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> None:
     """Execute one command at time `now` [s]. Raises SettingsError if it is invalid."""
     word, *rest = order.split() or [""]
-    if word not in COMMANDS or len(rest) != (0 if word in ("clear", "reboot") else 1):
+    if word not in CONTROL_COMMANDS or len(rest) != (0 if word in ("clear", "reboot") else 1):
         raise SettingsError(
-            f"order {order!r} is none of: {', '.join(COMMANDS)}; all but clear and reboot take a number"
+            f"order {order!r} is none of: {', '.join(CONTROL_COMMANDS)}; all but clear and reboot take a number"
         )
     try:
         number = float(rest[0]) if rest else 0.0
@@ -83,11 +83,11 @@ def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> 
         link.set_faults(replace(link.up.faults, **{word: number}))
 
 
-_LOAD_FORCE = TRUTH_FIELDS.index("load_force")
-_CONTROL_EVERY = 20  # samples between polls of the control pipe
-_GREETED_WITHIN = 2.0  # s of wall clock from a port's opening
-_PATIENCE = 0.05  # s of wall clock between polls of the control pipe while the host is awaited
-_LOST_AFTER = 0.02  # s of wall clock after which an answer counts as lost, on a line that loses some
+_LOAD_FORCE_COLUMN = TRUTH_FIELDS.index("load_force")
+_CONTROL_POLL_SAMPLES = 20  # samples between polls of the control pipe
+_GREETING_TIME_MAX = 2.0  # s of wall clock from a port's opening
+_CONTROL_POLL_PERIOD = 0.05  # s of wall clock between polls of the control pipe while the host is awaited
+_ANSWER_TIME_MAX = 0.02  # s of wall clock after which an answer counts as lost, on a line that loses some
 SILENCE_MAX = 90.0
 """s of wall clock without a frame after which a host counts as dead; while its graph works it sends one a second."""
 
@@ -128,20 +128,20 @@ class RealtimeEmulator:
             opened = math.inf
             while self._waits and not self.link.host.hellos and not stopped():
                 opened = min(opened, time.monotonic()) if self.link.open else math.inf
-                if time.monotonic() - opened > _GREETED_WITHIN:  # a host that does not greet
+                if time.monotonic() - opened > _GREETING_TIME_MAX:  # a host that does not greet
                     break
                 self._obey(0.0)
-                self.link.receive(0.0, _PATIENCE)
+                self.link.receive(0.0, _CONTROL_POLL_PERIOD)
             self.timer.restart()
             while (count is None or self.samples < count) and not stopped():
                 now = self.samples * SAMPLE_PERIOD
-                if self.samples % _CONTROL_EVERY == 0:
+                if self.samples % _CONTROL_POLL_SAMPLES == 0:
                     self._obey(now)
                 self.link.poll(now)
                 self._deserted = self._deserted and self.link.host.time_us != self._sent_us
                 sample = self.machine.tick()
                 if self.load_force is not None:
-                    force = float(self.machine.physical[_LOAD_FORCE])
+                    force = float(self.machine.physical[_LOAD_FORCE_COLUMN])
                     load_force.write_force(self.load_force, int(sample["sequence"]), force)
                 self.link.send(now)
                 self._sent_us = round(1e6 * float(sample["time"]))
@@ -172,15 +172,15 @@ class RealtimeEmulator:
             if self._deserted or not host.lock_step:
                 return False
             waited = time.monotonic() - began
-            if link.faulty and waited > _LOST_AFTER:
+            if link.faulty and waited > _ANSWER_TIME_MAX:
                 return True
             if time.monotonic() - max(began, host.last_frame_time) > SILENCE_MAX:
                 self._deserted = True
                 print(
                     f"no answer of the host for {SILENCE_MAX:g} s: going on in real time until it is back", flush=True
                 )
-            link.receive(now, _PATIENCE if not link.faulty else _LOST_AFTER)
-            if waited > _PATIENCE:
+            link.receive(now, _CONTROL_POLL_PERIOD if not link.faulty else _ANSWER_TIME_MAX)
+            if waited > _CONTROL_POLL_PERIOD:
                 self._obey(now)
         return True
 

@@ -23,18 +23,18 @@ import jinja2
 
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model import hydraulics, machine_code
-from hydro_sim.model.assembly import FORCES
+from hydro_sim.model.assembly import FORCE_NAMES
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import DEAD_TIME, BenchModel
+from hydro_sim.model.bench_model import DEAD_TIME_PARAMETER, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.equations import READINGS
 from hydro_sim.model.source import exported_source
 
-FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
+COMPILER_FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden")
 """Compiler flags of the FMU's binary, which is portable among processors of this architecture: no -march."""
-OUTPUTS = dict(zip(READINGS, ("N", "N", "Pa", "Pa", "m"), strict=True))
+OUTPUT_UNITS = dict(zip(READINGS, ("N", "N", "Pa", "Pa", "m"), strict=True))
 """Outputs with their units."""
-FIRST_PARAMETER_REFERENCE = 2 + len(OUTPUTS)
+FIRST_PARAMETER_REFERENCE = 2 + len(OUTPUT_UNITS)
 """First value reference of an FMU's parameters, after time, current and outputs."""
 _TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("hydro_sim.export"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
@@ -60,7 +60,7 @@ class ExportedModel:
             label for label, kind in kinds.items()
             if not (kind.acts_in("continuous_rates") or all(one.integrated for one in kind.states))
         ]  # fmt: skip
-        return [*found, *([DEAD_TIME.partition(".")[0]] if self.model.structure.past_currents else [])]
+        return [*found, *([DEAD_TIME_PARAMETER.partition(".")[0]] if self.model.structure.past_currents else [])]
 
     def c_source(self) -> str:
         """Return the model's C99 source."""
@@ -86,7 +86,7 @@ class ExportedModel:
         source = self._static + self._rendered("fmu.c.j2", scales=scales, **common)
         with tempfile.TemporaryDirectory() as place:
             library = Path(place) / f"{name}.so"
-            machine_code.compile_c(source, library, FLAGS)
+            machine_code.compile_c(source, library, COMPILER_FLAGS)
             binary = library.read_bytes()
         files: dict[str, str | bytes] = {
             "modelDescription.xml": self._description(common),
@@ -114,10 +114,10 @@ class ExportedModel:
         ][: None if exchange else 4]
         sliding = first + 2 * count if exchange and self.model.symbols().dry_friction else None
         unknown = [one["reference"] for one in states[4:]] + [one["derivative"] for one in states if exchange]
-        units = {"s", "A", *OUTPUTS.values(), *(one["unit"] for one in (*self._parameters, *states))} - {"-"}
+        units = {"s", "A", *OUTPUT_UNITS.values(), *(one["unit"] for one in (*self._parameters, *states))} - {"-"}
         return self._rendered(
-            "modelDescription.xml.j2", outputs=OUTPUTS, units=sorted(units), states=states, start=rest, sliding=sliding,
-            unknown=[*range(2, FIRST_PARAMETER_REFERENCE), *unknown], **common,
+            "modelDescription.xml.j2", outputs=OUTPUT_UNITS, units=sorted(units), states=states, start=rest,
+            sliding=sliding, unknown=[*range(2, FIRST_PARAMETER_REFERENCE), *unknown], **common,
         )  # fmt: skip
 
     @cached_property
@@ -136,7 +136,7 @@ class ExportedModel:
         for i, (one, value) in enumerate(zip(self.model.parameters, self.model.values.tolist(), strict=True)):
             listed.append({
                 "name": names[i], "unit": one.unit, "value": value,
-                "low": one.low, "high": value + room if one.name == DEAD_TIME else one.high,
+                "low": one.low, "high": value + room if one.name == DEAD_TIME_PARAMETER else one.high,
                 "reference": FIRST_PARAMETER_REFERENCE + i,
                 "meaning": numbers[one.name].meaning if i < len(numbers) else "",
                 "ci95": self._intervals.get((one.name.rpartition(".")[2], value)),
@@ -147,7 +147,7 @@ class ExportedModel:
         symbols, labels = self.model.symbols(), self.model.structure.labels
         return _TEMPLATES.get_template(template).render(
             origin=f"Bench {self.bench.digest} with {', '.join(labels) or 'no effects'}; by hydro_sim export.",
-            parameters=self._parameters, forces=FORCES, dry_friction=int(symbols.dry_friction),
+            parameters=self._parameters, forces=FORCE_NAMES, dry_friction=int(symbols.dry_friction),
             ideal_cell=int(symbols.ideal_cell), step=SAMPLE_PERIOD / self.model.substeps, **values,
         )  # fmt: skip
 

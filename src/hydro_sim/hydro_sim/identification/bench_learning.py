@@ -20,10 +20,10 @@ from hydro_sim.files.recordings import Data, Run
 from hydro_sim.identification import bench_states
 from hydro_sim.identification.bench_states import Indices, Sensitivities, StateEstimator
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import DEAD_TIME, BenchModel
+from hydro_sim.model.bench_model import DEAD_TIME_PARAMETER, BenchModel
 from hydro_sim.model.effects import catalogue, valve
 from hydro_sim.model.equations import READINGS
-from hydro_sim.model.quality import HORIZON, Quality
+from hydro_sim.model.quality import HORIZON_SAMPLES, Quality
 
 PRIOR_WIDTH = 10.0
 """Prior standard deviation of a parameter about its value in the bench file: typical sizes, or factors of e."""
@@ -37,7 +37,7 @@ MODEL_ERROR_SCHEDULE = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """Scale of the model error that the filter assumes, by round."""
 ITERATIONS = 5
 """Largest number of iterations in a round."""
-FINAL_MODEL_ERRORS = (0.03, 0.3, 3.0)
+MODEL_ERROR_SCALES = (0.03, 0.3, 3.0)
 """Scales of the model error for validation, of which the one with the lowest prediction error is chosen."""
 DELAY_BOUND_MIN, DELAY_FACTOR = 5e-3, 2.0
 """Upper bound of a dead time: its smallest value [s], and its factor on the bench file's dead time."""
@@ -45,7 +45,7 @@ QUANTILE = 1.96
 """Half width of a 95 % interval in standard deviations."""
 
 
-_USUAL = {
+_USUAL_PARAMETERS = {
     "spring_stiffness": {"ratio": 1.0}, "supply_pressure": {"ratio": 1.0}, "valve_gain": {"ratio": 1.0},
     "bulk_modulus": {"ratio": 1.0}, "friction_viscous": {"coefficient": 0.0},
     "valve_lag": {"bandwidth": 100.0, "damping": 0.8}, "friction_coulomb": {"force": 10.0},
@@ -53,7 +53,7 @@ _USUAL = {
     "leakage_internal": {"coefficient": 0.0},
 }  # fmt: skip
 COMMON_EFFECTS: tuple[dict[str, Any], ...] = (
-    *({"id": name, "parameters": parameters} for name, parameters in _USUAL.items()),
+    *({"id": name, "parameters": parameters} for name, parameters in _USUAL_PARAMETERS.items()),
     {"id": "sensor_lag", "parameters": {"bandwidth": 30.0, "damping": 0.7}, "sensor": "load_force"},
 )
 """Usual effects at typical values, which are identified if a bench file has none."""
@@ -109,7 +109,7 @@ def learn(
         bench = replace(bench, load_cell_bandwidth=None, effects=COMMON_EFFECTS)
     exact = Sensitivities(BenchModel(with_longer_dead_times(bench), substeps=SUBSTEPS))
     parametrisation, noise = Parametrisation(bench, exact.model), bench_states.estimate_noise(data.training)
-    places = [(i, begin) for i, run in enumerate(data.training) for begin in _window_begins(run, HORIZON)]
+    places = [(i, begin) for i, run in enumerate(data.training) for begin in _window_begins(run, HORIZON_SAMPLES)]
     if len(places) < 2:
         raise ValueError("the recordings have no room for predictions: record more")
     picked = np.random.default_rng(seed).choice(len(places), min(count, len(places)), replace=False)
@@ -160,10 +160,10 @@ class Parametrisation:
             if i >= first and not (one.name.startswith("closure") and one.name.endswith((".low", ".high")))
         ]  # fmt: skip
         chosen = [parameters[i] for i in self.free]
-        delays = max(sum(one.name == DEAD_TIME for one in parameters), 1)
+        delays = max(sum(one.name == DEAD_TIME_PARAMETER for one in parameters), 1)
         longest = max(model.structure.past_currents - 2, 0) * SAMPLE_PERIOD / delays
         self.low = np.array([one.low for one in chosen])
-        self.high = np.array([longest if one.name == DEAD_TIME else one.high for one in chosen])
+        self.high = np.array([longest if one.name == DEAD_TIME_PARAMETER else one.high for one in chosen])
         self.scale = np.array([one.scale for one in chosen])
         self.logarithm = self.low > 0.0
 
@@ -198,7 +198,7 @@ class WindowFit:
     ) -> None:  # fmt: skip
         self.estimator, self.exact, self.parametrisation = estimator, estimator.exact, parametrisation
         self.first, self.q, self.damping = parametrisation.coordinates(parametrisation.values), q, 1e-2
-        pairs, steps = list(zip(runs, chosen, strict=True)), np.arange(HORIZON)
+        pairs, steps = list(zip(runs, chosen, strict=True)), np.arange(HORIZON_SAMPLES)
         starts = [estimator.initial_states(run, samples) for run, samples in pairs]
         self.starts, self.roots = map(np.concatenate, zip(*starts, strict=True))
         self.currents = np.concatenate([run.u[at[:, None] + steps] for run, at in pairs])
@@ -266,22 +266,22 @@ class WindowFit:
 
 
 def _window_begins(run: Run, stride: int) -> Sequence[int]:
-    return range(min(bench_states.SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON - 1, stride)
+    return range(min(bench_states.SETTLING_SAMPLES, len(run) // 4), len(run) - HORIZON_SAMPLES - 1, stride)
 
 
 def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
 ) -> tuple[FloatArray, StateEstimator]:
-    """Return the lowest RMSE of 70-sample predictions over `FINAL_MODEL_ERRORS`, shape (5,), and its filter."""
+    """Return the lowest RMSE of 70-sample predictions over `MODEL_ERROR_SCALES`, shape (5,), and its filter."""
     found: list[tuple[FloatArray, StateEstimator]] = []
-    for model_error in FINAL_MODEL_ERRORS:
+    for model_error in MODEL_ERROR_SCALES:
         estimator = StateEstimator(exact, theta, noise, model_error)
         squares, windows = np.zeros(len(READINGS)), 0
         for run in runs:
             states, readings = estimator.states(run), run.readings
-            for begin in _window_begins(run, HORIZON // 2):
-                z = exact.model.rollout(estimator.k, states[begin].copy(), run.u[begin : begin + HORIZON])
-                squares += np.mean((z - readings[begin + 1 : begin + HORIZON + 1]) ** 2, axis=0)
+            for begin in _window_begins(run, HORIZON_SAMPLES // 2):
+                z = exact.model.rollout(estimator.k, states[begin].copy(), run.u[begin : begin + HORIZON_SAMPLES])
+                squares += np.mean((z - readings[begin + 1 : begin + HORIZON_SAMPLES + 1]) ** 2, axis=0)
                 windows += 1
         found.append((np.sqrt(squares / max(windows, 1)), estimator))
     return min(found, key=lambda one: float(np.mean(np.log(one[0]))))

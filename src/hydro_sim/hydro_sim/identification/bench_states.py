@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from hydro_core.signals import FloatArray
 from hydro_sim.files.recordings import Run
-from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, library, to_c
+from hydro_sim.model.bench_model import TEXTBOOK_STATE_COUNT, BenchModel, library, to_c
 from hydro_sim.model.equations import READINGS
 
 SETTLING_SAMPLES = 600
@@ -37,7 +37,7 @@ SETTLING_SAMPLES = 600
 
 Indices = npt.NDArray[np.int64]
 
-SERIES_ORDER = 6
+DIFFERENCE_ORDER = 6
 """Order of the differences by which noise is estimated: they reduce motion below 100 Hz to a thirtieth."""
 MODEL_ERROR_PRESSURE, MODEL_ERROR_VELOCITY, MODEL_ERROR_HIDDEN = 6e-6, 2.5e-4, 1e-4
 """Model error per sample at a scale of 1, standard deviations: of the supply pressure, of the stroke per
@@ -62,7 +62,7 @@ class Sensitivities:
     def rest_state(self, theta: FloatArray, textbook: FloatArray) -> FloatArray:
         """Return the states, shape (states,), of a bench at rest with the textbook states, shape (6,)."""
         y, k, z = np.zeros(len(self.model.states)), np.empty(self.model.coefficients), np.empty(len(READINGS))
-        y[:TEXTBOOK] = textbook
+        y[:TEXTBOOK_STATE_COUNT] = textbook
         self._code.bench_begin(to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(y), to_c(z))
         return y
 
@@ -110,8 +110,8 @@ class Sensitivities:
 
 def estimate_noise(runs: list[Run]) -> FloatArray:
     """Return the standard deviation of the five readings' noise, shape (5,), from differences of samples."""
-    squares = [np.mean(np.diff(run.readings, SERIES_ORDER, axis=0) ** 2, axis=0) for run in runs]
-    spread = np.sqrt(np.mean(squares, axis=0) / comb(2 * SERIES_ORDER, SERIES_ORDER))
+    squares = [np.mean(np.diff(run.readings, DIFFERENCE_ORDER, axis=0) ** 2, axis=0) for run in runs]
+    spread = np.sqrt(np.mean(squares, axis=0) / comb(2 * DIFFERENCE_ORDER, DIFFERENCE_ORDER))
     moved = np.std(np.concatenate([run.readings for run in runs]), axis=0)
     return np.asarray(np.maximum(spread, 1e-6 * moved + 1e-12))
 
@@ -127,7 +127,7 @@ class StateEstimator:
         self.k, _ = exact.coefficients(theta)
         self.scales = np.array([one.scale for one in exact.model.states])[: exact.estimated]
         deviation = MODEL_ERROR_HIDDEN * self.scales
-        deviation[:TEXTBOOK] = 0.0
+        deviation[:TEXTBOOK_STATE_COUNT] = 0.0
         deviation[:2] = MODEL_ERROR_PRESSURE * exact.model.bench.supply_pressure
         deviation[3] = MODEL_ERROR_VELOCITY * exact.model.bench.stroke
         self.q = (model_error * deviation) ** 2

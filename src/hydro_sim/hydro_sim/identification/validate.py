@@ -27,12 +27,12 @@ from hydro_sim.identification.bench_states import SETTLING_SAMPLES, Sensitivitie
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.effects.catalogue import label
-from hydro_sim.model.quality import HORIZON, Quality
+from hydro_sim.model.quality import HORIZON_SAMPLES, Quality
 from hydro_sim.model.sensors import Sensors
 
 
 class Predictor(Protocol):
-    """Interface of a model under evaluation."""
+    """Interface of a prediction model under validation: state estimation, and multi-step prediction by currents."""
 
     def estimate(self, run: Run) -> FloatArray:
         """Return the states at the samples of a run."""
@@ -88,7 +88,7 @@ def prediction_errors(
     return Errors(by_time=np.sqrt(squares / windows), windows=windows)
 
 
-RATES, DIFFERENTIATED = (1, 3, 7), (0, 2, 6)
+RATE_COLUMNS, DIFFERENTIATED_COLUMNS = (1, 3, 7), (0, 2, 6)
 """Columns of x that the box computes, and those of the readings that it differentiates for them."""
 
 
@@ -106,7 +106,7 @@ class ModelPrediction:
 
     def estimate(self, run: Run) -> FloatArray:
         """Return initial values of predictions: model states, box rates, their readings; shape (n, states + 6)."""
-        return np.concatenate([self.states(run), run.x[:, RATES], run.x[:, DIFFERENTIATED]], axis=1)
+        return np.concatenate([self.states(run), run.x[:, RATE_COLUMNS], run.x[:, DIFFERENTIATED_COLUMNS]], axis=1)
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """Return x, shape (n, H, 8), under currents [A], shape (n, H)."""
@@ -115,9 +115,9 @@ class ModelPrediction:
         for i, y in enumerate(states):
             x[i][:, READING_COLUMNS] = self.model.rollout(self.k, y.copy(), np.ascontiguousarray(currents[i]))
         for h in range(currents.shape[1]):
-            now = x[:, h, DIFFERENTIATED]
+            now = x[:, h, DIFFERENTIATED_COLUMNS]
             rates = self.memories * rates + (1.0 - self.memories) * (now - last) / SAMPLE_PERIOD
-            x[:, h, RATES], last = rates, now
+            x[:, h, RATE_COLUMNS], last = rates, now
         return x
 
 
@@ -157,7 +157,7 @@ COLUMNS = {
 }
 SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
 MAX_WINDOW_SAMPLES = 5000  # samples of the longest horizon
-STRIDE = 37  # samples between the starts of predictions
+STRIDE_SAMPLES = 37  # samples between the starts of predictions
 
 
 @command(ValueError)
@@ -197,7 +197,7 @@ PredictorWithStates = tuple[Predictor, list[FloatArray]]
 
 def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scored: list[ScoredRun]) -> ConsoleTable:
     """Return the paper's Table rmse_model, a row per state."""
-    how: dict[str, Any] = {"horizon": HORIZON, "stride": STRIDE}
+    how: dict[str, Any] = {"horizon": HORIZON_SAMPLES, "stride": STRIDE_SAMPLES}
     clean = prediction_errors(*learned, scored, recorded=False, **how)
     noisy = prediction_errors(*learned, scored, recorded=True, **how)
     other = prediction_errors(*analytic, scored, recorded=False, **how)
@@ -207,7 +207,9 @@ def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scor
     logged = len(differences) == len(scored)
     noise = np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if logged else np.full(8, np.nan)
     judged = "noise-free log" if logged else "recordings"
-    table = ConsoleTable(COLUMNS, title=f"{HORIZON}-sample predictions, {clean.windows} windows, against the {judged}")
+    table = ConsoleTable(
+        COLUMNS, title=f"{HORIZON_SAMPLES}-sample predictions, {clean.windows} windows, against the {judged}"
+    )
     for i, name in enumerate(PLANT_FIELDS):
         table.add(
             state=name, unit=SI_UNITS[i], learned=float(clean.rmse[i] / std[i]),

@@ -39,8 +39,8 @@ from hydro_sim.model.equations import READINGS, Symbol
 
 casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
 
-TEXTBOOK = ("pressure_a", "pressure_b", "piston_position", "piston_velocity", "load_force", "load_force_rate")
-FORCES = ("holding", "level_out", "level_back", "thrust", "level", "cell")
+TEXTBOOK_STATES = ("pressure_a", "pressure_b", "piston_position", "piston_velocity", "load_force", "load_force_rate")
+FORCE_NAMES = ("holding", "level_out", "level_back", "thrust", "level", "cell")
 """Forces [N]: friction that would hold the mass at rest; level of dry friction at rest, for either direction; force of
 the piston on its load without dry friction; level of dry friction; force on an ideal load cell."""
 
@@ -72,7 +72,7 @@ class Functions:
     """Whether dry friction can hold the mass."""
     ideal_cell: bool
     motion: SX
-    """For external solvers: the forces `FORCES`, then y' for `slide`, unless states are discrete or currents late."""
+    """For external solvers: `FORCE_NAMES`, then y' for `slide`, unless states are discrete or currents late."""
 
 
 class Assembly:
@@ -122,7 +122,7 @@ class Assembly:
         n.load_cell_omega = None if ideal else self.hoist(2.0 * pi * n.load_cell_bandwidth)
         drop, n.mobility = n.valve_nominal_pressure_drop, self.hoist(1.0 / n.moving_mass)
         n.valve_gain = self.hoist(n.valve_nominal_flow / (n.valve_nominal_current * np.sqrt(0.5 * drop)))
-        self.y = SX.sym("y", len(TEXTBOOK) + len(self.hidden) + past_currents)
+        self.y = SX.sym("y", len(TEXTBOOK_STATES) + len(self.hidden) + past_currents)
         self.current, self.share = SX.sym("u"), SX.sym("share")
 
     def functions(self) -> Functions:
@@ -138,10 +138,10 @@ class Assembly:
         for effect in self.effects:
             started = effect.next if effect.acts_in("command") else effect.begin(signals)
             values += [started.get(one.name, 0.0) for one in effect.states]
-        begin = vertcat(y[: len(TEXTBOOK)], *values, SX.zeros(self.past_currents))
+        begin = vertcat(y[: len(TEXTBOOK_STATES)], *values, SX.zeros(self.past_currents))
         enter = vertcat(y[:first], self.current, y[first:-1]) if self.past_currents else y
         # read
-        self._bind(casadi.vertsplit(y[len(TEXTBOOK) : first]) if self.hidden else [])
+        self._bind(casadi.vertsplit(y[len(TEXTBOOK_STATES) : first]) if self.hidden else [])
         signals, at.acceleration = self._truth(y), self._acceleration(y)
         at.pressures, at.position, at.velocity, at.load_force = (y[0], y[1]), y[2], y[3], y[4]
         for effect in self.effects:
@@ -194,7 +194,7 @@ class Assembly:
             mean = mean + self.y[first + age] * np.fmax(covered, 0.0)
         return mean / width
 
-    def _edges(self, spool: Symbol) -> rates.Edges:
+    def _edges(self, spool: Symbol) -> rates.EdgeConductances:
         """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back, at the spool's position [A]."""
         gain = self.bench.valve_gain
         out, back = gain * np.fmax(spool, 0.0), gain * np.fmax(-spool, 0.0)
@@ -238,40 +238,42 @@ class Assembly:
         free = self._rates(start, edges, _nothing)
         mass = self.bench.moving_mass + rates.added_mass(self.effects, start[2])
         holding, load = mass * free[3], rates.load_force(self.bench, self.effects, start[2])
-        level, speed = self.level, np.fmax(np.abs(start[3]), rates.STANDSTILL)
+        level, speed = self.level, np.fmax(np.abs(start[3]), rates.STANDSTILL_VELOCITY)
         against = eq.choose(slide == 0.0, holding, slide * level(slide * speed))
         slopes = self._rates(start, edges, lambda velocity: against) if self.holds else free
         signals = self._truth(start)
         for effect in self.effects:
             if effect.acts_in("continuous_rates") and effect.acts_in("filter_signal"):
                 signals[effect.sensor] = flow(effect, signals[effect.sensor])
-        integrated = dict(zip(self.integrated, slopes[len(TEXTBOOK) :], strict=True))
+        integrated = dict(zip(self.integrated, slopes[len(TEXTBOOK_STATES) :], strict=True))
         hidden = [integrated.get(i, flowing.get((id(effect), one.name))) for i, (effect, one) in enumerate(self.hidden)]
         steps = self.past_currents or any(slope is None for slope in hidden)
-        turned = level(rates.STANDSTILL), level(-rates.STANDSTILL)
+        turned = level(rates.STANDSTILL_VELOCITY), level(-rates.STANDSTILL_VELOCITY)
         now = level(eq.choose(start[3] >= 0.0, speed, -speed))
         forces = (holding, *turned, holding + load, now, self._cell_force(start))
-        return slide, vertcat(*forces, *([] if steps else [*slopes[: len(TEXTBOOK)], *hidden]))
+        return slide, vertcat(*forces, *([] if steps else [*slopes[: len(TEXTBOOK_STATES)], *hidden]))
 
     # --- an integration step -----------------------------------------------------------------------------------------
 
-    def _rates(self, y: Sequence[Symbol], edges: rates.Edges, dry: Callable[[Symbol], Symbol]) -> list[Symbol]:
+    def _rates(
+        self, y: Sequence[Symbol], edges: rates.EdgeConductances, dry: Callable[[Symbol], Symbol]
+    ) -> list[Symbol]:
         """y' of the textbook's states and of the integrated hidden ones; `dry`: force [N] at a velocity."""
         hidden = self.hidden_now.copy()
         for place, i in enumerate(self.integrated):
-            hidden[i] = y[len(TEXTBOOK) + place]
+            hidden[i] = y[len(TEXTBOOK_STATES) + place]
         self._bind(hidden)
         slopes, drawn = rates.textbook_rates(self.at, self.effects, y, edges, dry)
         return slopes + [self.hidden[i][0].rates(drawn)[self.hidden[i][1].name] for i in self.integrated]
 
-    def _start(self) -> tuple[list[Symbol], rates.Edges]:
+    def _start(self) -> tuple[list[Symbol], rates.EdgeConductances]:
         """Start of a step: integrated states, and the edges at the spool's mean position over it."""
-        self.hidden_now = [self.y[len(TEXTBOOK) + i] for i in range(len(self.hidden))]
+        self.hidden_now = [self.y[len(TEXTBOOK_STATES) + i] for i in range(len(self.hidden))]
         self._bind(self.hidden_now)
         self.at.initial_position = self.y[2]
         for effect in self.effects:
             effect.next = {}
-        states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
+        states = [self.y[i] for i in range(len(TEXTBOOK_STATES))] + [self.hidden_now[i] for i in self.integrated]
         if self.bench.load_cell_omega is None:
             states[4] = self._cell_force(states)
         spool = self._delayed()
@@ -280,7 +282,7 @@ class Assembly:
         self.at.spool, self.at.current = spool, self.current
         return states, self._edges(spool)
 
-    def _step(self, start: list[Symbol], edges: rates.Edges) -> SX:
+    def _step(self, start: list[Symbol], edges: rates.EdgeConductances) -> SX:
         """y after a step of Runge-Kutta 4."""
         first = self._rates(start, edges, _nothing)
         dry: Callable[[Symbol], Symbol] = _nothing

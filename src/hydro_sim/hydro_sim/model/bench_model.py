@@ -39,9 +39,9 @@ SUBSTEPS = 20
 """Integration steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""
 PAST_CURRENT_COUNTS = (0, 4, 8, 16, 32, 64)
 """Possible numbers of past currents of a model; it has the smallest that its dead time needs."""
-DEAD_TIME = f"{valve.TransportDelay.id}.time"
+DEAD_TIME_PARAMETER = f"{valve.TransportDelay.id}.time"
 """Name of a dead time among the parameters; a model's past currents limit its value."""
-TEXTBOOK = 6
+TEXTBOOK_STATE_COUNT = 6
 """Number of states of the textbook's equations: p_a, p_b, x_p, x_p', f_l behind its amplifier, and its rate."""
 
 
@@ -74,7 +74,7 @@ class BenchModel:
         """Equal for all benches with the same effects in order."""
         current = HiddenState(name="", unit="A", scale=1e-2, integrated=False)
         currents = (replace(current, name=f"current {i} samples ago") for i in range(past))
-        self.states = (*_TEXTBOOK, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
+        self.states = (*_TEXTBOOK_STATES, *(one for kind, _ in kinds for one in kind.effect.states), *currents)
 
     def address_of(self, name: str) -> int:
         """Return the address of a compiled function such as "bench_sample", for `machine_code`."""
@@ -83,11 +83,11 @@ class BenchModel:
 
     def begin(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return coefficients k, and states y and readings z at rest with relaxed spring and p_a + p_b = p_s."""
-        delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME]
+        delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME_PARAMETER]
         if sum(delays) > max(self.structure.past_currents - 2, 0) * SAMPLE_PERIOD:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
         k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(len(READINGS))
-        y[:TEXTBOOK] = hydraulics.rest_state(self.bench.constants()[0])
+        y[:TEXTBOOK_STATE_COUNT] = hydraulics.rest_state(self.bench.constants()[0])
         self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))
         return k, y, z
 
@@ -141,7 +141,7 @@ class Structure:
     substeps: int
 
 
-_TEXTBOOK = tuple(
+_TEXTBOOK_STATES = tuple(
     HiddenState(name=name, unit=unit, scale=scale, integrated=True)
     for name, unit, scale in (
         ("pressure_a", "Pa", 1e6), ("pressure_b", "Pa", 1e6), ("piston_position", "m", 1e-2),

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from hydro_sim.model.laws import Law, MemoryElement, ShapeParameter, with_reversal_velocity
-from hydro_sim.model.tables import FACTORS, SIGNALS, Factor, Table
+from hydro_sim.model.tables import FACTORS, VARIABLE_SIGNALS, Factor, Table
 
-_NOTICED = {"motion": ("N", 5.0), "load": ("N", 5.0), "pressure": ("m3/s", 3e-7), "pressure_a": ("m3/s", 3e-7),
+_NOTICEABLE_SIZES = {"motion": ("N", 5.0), "load": ("N", 5.0), "pressure": ("m3/s", 3e-7), "pressure_a": ("m3/s", 3e-7),
             "pressure_b": ("m3/s", 3e-7), "actuation": ("A", 1e-4)}  # fmt: skip
 """Unit and noticeable size of the terms of an equation."""
 _SENSORS = {"hydraulic_force": ("N", 5.0, "f_h", "load cell at the piston rod"),
@@ -96,9 +96,9 @@ SHAPES = {
     "negative": Shape("where {s} < 0", "max(-({sign}), 0.0)", 0.0, "only while {s} is negative"),
 }  # fmt: skip
 """Shapes by the adjective in their laws' names; a straight line has none."""
-_ODD = ("root", "quadratic", "cubic", "beyond", "saturating")
-_ALONG = ("", "absolute", "even quadratic", "rising", "falling", "local")
-_SIDED = ("positive", "negative")
+_ODD_SHAPES = ("root", "quadratic", "cubic", "beyond", "saturating")
+_STROKE_SHAPES = ("", "absolute", "even quadratic", "rising", "falling", "local")
+_ONE_SIDED_SHAPES = ("positive", "negative")
 _HINTS = {
     "quadratic drag": "oil forced through a port", "root drag": "seals whose oil film grows",
     "beyond drag": "a port that chokes or a valve that shuts",
@@ -139,7 +139,7 @@ def _shape_parameter(name: str, variable: str) -> ShapeParameter:
 
 def _law(equation: str, noun: str, what: str, variable: str, adjective: str, factor: Factor | None, where: str) -> Law:
     argument, shape = _ARGUMENTS[variable], SHAPES[adjective]
-    unit, size = _SENSORS[where][:2] if where in _SENSORS else _NOTICED[equation]
+    unit, size = _SENSORS[where][:2] if where in _SENSORS else _NOTICEABLE_SIZES[equation]
     own = [argument.unit] * int(shape.degree) + ([f"sqrt({argument.unit})"] if shape.degree % 1.0 else [])
     formula = shape.formula.format(s=argument.formula, c=argument.centred or argument.formula, root=argument.root,
                                    sign=argument.sign)  # fmt: skip
@@ -147,7 +147,7 @@ def _law(equation: str, noun: str, what: str, variable: str, adjective: str, fac
     text = re.sub(r"\|\((.*?)\)\|", r"|\1|", text)
     name = f"{adjective} {noun}".strip()
     hint = f": typical of {_HINTS[name]}" if name in _HINTS else ""
-    uses = set() if adjective == "constant" else set(SIGNALS.get(variable, variable).split())
+    uses = set() if adjective == "constant" else set(VARIABLE_SIGNALS.get(variable, variable).split())
     return Law(
         equation=equation, form=name, unit=divide_units(unit, *own, *([factor.unit] if factor else [])),
         text=f"{factor.text} {text}".strip() if factor else text,
@@ -167,7 +167,7 @@ def _curve(
     """A smooth function of a signal; `odd`: of the speed times the direction, for laws of the velocity."""
     laws = tuple(_law(equation, noun, what, variable, one, FACTORS.get(factor), where) for one in shapes)
     times = FACTORS["direction" if odd else factor] if odd or factor else None
-    unit, size = _SENSORS[where][:2] if where else _NOTICED[equation]
+    unit, size = _SENSORS[where][:2] if where else _NOTICEABLE_SIZES[equation]
     over = "speed" if odd else "force" if variable.endswith("force") else variable
     whole, size = (divide_units(unit, times.unit), size / times.scale) if times else (unit, size)
     return Curve(Table(equation, over, whole, size, times, where), laws)
@@ -191,40 +191,42 @@ def divide_units(unit: str, *others: str) -> str:
 _AGAINST, _BESIDE, _OF_LOAD = "A force against the motion", "A force on the piston", "A force of the load"
 _BETWEEN = "A leak between the chambers"
 CURVES: tuple[Curve, ...] = (
-    _curve("motion", "drag", _AGAINST, "velocity", _ODD, odd=True),
+    _curve("motion", "drag", _AGAINST, "velocity", _ODD_SHAPES, odd=True),
     _curve("motion", "uneven drag", _BESIDE, "velocity", ("even quadratic", "rising", "falling")),
     _curve("motion", "stiffness", _BESIDE, "position", ("", "absolute", "quadratic", "cubic", "saturating", "rising",
                                                         "falling", "local")),
-    _curve("motion", "friction along the stroke", "Dry friction", "position", _ALONG, "direction"),
-    _curve("motion", "drag along the stroke", "Viscous friction", "position", _ALONG, "velocity"),
+    _curve("motion", "friction along the stroke", "Dry friction", "position", _STROKE_SHAPES, "direction"),
+    _curve("motion", "drag along the stroke", "Viscous friction", "position", _STROKE_SHAPES, "velocity"),
     *(_curve("motion", f"{noun} by {name}", what, variable, shapes, factor)
       for noun, what, factor in (("friction", "Dry friction", "direction"), ("drag", "Viscous friction", "velocity"))
       for name, variable, shapes in (
           ("pressure of A", "pressure_a", ("", "rising", "falling")),
           ("pressure of B", "pressure_b", ("", "rising", "falling")),
-          ("pressure difference", "pressure_difference", ("absolute", "rising", "falling", *_SIDED)))),
+          ("pressure difference", "pressure_difference", ("absolute", "rising", "falling", *_ONE_SIDED_SHAPES)))),
     _curve("load", "spring", _OF_LOAD, "position", ("", "absolute", "quadratic", "saturating", "rising", "falling",
                                                     "local")),
-    _curve("load", "damping", _OF_LOAD, "velocity", ("", *_ODD), odd=True),
+    _curve("load", "damping", _OF_LOAD, "velocity", ("", *_ODD_SHAPES), odd=True),
     _curve("load", "uneven damping", _OF_LOAD, "velocity", ("even quadratic", "rising", "falling")),
-    _curve("load", "rubbing along the stroke", "Dry friction in the load's way", "position", ("constant", *_ALONG),
-           "direction"),
-    _curve("load", "damping along the stroke", "Damping in the load's way", "position", _ALONG, "velocity"),
-    _curve("pressure", "leak", _BETWEEN, "pressure_difference", ("quadratic", "root", "rising", "falling", *_SIDED)),
-    _curve("pressure", "leak along the stroke", _BETWEEN, "position", _ALONG, "pressure_difference"),
-    _curve("pressure", "leak by velocity", _BETWEEN, "velocity", ("absolute", "fading", *_SIDED),
+    _curve("load", "rubbing along the stroke", "Dry friction in the load's way", "position",
+           ("constant", *_STROKE_SHAPES), "direction"),
+    _curve("load", "damping along the stroke", "Damping in the load's way", "position", _STROKE_SHAPES, "velocity"),
+    _curve("pressure", "leak", _BETWEEN, "pressure_difference",
+           ("quadratic", "root", "rising", "falling", *_ONE_SIDED_SHAPES)),
+    _curve("pressure", "leak along the stroke", _BETWEEN, "position", _STROKE_SHAPES, "pressure_difference"),
+    _curve("pressure", "leak by velocity", _BETWEEN, "velocity", ("absolute", "fading", *_ONE_SIDED_SHAPES),
            "pressure_difference"),
-    _curve("pressure", "leak by current", _BETWEEN, "current", ("absolute", "fading", *_SIDED), "pressure_difference"),
+    _curve("pressure", "leak by current", _BETWEEN, "current", ("absolute", "fading", *_ONE_SIDED_SHAPES),
+           "pressure_difference"),
     *(one for chamber in "ab" for big in (chamber.upper(),) for what in (f"A leak of chamber {big} to the outside",)
       for one in (
           _curve(f"pressure_{chamber}", f"leak of {big}", what, f"pressure_{chamber}",
                  ("", "even quadratic", "root", "rising", "falling")),
-          _curve(f"pressure_{chamber}", f"leak of {big} along the stroke", what, "position", _ALONG,
+          _curve(f"pressure_{chamber}", f"leak of {big} along the stroke", what, "position", _STROKE_SHAPES,
                  f"pressure_{chamber}"),
           _curve(f"pressure_{chamber}", f"leak of {big} by velocity", what, "velocity",
-                 ("absolute", "fading", *_SIDED), f"pressure_{chamber}"),
+                 ("absolute", "fading", *_ONE_SIDED_SHAPES), f"pressure_{chamber}"),
           _curve(f"pressure_{chamber}", f"oil of {big} that motion carries", f"Oil of chamber {big} that the motion "
-                 "carries along", "position", _ALONG, "velocity"))),
+                 "carries along", "position", _STROKE_SHAPES, "velocity"))),
     _curve("actuation", "opening", "An opening of the valve", "current",
            ("absolute", "quadratic", "even quadratic", "cubic", "saturating", "beyond", "rising", "falling")),
     *(_curve("sensor", f"reading of {channel}", f"The {_SENSORS[channel][3]} reads more, by an amount", channel, shapes,
@@ -238,14 +240,14 @@ CURVES: tuple[Curve, ...] = (
 
 # --- terms with memory, of the valve's edges, and of sensors by other signals -----------------------------------------
 
-_LAG = ShapeParameter("time", "s", (0.03, 0.1, 0.3, 1.0, 3.0))
+_LAG_TIME = ShapeParameter("time", "s", (0.03, 0.1, 0.3, 1.0, 3.0))
 
 
 def _slow(
     equation: str, noun: str, what: str, factor: Factor | None = None, over: str = "time", where: str = ""
 ) -> Law:
     """Law with a slow first-order state, driven by time, by past speed, or by past opening of the valve (`over`)."""
-    unit, size = _SENSORS[where][:2] if where else _NOTICED[equation]
+    unit, size = _SENSORS[where][:2] if where else _NOTICEABLE_SIZES[equation]
     text, formula, uses = (f"{factor.text} ", f"({factor.formula}) * w", factor.uses) if factor else ("", "one * w", "")
     driver, symbol, name = {"time": ("time", "", "from the start"), "speed": ("velocity", "|v|", "by past motion"),
                             "opening": ("current", "|u|", "by past opening of the valve")}[over]  # fmt: skip
@@ -266,16 +268,16 @@ def _slow(
 def _creeping(equation: str, name: str, what: str, variable: str, coefficient: float) -> Law:
     """Law of a signal less its first-order lag (a high-pass), as of creep."""
     argument = _ARGUMENTS[variable]
-    return Law(equation=equation, form=name, unit=divide_units(_NOTICED[equation][0], argument.unit),
+    return Law(equation=equation, form=name, unit=divide_units(_NOTICEABLE_SIZES[equation][0], argument.unit),
                text=f"({argument.text} - w), w' = ({argument.text} - w) / time", formula=f"{argument.formula} - w",
                typical=coefficient, sentence=what, memory_element=MemoryElement("lag", variable),
-               shape_parameters=(_LAG,), uses=frozenset({variable}), degree=1.0)  # fmt: skip
+               shape_parameters=(_LAG_TIME,), uses=frozenset({variable}), degree=1.0)  # fmt: skip
 
 
 def _hysteresis(equation: str, name: str, what: str, signal: str, coefficient: float, paths: Sequence[float],
                 where: str = "") -> Law:  # fmt: skip
     """Law with hysteresis in a signal (Dahl 1968)."""
-    unit = _SENSORS[where][0] if where else _NOTICED[equation][0]
+    unit = _SENSORS[where][0] if where else _NOTICEABLE_SIZES[equation][0]
     argument = _ARGUMENTS[where if signal == "force" else signal]
     moved = "(v - |v| w)" if signal == "position" else f"({argument.text}' - |{argument.text}'| w)"
     uses = {"position", "velocity"} if signal == "position" else {where or signal}
@@ -286,7 +288,7 @@ def _hysteresis(equation: str, name: str, what: str, signal: str, coefficient: f
                uses=frozenset(uses), degree=1.0)  # fmt: skip
 
 
-_MEMORY: tuple[Law, ...] = (
+_MEMORY_ELEMENT_LAWS: tuple[Law, ...] = (
     *(_creeping(equation, name, f"{what} that relaxes where the piston is held: typical of rubber, plastic or trapped "
                 "gas.", "position", 1e3)
       for equation, name, what in (("motion", "creeping stiffness", _BESIDE), ("load", "creeping spring", _OF_LOAD))),
@@ -307,7 +309,7 @@ _MEMORY: tuple[Law, ...] = (
                     (3.0, 10.0, 30.0, 100.0), cell),
         Law("sensor", f"creep of {cell}", "-", f"w, w' = ({_SENSORS[cell][2]} - w) / time", "w", 0.05,
             f"The {_SENSORS[cell][3]} goes on rising under a force that stays: typical of a glued strain gauge.",
-            MemoryElement("lag", "force"), (_LAG,), cell, frozenset({cell}), 1.0))),
+            MemoryElement("lag", "force"), (_LAG_TIME,), cell, frozenset({cell}), 1.0))),
     *(_slow(equation, noun, what, FACTORS.get(factor), over)
       for equation, noun, what, factor, overs in (
           ("motion", "force", _BESIDE, "", "time"), ("motion", "friction", "Dry friction", "direction", "time speed"),
@@ -322,21 +324,23 @@ _MEMORY: tuple[Law, ...] = (
     *(_slow("sensor", f"zero of {channel}", f"A zero of the {sensor}", where=channel)
       for channel, (*_, sensor) in _SENSORS.items()),
 )  # fmt: skip
-_EDGE = frozenset({"current", "pressure_a", "pressure_b"})
-_OTHER: tuple[Law, ...] = (
+_EDGE_SIGNALS = frozenset({"current", "pressure_a", "pressure_b"})
+_OTHER_LAWS: tuple[Law, ...] = (
     Law("load", "inertia", "kg", "x''", "a", 1.0, "A mass that the load drags along.", uses=frozenset({"acceleration"}),
         degree=1.0),
     Law("actuation", "throttled flow", "-", "q (1 - 1 / sqrt(1 + resistance K^2))",
         "1.0 - 1.0 / sqrt(1.0 + resistance * conductance * conductance)", 1.0,
         "Flow through a throttle behind or before the "
         "edges, whose pressure drop grows with q^2: typical of a clogged filter or a narrow line; 1: all of it.",
-        None, (ShapeParameter("resistance", "Pa s2/m6", (1e14, 5e14, 2e15, 1e16)),), "edges", _EDGE, 3.0),
+        None, (ShapeParameter("resistance", "Pa s2/m6", (1e14, 5e14, 2e15, 1e16)),), "edges", _EDGE_SIGNALS, 3.0),
     Law("actuation", "laminar edges", "-", "q (1 - sqrt(|dp| / (|dp| + transition)))",
         "1.0 - sqrt((abs(drop) + laminar) / (abs(drop) + laminar + transition))", 1.0,
         "Edges that pass less at small pressure drops: typical of flow that is laminar below and turbulent above; "
-        "1: all of it.", None, (ShapeParameter("transition", "Pa", (1e5, 3e5, 1e6, 3e6)),), "edges", _EDGE, 1.0),
+        "1: all of it.", None, (ShapeParameter("transition", "Pa", (1e5, 3e5, 1e6, 3e6)),), "edges", _EDGE_SIGNALS,
+        1.0),
     Law("actuation", "flow force", "1/Pa", "q |dp|", "abs(drop)", 1e-9, "Edges that pass less the larger the pressure "
-        "drop: typical of flow forces that close the spool, or of oil that cavitates.", None, (), "edges", _EDGE, 2.5),
+        "drop: typical of flow forces that close the spool, or of oil that cavitates.",
+        None, (), "edges", _EDGE_SIGNALS, 2.5),
     *(_law("actuation", f"null by {variable}", "The valve's null moves", variable, "", None, "across")
       for variable in ("pressure_difference", "pressure_a", "pressure_b", "velocity", "position")),
     *(_law("actuation", "null by opening and load", "The valve's null moves with its opening,", "pressure_difference",
@@ -347,14 +351,14 @@ _OTHER: tuple[Law, ...] = (
       for variable in ("current", "position", "velocity", "pressure_a", "pressure_b", "acceleration")
       if variable != channel and (channel, variable) != ("piston_position", "acceleration")),
 )  # fmt: skip
-MEMORY_LAWS: tuple[Law, ...] = (*_MEMORY, *_OTHER)
+MEMORY_LAWS: tuple[Law, ...] = (*_MEMORY_ELEMENT_LAWS, *_OTHER_LAWS)
 """Laws with memory or of several signals."""
 LAWS: tuple[Law, ...] = (*(law for curve in CURVES for law in curve.laws), *MEMORY_LAWS)
 LAWS_WITH_REVERSAL_VELOCITY = tuple(with_reversal_velocity(law) for law in LAWS if law.depends_on_direction)
 """Laws that depend on the sign of the velocity, with the reversal velocity as a parameter."""
 TABLES = tuple(curve.table for curve in CURVES)
-_EVERY: tuple[Law | Table, ...] = (*LAWS, *LAWS_WITH_REVERSAL_VELOCITY, *TABLES)
-FORMS: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
+_ALL_FORMS: tuple[Law | Table, ...] = (*LAWS, *LAWS_WITH_REVERSAL_VELOCITY, *TABLES)
+FORMS: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _ALL_FORMS}
 """Laws and tables by equation and form."""
 
 

@@ -215,15 +215,18 @@ class Law:
 
 REVERSAL_VELOCITY = ShapeParameter("turn", "m/s", (SIGN_VELOCITY,))
 """Shape parameter of laws that reverse: the velocity over which they do."""
-REVERSING = "reversing over turn"
+REVERSING_TEXT = "reversing over turn"
 """Text of laws with that parameter."""
 
 
 def with_reversal_velocity(law: Law) -> Law:
     """Return the law with the reversal velocity [m/s] as an additional shape parameter."""
-    text = f"{law.text}, {REVERSING}"
+    text = f"{law.text}, {REVERSING_TEXT}"
     return replace(
-        law, form=f"{law.form}, {REVERSING}", text=text, shape_parameters=(*law.shape_parameters, REVERSAL_VELOCITY)
+        law,
+        form=f"{law.form}, {REVERSING_TEXT}",
+        text=text,
+        shape_parameters=(*law.shape_parameters, REVERSAL_VELOCITY),
     )
 
 

@@ -26,7 +26,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-FLAGS = (
+COMPILER_FLAGS = (
     "-std=c11", "-O3", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
     "-ffp-contract=fast",
 )  # fmt: skip
@@ -73,7 +73,7 @@ def _loaded(file: Path) -> ctypes.CDLL | None:
         return None
 
 
-def compile_c(source: str, library: Path, flags: Sequence[str] = FLAGS) -> None:
+def compile_c(source: str, library: Path, flags: Sequence[str] = COMPILER_FLAGS) -> None:
     """Write C source next to `library`, and compile it. Raises ValueError: no C compiler, or it fails."""
     compiler = shlex.split(os.environ.get("CC", "")) or [*filter(shutil.which, ("cc", "gcc", "clang"))][:1]
     if not compiler or shutil.which(compiler[0]) is None:
@@ -94,7 +94,7 @@ def _machine() -> str:
     except OSError:
         first = [platform.processor()]
     features = [line for line in first if line.startswith(("model name", "flags", "Features"))]
-    return " ".join([platform.machine(), os.environ.get("CC", ""), *FLAGS, *features])
+    return " ".join([platform.machine(), os.environ.get("CC", ""), *COMPILER_FLAGS, *features])
 
 
 def declare_call(signature: Any, letters: str) -> Any:

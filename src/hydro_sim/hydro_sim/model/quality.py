@@ -14,15 +14,15 @@ from typing import Any
 
 from hydro_sim.model.equations import READINGS
 
-HORIZON = 70
+HORIZON_SAMPLES = 70
 """Length of a prediction [samples]."""
-RATIO_MAX = 3.0
+ERROR_RATIO_MAX = 3.0
 """Largest acceptable prediction error over the noise, geometric mean of the readings."""
-WORST_RATIO_MAX = 10.0
+WORST_ERROR_RATIO_MAX = 10.0
 """Largest acceptable prediction error of the worst reading over its noise. It exceeds that of the mean, as noise is no
 measure of an error's effect: ten times are 6 N of a load cell, and 3 um of an encoder."""
 
-GOOD_RATIO = 1.3
+GOOD_ERROR_RATIO = 1.3
 """Prediction error of a reading, over its noise, that is accepted without a note."""
 
 
@@ -59,15 +59,15 @@ class Quality:
     def to_mapping(self) -> dict[str, Any]:
         """Return the quality as a mapping for a bench file."""
         left = {"over_noise": round(self.over_noise, 4), "worst": round(self.worst, 4)}
-        return {"samples": HORIZON, **left, "worst_reading": self.worst_reading}
+        return {"samples": HORIZON_SAMPLES, **left, "worst_reading": self.worst_reading}
 
     @property
     def rejection_reason(self) -> str:
         """Error message if the predictions are too poor to rely on; empty otherwise."""
-        if not self.over_noise <= RATIO_MAX:
-            left = f"{self.over_noise:.3g} times the noise, more than {RATIO_MAX:g}"
-        elif not self.worst <= WORST_RATIO_MAX:
-            left = f"{self.worst:.3g} times the noise of {self.worst_reading}, more than {WORST_RATIO_MAX:g}"
+        if not self.over_noise <= ERROR_RATIO_MAX:
+            left = f"{self.over_noise:.3g} times the noise, more than {ERROR_RATIO_MAX:g}"
+        elif not self.worst <= WORST_ERROR_RATIO_MAX:
+            left = f"{self.worst:.3g} times the noise of {self.worst_reading}, more than {WORST_ERROR_RATIO_MAX:g}"
         else:
             return ""
         return (
@@ -78,9 +78,9 @@ class Quality:
     def sentence(self) -> str:
         """Return a sentence on the prediction error and whether it is acceptable."""
         left = f"{self.over_noise:.2f} times the noise, {self.worst:.2f} times of {self.worst_reading}"
-        told = f"{HORIZON}-sample predictions leave {left}"
+        told = f"{HORIZON_SAMPLES}-sample predictions leave {left}"
         if self.rejection_reason:
             return f"{told}; NOT fit for the filter: {self.rejection_reason}"
-        if self.worst > GOOD_RATIO:
-            return f"{told}; more than {GOOD_RATIO:g} times hints at an effect that the file does not name"
+        if self.worst > GOOD_ERROR_RATIO:
+            return f"{told}; more than {GOOD_ERROR_RATIO:g} times hints at an effect that the file does not name"
         return told

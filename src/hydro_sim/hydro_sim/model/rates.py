@@ -17,7 +17,7 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model.effects.base import Effect, EffectContext
 from hydro_sim.model.equations import Symbol, choose
 
-Edges = tuple[Symbol, Symbol]
+EdgeConductances = tuple[Symbol, Symbol]
 """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and of those that drive it back."""
 
 
@@ -44,7 +44,11 @@ def added_mass(effects: Sequence[Effect], position: Symbol) -> Symbol:
 
 
 def textbook_rates(
-    at: EffectContext, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges, dry: Callable[[Symbol], Symbol]
+    at: EffectContext,
+    effects: Sequence[Effect],
+    y: Sequence[Symbol],
+    edges: EdgeConductances,
+    dry: Callable[[Symbol], Symbol],
 ) -> tuple[list[Symbol], Symbol]:
     """Return y', of length 6, and the flow out of the supply [m3/s]; `dry`: dry friction [N] by velocity [m/s].
 
@@ -88,15 +92,15 @@ def textbook_rates(
     return [rate_a, rate_b, velocity, acceleration, shown_rate, cell], drawn
 
 
-STANDSTILL = 1e-9
+STANDSTILL_VELOCITY = 1e-9
 """Smallest speed [m/s] at which a level that depends on the direction is evaluated."""
-Friction = Callable[[Symbol], Symbol]
+FrictionFunction = Callable[[Symbol], Symbol]
 """Function of a velocity [m/s]: a force [N] against the motion, or the velocity at the end of a step."""
 
 
 def stick_slip_friction(
-    level: Friction, mass: Symbol, velocity: Symbol, free: Symbol, step: float
-) -> tuple[Friction, Friction]:
+    level: FrictionFunction, mass: Symbol, velocity: Symbol, free: Symbol, step: float
+) -> tuple[FrictionFunction, FrictionFunction]:
     """Return the dry friction of `level` over a step [s] with stick-slip: functions for the step and for its end.
 
     The step begins at a velocity [m/s] and, without friction, an acceleration `free` [m/s2].
@@ -105,7 +109,7 @@ def stick_slip_friction(
     sign = choose(holding >= 0.0, 1.0, -1.0)
 
     def reach(velocity: Symbol) -> Symbol:
-        return level(sign * np.fmax(np.abs(velocity), STANDSTILL))
+        return level(sign * np.fmax(np.abs(velocity), STANDSTILL_VELOCITY))
 
     held = np.abs(holding) < reach(velocity)
     return lambda v: choose(held, holding, sign * reach(v)), lambda v: choose(held, 0.0, v)

@@ -71,7 +71,7 @@ class Sensors:
 class Noise:
     """Standard normal numbers for the sensors: one row of 5 per sample, independent of how many are drawn at a time."""
 
-    BLOCK = 1000
+    BLOCK_SAMPLES = 1000
 
     def __init__(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)
@@ -84,7 +84,7 @@ class Noise:
     def rows(self, count: int) -> FloatArray:
         """Return the standard normal numbers of the next `count` samples, shape (count, 5)."""
         if (missing := count - len(self._coming)) > 0:
-            drawn = self._generator.standard_normal((max(missing, self.BLOCK), len(READINGS)))
+            drawn = self._generator.standard_normal((max(missing, self.BLOCK_SAMPLES), len(READINGS)))
             self._coming = np.concatenate((self._coming, drawn))
         rows, self._coming = self._coming[:count], self._coming[count:]
         return rows

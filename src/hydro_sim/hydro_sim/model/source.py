@@ -17,7 +17,7 @@ from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model.assembly import Functions
 from hydro_sim.model.equations import READINGS
 
-Named = Sequence[tuple[str, SX]]
+NamedExpressions = Sequence[tuple[str, SX]]
 """Arguments of a C function, or its results."""
 _FOLDER = resources.files("hydro_sim.model")
 
@@ -106,17 +106,17 @@ def _inputs(model: Functions) -> list[tuple[str, SX]]:
     return [("k", model.k), ("y", model.y), ("u", model.current), ("share", model.share)]
 
 
-def _functions(model: Functions, names: str) -> list[tuple[str, Named, Named]]:
+def _functions(model: Functions, names: str) -> list[tuple[str, NamedExpressions, NamedExpressions]]:
     """Functions of a model by name, with their arguments in C."""
     at = _inputs(model)
-    inputs: dict[str, Named] = {
+    inputs: dict[str, NamedExpressions] = {
         "once": [("theta", model.theta)], "rest": at[:1], "begin": at[:2], "enter": at[1:3], "step": at, "read": at[:2],
         "rates": at, "motion": [*at, ("slide", model.slide)],
     }  # fmt: skip
     return [(name, inputs[name], [("z" if name == "read" else "out", getattr(model, name))]) for name in names.split()]
 
 
-def _tangents(model: Functions) -> list[tuple[str, Named, Named]]:
+def _tangents(model: Functions) -> list[tuple[str, NamedExpressions, NamedExpressions]]:
     """Propagation of d y/d(y, u), D of shape (N, N + 1)."""
     at, states = _inputs(model), model.y.numel()
     d = SX.sym("D", states, states + 1)
@@ -140,7 +140,7 @@ def _partial(outcome: SX, model: Functions) -> SX:
     return casadi.sparsify(jacobian[:held, :] if outcome.numel() == model.y.numel() else jacobian)
 
 
-def _function(name: str, inputs: Named, outputs: Named) -> str:
+def _function(name: str, inputs: NamedExpressions, outputs: NamedExpressions) -> str:
     """A C function, from CasADi's list of elementary operations."""
     dense = [casadi.densify(casadi.cse(expression)) for _, expression in outputs]
     function = casadi.Function(name, [symbol for _, symbol in inputs], dense)

@@ -14,12 +14,12 @@ from hydro_sim.model.laws import MemoryElement, Signals
 
 KNOTS = 12
 """Number of a table's values: coefficients of as many cubic B-splines."""
-VARIABLES = {
+VARIABLE_UNITS = {
     "position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A", "force": "N",
     "pressure_a": "Pa", "pressure_b": "Pa", "speed": "m/s",
 }  # fmt: skip
 """Variables of tables, with units."""
-SIGNALS = {"pressure_difference": "pressure_a pressure_b", "speed": "velocity"}
+VARIABLE_SIGNALS = {"pressure_difference": "pressure_a pressure_b", "speed": "velocity"}
 """Signals that a variable is computed from, if it is none itself."""
 
 
@@ -85,7 +85,7 @@ class Table:
     @property
     def uses(self) -> frozenset[str]:
         """Signals that the table depends on."""
-        own = SIGNALS.get(self.variable, self.variable if self.variable != "force" else self.where)
+        own = VARIABLE_SIGNALS.get(self.variable, self.variable if self.variable != "force" else self.where)
         return frozenset(f"{own} {self.factor.uses if self.factor else ''}".split())
 
     def variable_value(self, at: Signals) -> Symbol:

@@ -33,7 +33,7 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
-SIMULATED_BOX = "hydro sim"
+SIMULATED_BOX_NAME = "hydro sim"
 """Name of the simulated box."""
 _REMEDY = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
 
@@ -84,7 +84,7 @@ class SimNode(PlantNode):
         self.simulation = SimulatedPlant(box, plant, guard, settings, self._publish, log, lock_step)
         self.simulation.effects = effects
         self.connect(self.simulation)
-        info = box_info(believed, config, SIMULATED_BOX)
+        info = box_info(believed, config, SIMULATED_BOX_NAME)
         guard.valve_current_max = info.valve_current_max
         self._known, self._law = describe_box(info, believed.to_mapping(), self.get_name()), config.compensated
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
@@ -117,7 +117,7 @@ def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     reject_speed_option(own)
     asked = parser.parse_args(own)
-    site.apply_site_option(asked, bench=site.BENCH, model=site.MODEL)
+    site.apply_site_option(asked, bench=site.BENCH_FILE, model=site.MODEL_FILE)
     given: dict[str, Any] = {name: getattr(asked, name) for name in declared}
     paths = {name: str(value) for name, value in given.items() if isinstance(value, Path)}
     return replace(defaults, **given | paths), asked.realtime

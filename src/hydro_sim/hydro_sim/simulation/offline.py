@@ -87,7 +87,7 @@ def simulate(
     )  # fmt: skip
     output = np.zeros(samples, STATE_DTYPE)
     if isinstance(plant, AnalyticPlant):
-        command, playing = np.zeros(1, firmware.DOUBLE.command), box.state["reference"]
+        command, playing = np.zeros(1, firmware.DOUBLE_STRUCTURES.command), box.state["reference"]
         fill_command(command, begin)
         records = plant.constants, plant.sensors, plant.state, box.settings, box.state, command
         signals = played, command["reference"], playing["coming"], playing["fade_start"]
@@ -132,7 +132,7 @@ def _played(reference: FloatArray, samples: int) -> npt.NDArray[np.void]:
     if reference.shape != (samples, 2):
         raise ValueError(f"a recorded reference of shape {reference.shape} for {samples} samples")
     value, rate = reference.T
-    signals = np.zeros(samples, firmware.DOUBLE.signal)
+    signals = np.zeros(samples, firmware.DOUBLE_STRUCTURES.signal)
     signals["waveform"], signals["frequency"] = core.Waveform.SINE, PLAYBACK_FREQUENCY
     signals["amplitude"], signals["offset"] = np.abs(rate) / (2.0 * np.pi * PLAYBACK_FREQUENCY), value
     signals["phase"] = np.where(rate < 0.0, np.pi, 0.0)

@@ -33,7 +33,7 @@ from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatA
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
 
-_NOMINAL = (STATE_DTYPE.names or ()).index("nominal_valve_current")
+_NOMINAL_CURRENT_COLUMN = (STATE_DTYPE.names or ()).index("nominal_valve_current")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ class Simulation(PlantInterface):
             if not self.real_time:
                 fields = (*fields[:-1], fields[-1] | Flag.PACED)
             with self.lock:
-                self.guard.add_sample(fields[1], fields[_NOMINAL])
+                self.guard.add_sample(fields[1], fields[_NOMINAL_CURRENT_COLUMN])
             if fields[-1] & ~self.flags & Flag.TRIPPED:
                 self._log(f"tripped: {flag_names(fields[-1])}")
             self._update_flags(fields[-1])

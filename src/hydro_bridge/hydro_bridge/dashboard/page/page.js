@@ -17,7 +17,7 @@ const $ = (id) => document.getElementById(id);
 const plots = new Plots($("plots"));
 const curve = new Curve($("curve"));
 let series = null;
-let slot = 0.01;
+let binWidth = 0.01;
 let pulse = null;
 let heard = 0;
 let least = Infinity; // ms between the clocks of page and dashboard; what is more is lag
@@ -63,7 +63,7 @@ function take(frame) {
 
 const TOLD = {
   hello(told) {
-    slot = told.slot;
+    binWidth = told.bin_width;
     series = told.series.map((columns) => new Series(columns));
   },
   pulse(told) {
@@ -111,7 +111,7 @@ function draw() {
   if (!series || !changed || held || now - drawn < REDRAW) return;
   changed = false;
   drawn = now;
-  plots.draw(series, slot);
+  plots.draw(series, binWidth);
 }
 
 function list(id, rows) {

@@ -6,7 +6,7 @@ export const colour = (name) => palette.getPropertyValue(`--${name}`).trim(); //
 
 const [INK, BLUE, VERMILION, GREEN] = ["ink", "blue", "vermilion", "green"].map(colour);
 const HEIGHT = 168;
-const POINTS = 500; // groups of slots in a plot: of two points each, about as many as it has pixels
+const POINTS = 500; // groups of bins in a plot: of two points each, about as many as it has pixels
 
 // title, [series of states, corrections or laws, name, colour, dash, own axis], least span of the axis
 const PLOTS = [
@@ -148,21 +148,21 @@ export class Plots {
     addEventListener("resize", () => this.plots.forEach((plot) => plot.resize()));
   }
 
-  // The last `seconds` before slot `end`. Times count from slot `origin`; the figures are those of slot `at`.
-  draw(series, slot, end = series[0].end, origin = end, at = end - 1) {
-    const all = Math.round(this.seconds / slot);
+  // The last `seconds` before bin `end`. Times count from bin `origin`; the figures are those of bin `at`.
+  draw(series, binWidth, end = series[0].end, origin = end, at = end - 1) {
+    const all = Math.round(this.seconds / binWidth);
     const stride = Math.max(1, Math.ceil(all / (2 * POINTS)));
     const groups = Math.floor(all / stride);
-    const last = (end - origin) * slot;
-    const times = Array.from({ length: 2 * groups }, (_, n) => last + (Math.floor(n / 2) - groups + (n % 2) / 2) * stride * slot);
-    this.bands = shaded(series[0], end, groups, stride, slot, last);
+    const last = (end - origin) * binWidth;
+    const times = Array.from({ length: 2 * groups }, (_, n) => last + (Math.floor(n / 2) - groups + (n % 2) / 2) * stride * binWidth);
+    this.bands = shaded(series[0], end, groups, stride, binWidth, last);
     const span = [last - this.seconds, last];
     for (const plot of this.plots) plot.draw(series, times, end, groups, stride, span, at);
   }
 }
 
-// Where the plant was not armed: [from, to, tripped], in seconds; slot `end` is at `last`.
-export function shaded(states, end, groups, stride, slot, last) {
+// Where the plant was not armed: [from, to, tripped], in seconds; bin `end` is at `last`.
+export function shaded(states, end, groups, stride, binWidth, last) {
   const armed = states.envelope("armed", end, groups, stride);
   const tripped = states.envelope("tripped", end, groups, stride);
   const kind = (g) => {
@@ -173,7 +173,7 @@ export function shaded(states, end, groups, stride, slot, last) {
   for (let g = 0; g < groups; g++) {
     const now = kind(g);
     const before = bands.at(-1);
-    const [from, to] = [last + (g - groups) * stride * slot, last + (g + 1 - groups) * stride * slot];
+    const [from, to] = [last + (g - groups) * stride * binWidth, last + (g + 1 - groups) * stride * binWidth];
     if (!now) continue;
     if (before && before[1] >= from - 1e-9 && before[2] === (now === "tripped")) before[1] = to;
     else bands.push([from, to, now === "tripped"]);

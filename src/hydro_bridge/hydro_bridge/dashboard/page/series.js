@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Slots as the dashboard thins them, a minute of them by default: least and greatest value of each; memory is bounded.
+// Bins as the dashboard thins them, a minute of them by default: least and greatest value of each; memory is bounded.
 
 export const KEPT = 6000;
 
 export class Series {
   constructor(columns, kept = KEPT) {
     this.columns = columns; // [{name, unit}]
-    this.kept = kept; // slots
+    this.kept = kept; // bins
     this.low = columns.map(() => new Float32Array(kept).fill(NaN));
     this.high = columns.map(() => new Float32Array(kept).fill(NaN));
-    this.end = 0; // number of the first slot that is not there yet
+    this.end = 0; // number of the first bin that is not there yet
   }
 
-  // Enter closed slots; those that were dropped on the way stay gaps.
+  // Enter closed bins; those that were dropped on the way stay gaps.
   add(first, values) {
     const width = this.columns.length;
     const count = values.length / (2 * width);
     if (!count) return;
     if (first < this.end - this.kept || first > this.end + this.kept) this.clear(first);
-    for (let slot = this.end; slot < first; slot++) this.blank(slot);
+    for (let bin = this.end; bin < first; bin++) this.blank(bin);
     for (let n = 0; n < count; n++) {
       const row = (first + n) % this.kept;
       for (let c = 0; c < width; c++) {
@@ -34,21 +34,21 @@ export class Series {
     this.end = end;
   }
 
-  blank(slot) {
-    for (const ring of [...this.low, ...this.high]) ring[slot % this.kept] = NaN;
+  blank(bin) {
+    for (const ring of [...this.low, ...this.high]) ring[bin % this.kept] = NaN;
   }
 
   index(name) {
     return this.columns.findIndex((column) => column.name === name);
   }
 
-  // The value of a slot, or NaN.
-  at(name, slot) {
-    const there = slot >= 0 && slot < this.end && slot >= this.end - this.kept;
-    return there ? this.high[this.index(name)][slot % this.kept] : NaN;
+  // The value of a bin, or NaN.
+  at(name, bin) {
+    const there = bin >= 0 && bin < this.end && bin >= this.end - this.kept;
+    return there ? this.high[this.index(name)][bin % this.kept] : NaN;
   }
 
-  // Two points per `stride` slots before slot `end`, in the order that keeps a slope a slope: [points of `groups`].
+  // Two points per `stride` bins before bin `end`, in the order that keeps a slope a slope: [points of `groups`].
   envelope(name, end, groups, stride) {
     const c = this.index(name);
     const out = new Array(2 * groups);
@@ -57,9 +57,9 @@ export class Series {
       let low = Infinity;
       let high = -Infinity;
       const start = end - (groups - g) * stride;
-      for (let slot = start; slot < start + stride; slot++) {
-        if (slot < 0 || slot >= this.end || slot < this.end - this.kept) continue;
-        const row = slot % this.kept;
+      for (let bin = start; bin < start + stride; bin++) {
+        if (bin < 0 || bin >= this.end || bin < this.end - this.kept) continue;
+        const row = bin % this.kept;
         if (this.low[c][row] < low) low = this.low[c][row];
         if (this.high[c][row] > high) high = this.high[c][row];
       }
@@ -73,7 +73,7 @@ export class Series {
   }
 }
 
-// A binary message: u32 series, u32 columns, f64 first slot, float32 values (slots, columns, 2), little endian.
+// A binary message: u32 series, u32 columns, f64 first bin, float32 values (bins, columns, 2), little endian.
 export function decoded(buffer) {
   const head = new DataView(buffer);
   return { series: head.getUint32(0, true), first: head.getFloat64(8, true), values: new Float32Array(buffer, 16) };

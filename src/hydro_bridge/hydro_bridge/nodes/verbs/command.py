@@ -30,8 +30,8 @@ from hydro_bridge.ros.node import running_ros, spin
 from hydro_bridge.ros.topics import qos_profile
 from hydro_core.cli.console import UserError, command
 
-_ELEMENT = re.compile(r"(?:sequence<)?(\w+/\w+)(?:\[\d+\]|(?:, \d+)?>)?")
-_LONG = (bytes, bytearray, str)
+_ELEMENT_PATTERN = re.compile(r"(?:sequence<)?(\w+/\w+)(?:\[\d+\]|(?:, \d+)?>)?")
+_LONG_TYPES = (bytes, bytearray, str)
 
 
 def interface_class(name: str, kind: str) -> type[Any]:
@@ -54,7 +54,7 @@ def to_plain(value: Any) -> Any:
         return {name: to_plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
         return int.from_bytes(value, "little") if len(value) == 1 else list(value)
-    if isinstance(value, Iterable) and not isinstance(value, _LONG):
+    if isinstance(value, Iterable) and not isinstance(value, _LONG_TYPES):
         return [to_plain(entry) for entry in value]
     return value.item() if hasattr(value, "item") else value
 
@@ -76,7 +76,7 @@ def set_fields(message: Any, values: Mapping[str, Any]) -> None:
     for name, value in values.items():
         if name not in kinds:
             raise UserError(f"{type(message).__name__} has no field {name}; it has: {', '.join(kinds) or 'none'}")
-        nested = _ELEMENT.fullmatch(kinds[name])
+        nested = _ELEMENT_PATTERN.fullmatch(kinds[name])
         try:
             if isinstance(getattr(message, name), float):
                 value = float(value)
@@ -88,12 +88,12 @@ def set_fields(message: Any, values: Mapping[str, Any]) -> None:
             raise UserError(f"{name}: {values[name]!r} is no {kinds[name]}") from None
 
 
-_SPIN_TIME = 1.0
-"""s, minimum wait of `list`, which goes on until the graph has not changed for `_CALM`."""
+_LIST_TIME_MIN = 1.0
+"""s, minimum wait of `list`, which goes on until the graph has not changed for `_UNCHANGED_TIME`."""
 DISCOVERY_TIMEOUT = 10.0
 """Time-out [s] for the discovery of a topic or service; a lost announcement is repeated only after a few seconds."""
-_CALM = 0.5
-_LOOK = 0.05
+_UNCHANGED_TIME = 0.5
+_POLL_PERIOD = 0.05
 
 
 @contextmanager
@@ -113,20 +113,20 @@ def wait_for(condition: Callable[[], object], sentence: str, timeout: float = DI
     while not condition():
         if time.monotonic() > end:
             raise UserError(f"{sentence} (looked for {timeout:g} s)")
-        time.sleep(_LOOK)
+        time.sleep(_POLL_PERIOD)
 
 
-GROUPS = {
+VERB_GROUPS = {
     "topic": "topics of the running graph: list, echo, hz",
     "node": "nodes of the running graph: list",
     "service": "services of the running graph: list, call",
     "bag": "recordings: info",
 }
-_DEPTH = 1000
-_WINDOW = 5000
+_QUEUE_DEPTH = 1000
+_RATE_WINDOW = 5000
 """Messages that count for a rate."""
-_REPORT = 1.0  # s
-_PUBLISHER = 3.0  # s, for the first publisher to be discovered; the latched message of a later one is missed
+_REPORT_PERIOD = 1.0  # s
+_PUBLISHER_TIMEOUT = 3.0  # s, for the first publisher to be discovered; the latched message of a later one is missed
 
 
 class Parser(argparse.ArgumentParser):
@@ -143,7 +143,7 @@ def main() -> int | None:
     result = Parser(prog="ros2", description=__doc__)
     groups = result.add_subparsers(dest="group", required=True, metavar="GROUP", parser_class=Parser)
     verbs = {}
-    for name, summary in GROUPS.items():
+    for name, summary in VERB_GROUPS.items():
         group = groups.add_parser(name, help=summary, description=summary, allow_abbrev=False)
         verbs[name] = group.add_subparsers(dest="verb", required=True, metavar="VERB", parser_class=Parser)
 
@@ -177,15 +177,15 @@ def main() -> int | None:
 
 
 def _list(options: argparse.Namespace) -> None:
-    """Wait until the graph no longer changes, at least `_SPIN_TIME`, at most `DISCOVERY_TIMEOUT`; list it."""
+    """Wait until the graph no longer changes, at least `_LIST_TIME_MIN`, at most `DISCOVERY_TIMEOUT`; list it."""
     with temporary_node() as node:
         begin = changed = now = time.monotonic()
         seen = -1
-        while now < begin + _SPIN_TIME or (now < changed + _CALM and now < begin + DISCOVERY_TIMEOUT):
+        while now < begin + _LIST_TIME_MIN or (now < changed + _UNCHANGED_TIME and now < begin + DISCOVERY_TIMEOUT):
             count = sum(1 for _ in node.get_node_names_and_namespaces()) + len(node.get_topic_names_and_types())
             if count != seen:
                 seen, changed = count, now
-            time.sleep(_LOOK)
+            time.sleep(_POLL_PERIOD)
             now = time.monotonic()
         found: list[tuple[str, list[str]]] = node.get_topic_names_and_types()
         if options.group == "service":
@@ -212,7 +212,7 @@ def _topic_echo(options: argparse.Namespace) -> None:
 
 def _topic_hz(options: argparse.Namespace) -> None:
     """Count serialized messages on arrival, without decoding them."""
-    times: deque[float] = deque(maxlen=_WINDOW)
+    times: deque[float] = deque(maxlen=_RATE_WINDOW)
     new = 0
 
     def count(_: bytes) -> None:
@@ -257,14 +257,14 @@ def _listen(topic: str, hear: Callable[[Any], None], done: Future, report: Calla
         wait_for(lambda: topic in dict(node.get_topic_names_and_types()), f"nobody publishes or hears {topic}")
         kind = interface_class(dict(node.get_topic_names_and_types())[topic][0], "msg")
         with suppress(UserError):  # a subscriber may be discovered first: a latched message would be missed for good
-            wait_for(lambda: node.count_publishers(topic), "", timeout=_PUBLISHER)
+            wait_for(lambda: node.count_publishers(topic), "", timeout=_PUBLISHER_TIMEOUT)
         offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]  # all offer this QoS
         reliable = bool(offered) and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
         latched = bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
-        qos = qos_profile(_DEPTH, reliable=reliable, latched=latched)
+        qos = qos_profile(_QUEUE_DEPTH, reliable=reliable, latched=latched)
         node.create_subscription(kind, topic, guarded(hear), qos, raw=report is not None)
         if report is not None:
-            node.create_timer(_REPORT, guarded(report))
+            node.create_timer(_REPORT_PERIOD, guarded(report))
         spin(node, done)
     if done.done():
         done.result()

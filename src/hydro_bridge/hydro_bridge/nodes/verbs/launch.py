@@ -98,14 +98,14 @@ def IfCondition(predicate_expression: SomeSubstitutions) -> Callable[[LaunchCont
 class LaunchDescriptionEntity:
     """Entry of a launch file other than a process; expanded in the order of the file."""
 
-    visit: Callable[[LaunchContext], Entries]
+    visit: Callable[[LaunchContext], LaunchEntries]
     """Returns the entries that it expands to; raises UserError."""
 
 
-Entries: TypeAlias = "Iterable[LaunchDescriptionEntity | ExecuteProcess]"
+LaunchEntries: TypeAlias = "Iterable[LaunchDescriptionEntity | ExecuteProcess]"
 
 
-def LaunchDescription(entities: Entries = ()) -> LaunchDescriptionEntity:
+def LaunchDescription(entities: LaunchEntries = ()) -> LaunchDescriptionEntity:
     """Launch description: a list of entries."""
     return LaunchDescriptionEntity(lambda context: entities)
 
@@ -119,7 +119,7 @@ def DeclareLaunchArgument(
 ) -> LaunchDescriptionEntity:
     """Declaration of an argument `name:=value`; UserError for a missing or invalid value."""
 
-    def declare(context: LaunchContext) -> Entries:
+    def declare(context: LaunchContext) -> LaunchEntries:
         values = context.launch_configurations
         if name not in values:
             if default_value is None:
@@ -142,7 +142,7 @@ def IncludeLaunchDescription(
 ) -> LaunchDescriptionEntity:
     """Inclusion of another launch file; its arguments stay set, as upstream's do."""
 
-    def include(context: LaunchContext) -> Entries:
+    def include(context: LaunchContext) -> LaunchEntries:
         for name, words in launch_arguments:
             context.launch_configurations[name] = perform_substitution(words, context)
         return [load(Path(perform_substitution(launch_description_source, context)))]
@@ -150,10 +150,10 @@ def IncludeLaunchDescription(
     return LaunchDescriptionEntity(include)
 
 
-def OpaqueFunction(*, function: Callable[[LaunchContext], Entries | None]) -> LaunchDescriptionEntity:
+def OpaqueFunction(*, function: Callable[[LaunchContext], LaunchEntries | None]) -> LaunchDescriptionEntity:
     """Function of the arguments that returns further entries; its error becomes a UserError."""
 
-    def call(context: LaunchContext) -> Entries:
+    def call(context: LaunchContext) -> LaunchEntries:
         try:
             return function(context) or ()
         except (RuntimeError, TypeError, AttributeError) as error:
@@ -236,7 +236,7 @@ def processes(entity: LaunchDescriptionEntity | ExecuteProcess, context: LaunchC
         raise UserError(f"{entity!r}: an entry that needs a full ROS 2 Jazzy")
 
 
-_LOOK = 0.1  # s
+_POLL_PERIOD = 0.1  # s
 
 
 def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
@@ -268,7 +268,7 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
             running.append((companion, process.on_exit))
             print(f"[INFO] [{name}]: process started with pid [{companion.process.pid}]", flush=True)
         while running:
-            time.sleep(_LOOK)
+            time.sleep(_POLL_PERIOD)
             for companion, on_exit in [one for one in running if not one[0].running]:
                 running.remove((companion, on_exit))
                 status = companion.process.returncode

@@ -48,10 +48,10 @@ function draw() {
   asked = false;
   plots.seconds = Math.min(windowed, about.seconds);
   const right = Math.min(Math.max(at + plots.seconds / 2, plots.seconds), about.seconds);
-  const slot = Math.min(Math.floor(at / about.slot), series[0].end - 1);
+  const bin = Math.min(Math.floor(at / about.bin_width), series[0].end - 1);
   plots.marks = [...about.marks.filter((one) => chosen.has(one.kind)).map((one) => [one.time, COLOURS[one.kind]]), [at, colour("soft")]];
-  plots.draw(series, about.slot, Math.ceil(right / about.slot), 0, slot);
-  const [armed, tripped] = ["armed", "tripped"].map((name) => series[0].at(name, slot));
+  plots.draw(series, about.bin_width, Math.ceil(right / about.bin_width), 0, bin);
+  const [armed, tripped] = ["armed", "tripped"].map((name) => series[0].at(name, bin));
   const state = Number.isNaN(armed) ? "unknown" : tripped ? "tripped" : armed ? "armed" : "disarmed";
   $("state").className = `state ${state}`;
   $("state").textContent = { unknown: "no sample", tripped: "TRIPPED", armed: "ARMED", disarmed: "disarmed" }[state];
@@ -163,7 +163,7 @@ for (const button of document.querySelectorAll("[data-seconds]")) {
   };
 }
 $("time").max = about.seconds;
-$("time").step = about.slot;
+$("time").step = about.bin_width;
 $("time").oninput = () => go($("time").valueAsNumber);
 $("strip").onclick = (event) => go((event.offsetX / $("strip").clientWidth) * about.seconds);
 $("play").onclick = play;
@@ -179,7 +179,7 @@ series = about.series.map((columns, n) => {
 });
 const all = series[0].end;
 const stride = Math.max(1, Math.ceil(all / 2000));
-strip.bands = shaded(series[0], all, Math.floor(all / stride), stride, about.slot, all * about.slot);
+strip.bands = shaded(series[0], all, Math.floor(all / stride), stride, about.bin_width, all * about.bin_width);
 kinds();
 if (about.curve.episode.length) new Curve($("curve")).draw(about.curve);
 else $("learner").hidden = true;

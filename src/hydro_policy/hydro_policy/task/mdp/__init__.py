@@ -10,12 +10,12 @@ steps          10 box samples of 1 ms; an episode is 1800 steps, 18 s
 settings       of all of these
 """
 
-from hydro_policy.task.mdp.actions import ACTIONS, BASE, GainRange
+from hydro_policy.task.mdp.actions import ACTION_SIZE, BASE_GAINS, GainRange
 from hydro_policy.task.mdp.observations import (
     LOAD_FORCE,
     LOAD_FORCE_RATE,
     OBSERVATION_NAMES,
-    OBSERVATIONS,
+    OBSERVATION_SIZE,
     REFERENCE,
     REFERENCE_RATE,
     normalization,
@@ -25,6 +25,6 @@ from hydro_policy.task.mdp.settings import TaskSettings
 from hydro_policy.task.mdp.steps import Step, StepClock, hold_flags
 
 __all__ = [
-    "ACTIONS", "BASE", "GainRange", "LOAD_FORCE", "LOAD_FORCE_RATE", "OBSERVATION_NAMES", "OBSERVATIONS", "REFERENCE",
-    "REFERENCE_RATE", "normalization", "observe", "TaskSettings", "Step", "StepClock", "hold_flags",
+    "ACTION_SIZE", "BASE_GAINS", "GainRange", "LOAD_FORCE", "LOAD_FORCE_RATE", "OBSERVATION_NAMES", "OBSERVATION_SIZE",
+    "REFERENCE", "REFERENCE_RATE", "normalization", "observe", "TaskSettings", "Step", "StepClock", "hold_flags",
 ]  # fmt: skip

@@ -11,9 +11,9 @@ import numpy as np
 from hydro_core.settings import quantity
 from hydro_core.signals import FloatArray
 
-ACTIONS = 2
+ACTION_SIZE = 2
 
-BASE = (15.0, 5.0)
+BASE_GAINS = (15.0, 5.0)
 """Base gains K_p [1/s], K_i [1/s^2] of the paper's box (Table training_agent); a box reports its own."""
 
 

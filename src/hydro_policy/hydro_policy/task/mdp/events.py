@@ -21,7 +21,7 @@ from hydro_sim.model.bench import NOMINAL, Bench
 if TYPE_CHECKING:
     from hydro_sim.model.plant import AnalyticPlant
 
-NOISE, BENCH, EXAMINED, KNOWN = 1, 2, 3, 4
+NOISE_STREAM, BENCH_STREAM, EXAM_STREAM, KNOWN_STREAM = 1, 2, 3, 4
 """Random streams of one episode: seed of its noise, its bench, the bench of that number in an examination, choice
 between known and drawn bench."""
 
@@ -51,13 +51,13 @@ def stream_seed(seed: int, episode: int, stream: int) -> int:
 AMPLITUDE_SHARE_MAX = 0.8
 """Largest amplitude of a reference, relative to the spring's force at half of the stroke."""
 
-_SPREAD = {
+_CHANGE_MAX = {
     "bulk_modulus": 0.2, "moving_mass": 0.2, "viscous_friction": 0.5, "friction_coulomb": 0.5, "friction_stribeck": 0.5,
     "leakage_internal": 0.5, "load_cell_frequency": 0.2, "spool_frequency": 0.2, "valve_gain": 0.15,
 }  # fmt: skip
 """Largest relative change at `spread` 1; valve gains change together."""
 
-_OF_EFFECTS = {
+_EFFECT_PARAMETER_CHANGES = {
     "friction_coulomb.force": "friction_coulomb", "friction_stribeck.breakaway_force": "friction_stribeck",
     "leakage_internal.coefficient": "leakage_internal", "valve_lag.bandwidth": "spool_frequency",
     "sensor_lag.bandwidth": "load_cell_frequency",
@@ -123,13 +123,13 @@ def draw_bench(settings: Randomisation, source: Bench, seed: int) -> RandomisedB
     rng = np.random.default_rng(seed)
     spring = math.exp(rng.uniform(math.log(settings.spring_min), math.log(settings.spring_max)))
     supply = rng.uniform(settings.supply_min, settings.supply_max)
-    factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _SPREAD.items()}
+    factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _CHANGE_MAX.items()}
     noise = rng.uniform(settings.noise_min, settings.noise_max)
     delays = int(rng.integers(1, settings.gain_delay_max + 1)), int(rng.integers(0, settings.dead_time_max + 1))
     bandwidth, effects = source.load_cell_bandwidth, []
     for effect in source.effects:
         parameters = {
-            name: float(value) * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
+            name: float(value) * factors.get(_EFFECT_PARAMETER_CHANGES.get(f"{effect['id']}.{name}", ""), 1.0)
             for name, value in effect["parameters"].items()
         }
         effects.append({**effect, "parameters": parameters})

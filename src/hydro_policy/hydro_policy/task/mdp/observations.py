@@ -27,11 +27,11 @@ _NORMALIZATION: tuple[tuple[str, str, float, float], ...] = (
     ("previous_action_ki", "", 0.0, 1.0),
 )
 OBSERVATION_NAMES = tuple(name for name, *_ in _NORMALIZATION)
-OBSERVATIONS = len(OBSERVATION_NAMES)
+OBSERVATION_SIZE = len(OBSERVATION_NAMES)
 
 LOAD_FORCE, LOAD_FORCE_RATE = STATE_FIELDS.index("load_force"), STATE_FIELDS.index("load_force_rate")
 REFERENCE, REFERENCE_RATE = STATE_FIELDS.index("reference_force"), STATE_FIELDS.index("reference_force_rate")
-_PLANT = len(PLANT_FIELDS)
+_PLANT_SIZE = len(PLANT_FIELDS)
 
 
 @lru_cache
@@ -49,12 +49,12 @@ def observe(sample: FloatArray, previous_action: FloatArray, size: BenchScales) 
     [-1, 1]. `size`: size of the bench.
     """
     center, scale = normalization(size)
-    observation = np.empty((*sample.shape[:-1], OBSERVATIONS))
-    observation[..., :_PLANT] = sample[..., :_PLANT]
-    observation[..., _PLANT] = sample[..., REFERENCE]
-    observation[..., _PLANT + 1] = sample[..., REFERENCE_RATE]
-    observation[..., _PLANT + 2] = sample[..., REFERENCE] - sample[..., LOAD_FORCE]
-    observation[..., _PLANT + 3 :] = previous_action
+    observation = np.empty((*sample.shape[:-1], OBSERVATION_SIZE))
+    observation[..., :_PLANT_SIZE] = sample[..., :_PLANT_SIZE]
+    observation[..., _PLANT_SIZE] = sample[..., REFERENCE]
+    observation[..., _PLANT_SIZE + 1] = sample[..., REFERENCE_RATE]
+    observation[..., _PLANT_SIZE + 2] = sample[..., REFERENCE] - sample[..., LOAD_FORCE]
+    observation[..., _PLANT_SIZE + 3 :] = previous_action
     observation -= center
     observation /= scale
     return observation

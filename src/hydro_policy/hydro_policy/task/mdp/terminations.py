@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hydro_core.signals import FAULTS
+from hydro_core.signals import FAULT_FLAGS
 
 
 def tripped(flags: Any) -> Any:
@@ -13,4 +13,4 @@ def tripped(flags: Any) -> Any:
 
     A trip without these faults is due to missing commands, not to the action.
     """
-    return (flags & FAULTS) != 0
+    return (flags & FAULT_FLAGS) != 0

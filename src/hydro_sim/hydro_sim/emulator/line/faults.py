@@ -52,7 +52,7 @@ class FaultyLine:
     `faults`: probabilities; may be replaced at any time. `generator`: source of randomness.
     """
 
-    LIMIT = 1 << 16  # bytes queued during a stall; further ones are lost
+    QUEUE_BYTES_MAX = 1 << 16  # bytes queued during a stall; further ones are lost
 
     def __init__(self, faults: LinkFaults, generator: np.random.Generator) -> None:
         self.faults = faults
@@ -78,7 +78,7 @@ class FaultyLine:
         """Put `chunk`, possibly empty, on the line, and return the bytes that arrive by `now` [s]."""
         out = self._disturb(chunk) if chunk and self.faulty else chunk
         if now < self.stalled_until:
-            if sum(map(len, self._waiting)) + len(out) <= self.LIMIT:
+            if sum(map(len, self._waiting)) + len(out) <= self.QUEUE_BYTES_MAX:
                 self._waiting.append(out)
             else:
                 self.counts["overflow"] += 1

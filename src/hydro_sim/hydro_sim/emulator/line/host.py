@@ -9,10 +9,10 @@ from zlib import crc32
 
 from cobs import cobs
 
-from hydro_bridge.serial.protocol import HANDSHAKE, MAX_ENCODED, FrameType
+from hydro_bridge.serial.protocol import ENCODED_SIZE_MAX, HANDSHAKE_VERSION, FrameType
 
 _HEADER = Struct("<BBIQ")
-_FOLLOWS = _HEADER.size + 3  # place in a HELLO
+_LOCK_STEP_OFFSET = _HEADER.size + 3  # place in a HELLO
 _CRC = Struct("<I")
 
 
@@ -39,7 +39,7 @@ class HostState:
     def observe(self, data: bytes) -> None:
         """Update the state by received bytes."""
         *pieces, self._pending = (self._pending + data).split(b"\0")
-        self._pending = self._pending[-MAX_ENCODED:]
+        self._pending = self._pending[-ENCODED_SIZE_MAX:]
         for piece in filter(None, pieces):
             try:
                 raw = cobs.decode(piece)
@@ -49,8 +49,8 @@ class HostState:
                 continue
             version, kind, _, time_us = _HEADER.unpack_from(raw)
             self.last_frame_time = time.monotonic()
-            if kind == FrameType.HELLO and version == HANDSHAKE:
+            if kind == FrameType.HELLO and version == HANDSHAKE_VERSION:
                 self.hellos, self.fresh, self.time_us = self.hellos + 1, True, None
-                self.lock_step = raw[_FOLLOWS : _FOLLOWS + 1] == b"\1"
+                self.lock_step = raw[_LOCK_STEP_OFFSET : _LOCK_STEP_OFFSET + 1] == b"\1"
             elif kind == FrameType.COMMAND:
                 self.fresh, self.time_us = False, time_us

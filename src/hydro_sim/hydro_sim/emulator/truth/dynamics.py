@@ -28,10 +28,17 @@ import math
 import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD
-from hydro_sim.emulator.truth.parameters import ATMOSPHERE, DELAY_SAMPLES, LUGRE, SMOOTH, SUBSTEP, SUBSTEPS
+from hydro_sim.emulator.truth.parameters import (
+    ATMOSPHERIC_PRESSURE,
+    DELAY_SAMPLES,
+    LUGRE_FRICTION,
+    SMOOTH_FRICTION,
+    SUBSTEP_TIME,
+    SUBSTEPS,
+)
 from hydro_sim.jit import njit
 
-VAPOR_PRESSURE = -0.95 * ATMOSPHERE  # Pa, gauge: below it a cavity opens instead
+VAPOR_PRESSURE = -0.95 * ATMOSPHERIC_PRESSURE  # Pa, gauge: below it a cavity opens instead
 
 
 @njit
@@ -40,8 +47,8 @@ def specific_volume(p, pressure):
     oil = (1.0 - p.air_fraction) * math.exp(-pressure / p.bulk_modulus)
     if p.air_fraction == 0.0:
         return oil, -oil / p.bulk_modulus
-    air = p.air_fraction * (ATMOSPHERE / (ATMOSPHERE + pressure)) ** (1.0 / p.air_exponent)
-    return oil + air, -oil / p.bulk_modulus - air / (p.air_exponent * (ATMOSPHERE + pressure))
+    air = p.air_fraction * (ATMOSPHERIC_PRESSURE / (ATMOSPHERIC_PRESSURE + pressure)) ** (1.0 / p.air_exponent)
+    return oil + air, -oil / p.bulk_modulus - air / (p.air_exponent * (ATMOSPHERIC_PRESSURE + pressure))
 
 
 @njit
@@ -116,7 +123,7 @@ def edge_flows(p, spool, gain, pressure_a, pressure_b, supply):
     )
 
 
-ROUNDING = 1e-3  # m/s, over which the smooth form turns the sign
+ROUNDING_VELOCITY = 1e-3  # m/s, over which the smooth form turns the sign
 
 
 @njit
@@ -136,10 +143,10 @@ def advance_bristle(p, bristle, velocity, level):
     if level <= 0.0:
         return 0.0
     decay = p.bristle_stiffness * abs(velocity) / level
-    if decay * SUBSTEP < 1e-9:
-        return bristle + SUBSTEP * velocity
+    if decay * SUBSTEP_TIME < 1e-9:
+        return bristle + SUBSTEP_TIME * velocity
     steady = level / p.bristle_stiffness * (1.0 if velocity > 0.0 else -1.0)
-    return steady + (bristle - steady) * math.exp(-decay * SUBSTEP)
+    return steady + (bristle - steady) * math.exp(-decay * SUBSTEP_TIME)
 
 
 @njit
@@ -147,13 +154,13 @@ def dry_friction(p, velocity, bristle, level, other_force):
     """Force [N] on the mass, against motion; `other_force` [N] sums all others, which sticking must balance."""
     if level <= 0.0:
         return 0.0
-    if p.friction_form == LUGRE:
+    if p.friction_form == LUGRE_FRICTION:
         slip = velocity - p.bristle_stiffness * abs(velocity) / level * bristle
         return -p.bristle_stiffness * bristle - p.bristle_damping * slip * math.exp(-((velocity / 0.01) ** 2))
-    if p.friction_form == SMOOTH:
-        return -level * velocity / math.sqrt(velocity * velocity + ROUNDING * ROUNDING)
+    if p.friction_form == SMOOTH_FRICTION:
+        return -level * velocity / math.sqrt(velocity * velocity + ROUNDING_VELOCITY * ROUNDING_VELOCITY)
     # static: the force that brings the mass to rest within the substep, limited to friction's level
-    holding = -(p.mass * velocity / SUBSTEP + other_force)
+    holding = -(p.mass * velocity / SUBSTEP_TIME + other_force)
     return min(max(holding, -level), level)
 
 
@@ -200,7 +207,7 @@ def _cushion(p, depth, stiffness):
     return stiffness * depth * depth if p.cushion_quadratic == 1.0 else stiffness * depth
 
 
-STANDSTILL = 1e-5  # m/s, below which a direction of motion says nothing
+STANDSTILL_VELOCITY = 1e-5  # m/s, below which a direction of motion says nothing
 
 CONTENT_A, CONTENT_B, POSITION, VELOCITY, SPOOL, SPOOL_RATE, SUPPLY, HYSTERESIS = range(8)
 
@@ -301,8 +308,8 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
     force += end_force(p, position, velocity) + outside
     force -= load_force(p, position, drag_spring_end(p, position, state.spring_end), y[HYSTERESIS])
     # at standstill friction opposes where the other forces would move the mass, with the level of that direction
-    sticks = p.friction_form != LUGRE and abs(velocity) < STANDSTILL
-    heading = math.copysign(STANDSTILL, force) if sticks else velocity
+    sticks = p.friction_form != LUGRE_FRICTION and abs(velocity) < STANDSTILL_VELOCITY
+    heading = math.copysign(STANDSTILL_VELOCITY, force) if sticks else velocity
     level = friction_level(p, heading, position, pressure_a - pressure_b)
     dry = dry_friction(p, velocity, state.bristle, level, force)
     state.friction_force = p.viscous * velocity - dry
@@ -321,32 +328,32 @@ def hold_command(p, state, current, walk_noise):
 @njit
 def advance_substep(p, state, index, work):
     """Advance by substep `index` of the present sample by Heun's method, in place; `work`: scratch, shape (3, 8)."""
-    elapsed = index * SUBSTEP
+    elapsed = index * SUBSTEP_TIME
     time = state.sample * SAMPLE_PERIOD + elapsed
     # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
     late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
     command = state.commands[(state.sample + int(late)) % DELAY_SAMPLES]
     force_h, force_l = state.hydraulic_force, state.load_force
     y, guess, slope, slope_ahead = state.y, work[0], work[1], work[2]
-    if p.friction_form == LUGRE:
+    if p.friction_form == LUGRE_FRICTION:
         level = friction_level(p, y[VELOCITY], y[POSITION], state.pressure_a - state.pressure_b)
         state.bristle = advance_bristle(p, state.bristle, y[VELOCITY], level)  # lives half a step ahead of y
     _derivative(p, state, y, state.pressure_a, state.pressure_b, time, command, slope)
     for i in range(8):
-        guess[i] = y[i] + SUBSTEP * slope[i]
+        guess[i] = y[i] + SUBSTEP_TIME * slope[i]
     volume_a = p.dead_volume_a + p.area_a * guess[POSITION]
     volume_b = p.dead_volume_b + p.area_b * (p.stroke - guess[POSITION])
     pressure_a = pressure_of(p, guess[CONTENT_A], volume_a, state.pressure_a)
     pressure_b = pressure_of(p, guess[CONTENT_B], volume_b, state.pressure_b)
-    _derivative(p, state, guess, pressure_a, pressure_b, time + SUBSTEP, command, slope_ahead)
+    _derivative(p, state, guess, pressure_a, pressure_b, time + SUBSTEP_TIME, command, slope_ahead)
     for i in range(8):
-        y[i] += 0.5 * SUBSTEP * (slope[i] + slope_ahead[i])
+        y[i] += 0.5 * SUBSTEP_TIME * (slope[i] + slope_ahead[i])
     y[SPOOL_RATE] = min(max(y[SPOOL_RATE], -p.spool_rate_limit), p.spool_rate_limit)
     if p.spool_order == 0.0:
         y[SPOOL] = command + p.valve_offset
     state.spring_end = drag_spring_end(p, y[POSITION], state.spring_end)
     _settle(p, state)
-    state.hydraulic_force_rate = (state.hydraulic_force - force_h) / SUBSTEP
-    state.load_force_rate = (state.load_force - force_l) / SUBSTEP
+    state.hydraulic_force_rate = (state.hydraulic_force - force_h) / SUBSTEP_TIME
+    state.load_force_rate = (state.load_force - force_l) / SUBSTEP_TIME
     if index == SUBSTEPS - 1:
         state.sample += 1

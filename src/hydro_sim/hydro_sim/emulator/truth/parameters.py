@@ -14,13 +14,13 @@ from hydro_sim.emulator.truth import effects as kinds
 from hydro_sim.emulator.truth.config import TruthConfig
 
 SUBSTEPS = 40  # of 25 us: not the step of the simulated plant, and short enough for the end stops
-SUBSTEP = SAMPLE_PERIOD / SUBSTEPS
-ATMOSPHERE = 101325.0  # Pa
+SUBSTEP_TIME = SAMPLE_PERIOD / SUBSTEPS
+ATMOSPHERIC_PRESSURE = 101325.0  # Pa
 DELAY_SAMPLES = 64  # ring of past commands; the largest transport delay is 50 ms
 
-STATIC, SMOOTH, LUGRE = 1.0, 2.0, 3.0  # friction forms
-OFF = 1e30  # a position or a rate limit that is never reached
-SAME = kinds.TrueRatio(ratio=1.0)
+STATIC_FRICTION, SMOOTH_FRICTION, LUGRE_FRICTION = 1.0, 2.0, 3.0  # friction forms
+NEVER_REACHED = 1e30  # a position or a rate limit that is never reached
+UNIT_RATIO = kinds.TrueRatio(ratio=1.0)
 
 
 def compile_parameters(config: TruthConfig) -> npt.NDArray[np.void]:
@@ -32,7 +32,7 @@ def compile_parameters(config: TruthConfig) -> npt.NDArray[np.void]:
 
 def _hydraulics(config: TruthConfig) -> dict[str, Any]:
     bench, effects, outside = config.bench, config.effects, config.outside
-    area = bench.piston_area * (effects.piston_area or SAME).ratio
+    area = bench.piston_area * (effects.piston_area or UNIT_RATIO).ratio
     dead = {one.chamber: one.ratio for one in effects.dead_volume}
     air = effects.entrained_air or kinds.EntrainedAir(volume_fraction=0.0)
     droop = effects.supply_droop or kinds.SupplyDroop(resistance=0.0)
@@ -40,13 +40,14 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
     internal = effects.leakage_internal or kinds.LeakageInternal(coefficient=0.0)
     external = {one.chamber: one.coefficient for one in effects.leakage_external}
     return {
-        "area_a": area, "area_b": area * bench.area_ratio * (effects.area_ratio or SAME).ratio, "stroke": bench.stroke,
+        "area_a": area, "area_b": area * bench.area_ratio * (effects.area_ratio or UNIT_RATIO).ratio,
+        "stroke": bench.stroke,
         "dead_volume_a": bench.dead_volume_a * dead.get("a", 1.0),
         "dead_volume_b": bench.dead_volume_b * dead.get("b", 1.0),
         "wall_compliance": outside.wall_flexibility.compliance if outside.wall_flexibility else 0.0,
-        "bulk_modulus": bench.bulk_modulus * (effects.bulk_modulus or SAME).ratio,
+        "bulk_modulus": bench.bulk_modulus * (effects.bulk_modulus or UNIT_RATIO).ratio,
         "air_fraction": air.volume_fraction, "air_exponent": 1.0 if air.form == "isothermal" else 1.4,
-        "source_pressure": bench.supply_pressure * (effects.supply_pressure or SAME).ratio,
+        "source_pressure": bench.supply_pressure * (effects.supply_pressure or UNIT_RATIO).ratio,
         "tank_pressure": effects.tank_pressure.pressure if effects.tank_pressure else bench.tank_pressure,
         "droop_resistance": droop.resistance, "droop_time": droop.time_constant,
         "ripple_amplitude": ripple.amplitude, "ripple_frequency": ripple.frequency,
@@ -58,7 +59,7 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
 
 def _valve(config: TruthConfig) -> dict[str, Any]:
     bench, effects, outside = config.bench, config.effects, config.outside
-    gain = (effects.valve_gain or SAME).ratio
+    gain = (effects.valve_gain or UNIT_RATIO).ratio
     warm = outside.valve_temperature or kinds.ValveTemperature(change=0.0)
     band = effects.valve_deadband or kinds.ValveDeadband(half_width=0.0)
     overlaps = band.half_width, band.half_width if band.half_width_negative is None else band.half_width_negative
@@ -69,7 +70,7 @@ def _valve(config: TruthConfig) -> dict[str, Any]:
     drop = bench.valve_nominal_pressure_drop / 2.0
     return {
         "orifice": bench.valve_nominal_flow / (bench.valve_nominal_current * math.sqrt(drop)),
-        "gain_positive": gain, "gain_negative": gain * (effects.valve_gain_asymmetry or SAME).ratio,
+        "gain_positive": gain, "gain_negative": gain * (effects.valve_gain_asymmetry or UNIT_RATIO).ratio,
         "gain_drift": effects.valve_gain_drift.rate if effects.valve_gain_drift else 0.0,
         "warm_change": warm.change, "warm_time": warm.time_constant,
         "overlap_positive": overlaps[0], "overlap_negative": overlaps[1],
@@ -78,7 +79,7 @@ def _valve(config: TruthConfig) -> dict[str, Any]:
         "valve_offset": effects.valve_offset.current if effects.valve_offset else 0.0,
         "delay": effects.transport_delay.time if effects.transport_delay else 0.0,
         "spool_order": float(lag.order), "spool_frequency": 2.0 * math.pi * lag.bandwidth, "spool_damping": lag.damping,
-        "spool_rate_limit": OFF if lag.rate_limit is None else lag.rate_limit,
+        "spool_rate_limit": NEVER_REACHED if lag.rate_limit is None else lag.rate_limit,
     }  # fmt: skip
 
 
@@ -92,7 +93,7 @@ def _friction(config: TruthConfig) -> dict[str, Any]:
     rib = outside.friction_rib or kinds.FrictionRib(force=0.0)
     return {
         "viscous": config.bench.viscous_friction + viscous,
-        "friction_form": {"static": STATIC, "smooth": SMOOTH, "lugre": LUGRE}[form],
+        "friction_form": {"static": STATIC_FRICTION, "smooth": SMOOTH_FRICTION, "lugre": LUGRE_FRICTION}[form],
         "coulomb_positive": coulomb.force if coulomb.force_positive is None else coulomb.force_positive,
         "coulomb_negative": coulomb.force if coulomb.force_negative is None else coulomb.force_negative,
         "breakaway": stribeck.breakaway_force, "stribeck_velocity": stribeck.velocity,
@@ -108,7 +109,7 @@ def _load(config: TruthConfig) -> dict[str, Any]:
     backlash = effects.backlash or kinds.Backlash(width=0.0)
     hysteresis = outside.spring_hysteresis or kinds.SpringHysteresis(force=0.0)
     hum, walk = outside.load_hum or kinds.SinusoidalLoad(amplitude=0.0), outside.load_walk or kinds.LoadWalk(force=0.0)
-    cushions = {"low": (-OFF, 0.0), "high": (OFF, 0.0)}
+    cushions = {"low": (-NEVER_REACHED, 0.0), "high": (NEVER_REACHED, 0.0)}
     quadratic = False
     for cushion in effects.end_cushion:
         quadratic = cushion.form == "quadratic"
@@ -116,7 +117,7 @@ def _load(config: TruthConfig) -> dict[str, Any]:
         cushions["high" if cushion.position > 0.5 * bench.stroke else "low"] = cushion.position, stiffness
     return {
         "mass": bench.moving_mass + (effects.moving_mass.mass if effects.moving_mass else 0.0),
-        "stiffness": bench.spring_stiffness * (effects.spring_stiffness or SAME).ratio,
+        "stiffness": bench.spring_stiffness * (effects.spring_stiffness or UNIT_RATIO).ratio,
         "hardening": effects.spring_hardening.coefficient if effects.spring_hardening else 0.0,
         "rest": effects.spring_rest.position if effects.spring_rest else bench.spring_rest_position,
         "backlash": backlash.width, "backlash_play": float(backlash.form == "play"),

@@ -14,11 +14,11 @@ import numpy.typing as npt
 from hydro_core.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth import dynamics
 from hydro_sim.emulator.truth.config import TruthConfig
-from hydro_sim.emulator.truth.parameters import SUBSTEP, SUBSTEPS, compile_parameters
+from hydro_sim.emulator.truth.parameters import SUBSTEP_TIME, SUBSTEPS, compile_parameters
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors, condition_readings, reset_conditioning
 
-NOISE_COLUMNS = 5  # f_h, f_l, p_a, p_b, random force
+NOISE_COLUMN_COUNT = 5  # f_h, f_l, p_a, p_b, random force
 
 TRUTH_FIELDS = (
     *PLANT_FIELDS,
@@ -61,12 +61,12 @@ def advance_amplifiers(p, state, chain):
     for i in range(5):
         w, mean = p.lag_frequency[i], 0.5 * (chain.before[i] + chain.now[i])
         y, rate = chain.lagged[i], chain.lag_rate[i]
-        half = 0.5 * SUBSTEP * w
+        half = 0.5 * SUBSTEP_TIME * w
         if p.lag_order[i] == 2.0:
             damped = 2.0 * p.lag_damping[i] * half
-            push = SUBSTEP * w * w * (mean - y)
+            push = SUBSTEP_TIME * w * w * (mean - y)
             ahead = (rate * (1.0 - damped - half * half) + push) / (1.0 + damped + half * half)
-            chain.lagged[i] = y + 0.5 * SUBSTEP * (rate + ahead)
+            chain.lagged[i] = y + 0.5 * SUBSTEP_TIME * (rate + ahead)
             chain.lag_rate[i] = ahead
         elif p.lag_order[i] == 1.0:
             chain.lagged[i] = (y * (1.0 - half) + 2.0 * half * mean) / (1.0 + half)
@@ -112,7 +112,7 @@ def advance_sample(p, box, state, chain, work, noise, current):
     """Advance by one sample of 1 ms in place at a held valve current [A]: physics, amplifiers, readings.
 
     `p`, `box`, `state`, `chain`: arrays of shape (1,): plant parameters, the box's differentiation, physical state,
-    sensors. `work`: scratch space, shape (3, 8). `noise`: standard normal numbers, shape (`NOISE_COLUMNS`,).
+    sensors. `work`: scratch space, shape (3, 8). `noise`: standard normal numbers, shape (`NOISE_COLUMN_COUNT`,).
     """
     dynamics.hold_command(p[0], state[0], current, noise[4])
     for index in range(SUBSTEPS):

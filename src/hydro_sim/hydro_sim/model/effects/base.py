@@ -105,7 +105,7 @@ _DISPLAY_UNITS = {
     "A": ("mA", 1e3), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "s": ("ms", 1e3), "Pa": ("kPa", 1e-3),
     "m3/s/Pa": ("ml/s per MPa", 1e12), "m3/s/sqrt(Pa)": ("ml/s at 1 MPa", 1e9), "-": ("", 1.0),
 }  # fmt: skip
-_IN_SENTENCES = {"1/s": 100.0, "Pa s/m3": 1e-12}
+_SENTENCE_FACTORS = {"1/s": 100.0, "Pa s/m3": 1e-12}
 """Factors from SI to % per second and to MPa per ml/s."""
 
 
@@ -215,7 +215,7 @@ class Effect:
 
     def sentence(self, values: Mapping[str, float]) -> str:
         """Return a description of the effect for a person at the bench."""
-        factors = {one.name: _IN_SENTENCES.get(one.unit, display_unit(one.unit)[1]) for one in self.parameters}
+        factors = {one.name: _SENTENCE_FACTORS.get(one.unit, display_unit(one.unit)[1]) for one in self.parameters}
         shown = {name: factor * values[name] for name, factor in (factors | dict(self.display_factors)).items()}
         first = next(iter(shown.values()))
         said = self.sentence_template.format(

@@ -194,12 +194,12 @@ class HysteresisClosure(Closure):
 
 # --- one class for each law ------------------------------------------------------------------------------------------
 
-_REACH = 1e4
+_COEFFICIENT_BOUND_RATIO = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
-_ACTING = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure,
+_CLOSURE_BASES = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure,
            "edges": EdgeClosure, "across": SpoolShiftClosure}  # fmt: skip
 """Bases by the equation, or by `where` at the valve; other equations are those of flows."""
-_FOLLOWED = {"position": ("m", 1e-2), "current": ("A", 1e-3), "opening": ("A", 1e-3), "force": ("N", 100.0),
+_DRIVING_SIGNALS = {"position": ("m", 1e-2), "current": ("A", 1e-3), "opening": ("A", 1e-3), "force": ("N", 100.0),
              "speed": ("m/s", 0.05), "velocity": ("m/s", 0.05), "time": ("-", 1.0)}  # fmt: skip
 """Unit and typical size of the signals that drive memory elements; others are pressures."""
 
@@ -208,11 +208,15 @@ def closure_class(law: Law | Table) -> type[Closure]:
     """Return the effect class of a law or table."""
     size, element = law.typical, law.memory_element
     amplitude = parameter(
-        law.unit, -_REACH * size, _REACH * size, scale=size, fit=fit(size, smallest_reported=1e-3 * size)
+        law.unit,
+        -_COEFFICIENT_BOUND_RATIO * size,
+        _COEFFICIENT_BOUND_RATIO * size,
+        scale=size,
+        fit=fit(size, smallest_reported=1e-3 * size),
     )
     members: dict[str, Any] = dict.fromkeys(law.names, amplitude)
     if isinstance(law, Table):
-        over = tables.VARIABLES[law.variable]
+        over = tables.VARIABLE_UNITS[law.variable]
         members |= {name: parameter(over, -BOUND_MAX, BOUND_MAX, scale=1.0) for name in ("low", "high")}
     else:
         # the recorded velocity is smoothed: a reversal velocity is estimated less precisely
@@ -225,7 +229,7 @@ def closure_class(law: Law | Table) -> type[Closure]:
             )
             fitted = fit(*one.start_values, systematic=0.6 if one.name == REVERSAL_VELOCITY.name else 0.01)
             members[one.name] = parameter(one.unit, low, high, scale=abs(middle), neutral=middle, fit=fitted)
-    acts = _ACTING.get(law.where) or _ACTING.get(law.equation, FlowClosure)
+    acts = _CLOSURE_BASES.get(law.where) or _CLOSURE_BASES.get(law.equation, FlowClosure)
     bases: tuple[type[Closure], ...] = (acts,)
     if element is None:
         if law.depends_on_current:
@@ -233,7 +237,7 @@ def closure_class(law: Law | Table) -> type[Closure]:
         if "acceleration" in law.uses and law.equation == "load":
             bases = (LoadMassClosure,)
     else:
-        unit, scale = _FOLLOWED.get(element.signal, ("Pa", 1e6))
+        unit, scale = _DRIVING_SIGNALS.get(element.signal, ("Pa", 1e6))
         starts = {"force": law.where, "position": "piston_position", "current": "spool"}
         start = "" if element.kind == "slow" else starts.get(element.signal, element.signal)
         if element.kind == "path":
@@ -253,7 +257,7 @@ EFFECTS = tuple(closure_class(law) for law in grammar.FORMS.values())
 
 # --- laws that have an id --------------------------------------------------------------------------------------------
 
-_SMALLEST = 0.01
+_SMALLEST_REPORTED_SHARE = 0.01
 """Smallest reported coefficient, as a share of the observed one."""
 
 
@@ -287,7 +291,7 @@ def effect_class(named: NamedLaw) -> type[Effect]:
     effect.parameters = ()
     for one in acting.parameters:  # within the bounds, and fitted from what was seen
         (low, high), size = named.bounds[one.name], named.typical_parameters[one.name]
-        smallest = _SMALLEST * abs(size) if one.fit and one.fit.smallest_reported > 0.0 else 0.0
+        smallest = _SMALLEST_REPORTED_SHARE * abs(size) if one.fit and one.fit.smallest_reported > 0.0 else 0.0
         changes: dict[str, Any] = {"low": low, "high": high, "start_values": (size,), "smallest_reported": smallest}
         fitted = one.fit and replace(one.fit, **changes, systematic=0.01)
         effect.parameters += (replace(one, low=low, high=high, fit=fitted),)

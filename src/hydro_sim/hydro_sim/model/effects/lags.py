@@ -8,9 +8,9 @@
     step_zero_order_hold     u constant over the step
     step_first_order_hold    u linear over the step
 
-The exponential of the system's matrix is a Taylor series over a 2^-SQUARINGS-th of the step, squared that often: it is
-smooth in bandwidth and damping, where the closed form changes its kind at a damping of 1. It holds to rounding up to
-2 D w step = 30. Source: Moler and Van Loan, SIAM Review 45(1), 2003, method 3.
+The exponential of the system's matrix is a Taylor series over a 2^-SQUARING_COUNT-th of the step, squared that often:
+it is smooth in bandwidth and damping, where the closed form changes its kind at a damping of 1. It holds to rounding up
+to 2 D w step = 30. Source: Moler and Van Loan, SIAM Review 45(1), 2003, method 3.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ import numpy as np
 
 from hydro_sim.model.equations import Symbol
 
-SQUARINGS, TERMS = 6, 14
+SQUARING_COUNT, SERIES_TERM_COUNT = 6, 14
 
-Pair = tuple[Symbol, Symbol]
+LagState = tuple[Symbol, Symbol]
 
 
 def step_zero_order_hold(
-    at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol
-) -> tuple[Pair, Symbol]:
+    at: Any, bandwidth: Symbol, damping: Symbol, state: LagState, signal: Symbol
+) -> tuple[LagState, Symbol]:
     """Return the state after a step under a zero-order hold of the input, and the mean of s over the step."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
@@ -42,8 +42,8 @@ def step_zero_order_hold(
 
 
 def step_first_order_hold(
-    at: Any, bandwidth: Symbol, damping: Symbol, state: Pair, early: Symbol, late: Symbol
-) -> Pair:
+    at: Any, bandwidth: Symbol, damping: Symbol, state: LagState, early: Symbol, late: Symbol
+) -> LagState:
     """Return the state after a step under a first-order hold of the input, from `early` to `late`."""
     omega = 2.0 * np.pi * bandwidth
     reach = omega * at.step
@@ -60,7 +60,7 @@ def step_first_order_hold(
     return moved, turned
 
 
-def lag_rates(bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol) -> dict[str, Symbol]:
+def lag_rates(bandwidth: Symbol, damping: Symbol, state: LagState, signal: Symbol) -> dict[str, Symbol]:
     """Return s'' as the rate of the state `rate`, for solvers in continuous time."""
     omega = 2.0 * np.pi * bandwidth
     return {"rate": omega * (omega * (signal - state[0]) - 2.0 * damping * state[1])}
@@ -69,10 +69,10 @@ def lag_rates(bandwidth: Symbol, damping: Symbol, state: Pair, signal: Symbol) -
 def _exponential(system: list[list[Symbol]], reach: Symbol) -> Symbol:
     from casadi import SX, horzcat, vertcat
 
-    small = vertcat(*(horzcat(*row) for row in system)) * (reach / 2.0**SQUARINGS)
+    small = vertcat(*(horzcat(*row) for row in system)) * (reach / 2.0**SQUARING_COUNT)
     result = unit = SX.eye(len(system))
-    for k in range(TERMS, 0, -1):
+    for k in range(SERIES_TERM_COUNT, 0, -1):
         result = unit + small @ result / k
-    for _ in range(SQUARINGS):
+    for _ in range(SQUARING_COUNT):
         result = result @ result
     return result

@@ -13,7 +13,7 @@ from hydro_sim.model.effects.base import Effect, FitParameter, fit, hidden, para
 from hydro_sim.model.effects.friction import FORCE_MAX
 from hydro_sim.model.equations import Symbol, clip
 
-QUADRATIC_DEPTH = 5e-3
+QUADRATIC_CUSHION_DEPTH = 5e-3
 """Depth [m] at which a quadratic cushion has the force of the linear one."""
 
 
@@ -60,7 +60,7 @@ class EndCushion(Effect):
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         beyond = position - self.position
         depth = np.fmax(beyond, 0.0) if self.form.startswith("end") else np.fmin(beyond, 0.0)
-        return self.stiffness * depth * (np.abs(depth) / QUADRATIC_DEPTH if "quadratic" in self.form else 1.0)
+        return self.stiffness * depth * (np.abs(depth) / QUADRATIC_CUSHION_DEPTH if "quadratic" in self.form else 1.0)
 
 
 class _Load(Effect):

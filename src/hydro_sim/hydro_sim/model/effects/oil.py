@@ -10,7 +10,7 @@ from hydro_sim.model.equations import Symbol, orifice
 
 ORIFICE_REFERENCE_DROP = 5e6
 """Pressure drop [Pa] at which a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
-ATMOSPHERE = 101325.0
+ATMOSPHERIC_PRESSURE = 101325.0
 """Pressure [Pa] at which the free air's volume fraction is stated."""
 
 _CHAMBERS = "pressure_a", "pressure_b"
@@ -117,8 +117,8 @@ class EntrainedAir(Effect):
 
     def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
         gauge = np.fmax(pressure, 0.0)
-        absolute = gauge + ATMOSPHERE
-        air = self.volume_fraction * np.exp(np.log(ATMOSPHERE / absolute) / self.exponent)
+        absolute = gauge + ATMOSPHERIC_PRESSURE
+        air = self.volume_fraction * np.exp(np.log(ATMOSPHERIC_PRESSURE / absolute) / self.exponent)
         oil = (1.0 - self.volume_fraction) * np.exp(-gauge / modulus)
         return (oil + air) / (oil / modulus + air / (self.exponent * absolute))
 

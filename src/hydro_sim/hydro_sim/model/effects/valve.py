@@ -13,7 +13,7 @@ from hydro_sim.model.effects import lags
 from hydro_sim.model.effects.base import Effect, fit, hidden, parameter
 from hydro_sim.model.equations import Symbol, clip
 
-DRIFT_LOW, DRIFT_HIGH = 0.2, 5.0
+DRIFT_GAIN_MIN, DRIFT_GAIN_MAX = 0.2, 5.0
 """Bounds of a gain that drifts with time: a simulation may run for hours."""
 
 _OVERLAP = fit(1e-4, 5e-4, smallest_reported=5e-6, high=0.02)
@@ -157,7 +157,7 @@ class ValveGainDrift(_Valve):
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
         self.next["time"] = self.time + self.at.step
-        ratio = clip(1.0 + self.rate * (self.time + 0.5 * self.at.step), DRIFT_LOW, DRIFT_HIGH)
+        ratio = clip(1.0 + self.rate * (self.time + 0.5 * self.at.step), DRIFT_GAIN_MIN, DRIFT_GAIN_MAX)
         return out * ratio, back * ratio
 
 

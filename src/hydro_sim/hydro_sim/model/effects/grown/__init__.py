@@ -25,7 +25,7 @@ from hydro_sim.model import grammar
 from hydro_sim.model.effects.closure import NamedLaw
 from hydro_sim.model.laws import Law, ShapeParameter
 
-VARIABLE = "HYDRO_EFFECTS"
+FOLDER_VARIABLE = "HYDRO_EFFECTS"
 PACKAGE_FOLDER = Path(__file__).resolve().parent
 _CHECKOUT = PACKAGE_FOLDER.parents[3]
 """Package folder in a checkout: src/hydro_sim, with package.xml."""
@@ -34,13 +34,13 @@ _CHECKOUT = PACKAGE_FOLDER.parents[3]
 def user_folder() -> Path:
     """Return the user's folder of grown effects, which may not exist."""
     data = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
-    return Path(os.environ.get(VARIABLE) or data / "hydro" / "effects")
+    return Path(os.environ.get(FOLDER_VARIABLE) or data / "hydro" / "effects")
 
 
 def target_folder() -> Path:
     """Return the folder for a new effect: this package in a checkout without HYDRO_EFFECTS, else the user's."""
     in_checkout = (_CHECKOUT / "package.xml").is_file() and os.access(PACKAGE_FOLDER, os.W_OK)
-    return PACKAGE_FOLDER if in_checkout and not os.environ.get(VARIABLE) else user_folder()
+    return PACKAGE_FOLDER if in_checkout and not os.environ.get(FOLDER_VARIABLE) else user_folder()
 
 
 def is_searched(place: Path) -> bool:
@@ -76,4 +76,4 @@ def _effect(path: Path) -> NamedLaw:
 
 EFFECTS: tuple[NamedLaw, ...] = tuple(map(_effect, effect_files()))
 """Grown effects, by id."""
-IDS = frozenset(one.id for one in EFFECTS)
+EFFECT_IDS = frozenset(one.id for one in EFFECTS)
