@@ -86,5 +86,5 @@ def test_the_box_for_linux_keeps_the_protocol_over_a_port(tmp_path: Path) -> Non
     with subprocess.Popen([program, line.path, "60"], stdout=subprocess.DEVNULL) as process:
         results = run_cases(cases, lambda: Host(line), numbers, moving=False)
         process.terminate()
-    assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
+    assert [(result.case.id, result.reason) for result in results if result.outcome == FAIL] == []
     assert sum(result.outcome == PASS for result in results) >= 18

@@ -88,6 +88,7 @@ _CONTROL_POLL_SAMPLES = 20  # samples between polls of the control pipe
 _GREETING_TIME_MAX = 2.0  # s of wall clock from a port's opening
 _CONTROL_POLL_PERIOD = 0.05  # s of wall clock between polls of the control pipe while the host is awaited
 _ANSWER_TIME_MAX = 0.02  # s of wall clock after which an answer counts as lost, on a line that loses some
+_CATCH_UP_TIME_MAX = 0.01  # s that an emulator whose time is its own catches up after a stall of its machine
 SILENCE_MAX = 90.0
 """s of wall clock without a frame after which a host counts as dead; while its graph works it sends one a second."""
 
@@ -114,7 +115,9 @@ class RealtimeEmulator:
     ) -> None:  # fmt: skip
         self.machine, self.link, self.control, self.load_force = machine, link, control, load_force
         self.link.waits = None if pace == 1.0 else pace is None
-        self.timer = PeriodicTimer(SAMPLE_PERIOD / (pace or 1.0))
+        # Where time is its own, it goes on late after a stall: a burst of samples would leave a host no time to answer.
+        catch_up = _CATCH_UP_TIME_MAX if pace is None else 0.1
+        self.timer = PeriodicTimer(SAMPLE_PERIOD / (pace or 1.0), catch_up_max=catch_up)
         self.samples, self.cpu = 0, 0.0  # statistics; s of CPU
         self._waits, self._deserted = pace is None, False
         self._sent_us = 0
