@@ -269,7 +269,7 @@ def omission_notes(channels: Collection[str], bench: Bench) -> list[str]:
 
 
 def applies(effect: Effect, bench: Bench) -> bool:
-    """Return whether an effect can act on a bench: its bench parameters are known, and for the load a spring exists."""
+    """Return whether a bench file has the parameters that an effect needs; one of the load also needs a spring."""
     if not isinstance(bench, PartialBench):
         return True
     if effect.equations[:1] == ("load",) and not has_spring(bench):

@@ -44,7 +44,7 @@ def _sources(package: Path) -> Iterator[Path]:
 
 
 def remove_stale_caches(*packages: Path) -> None:
-    """Delete numba's caches of the first package where a source that they depend on has changed.
+    """Delete numba's cache of each module of the first package whose source, or one that it imports, has changed.
 
     Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
     its caches elsewhere, and nothing is done: sources that cannot be written do not change. `packages`: folder of the

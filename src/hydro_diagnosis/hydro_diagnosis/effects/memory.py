@@ -34,7 +34,10 @@ def bristle_force(position, stiffness, limit):
 
 
 def first_order_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
-    """First-order lag of a held signal, from `start`: values at the begin of each step [s] and means over it, (n,)."""
+    """Response of a first-order lag to a zero-order-held signal: values at the start of each interval, means over it.
+
+    Both have shape (n,). `step`, `time`: sample period and time constant [s]; `start`: initial value.
+    """
     decay = float(np.exp(-step / time))
     begins, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[start])
     return begins, begins + (1.0 - (1.0 - decay) * time / step) * (signal - begins)

@@ -203,7 +203,7 @@ class ColumnMap:
         return ColumnMap({**besides, **self.sources}, self.absent)
 
     def corrections(self) -> ColumnMap:
-        """Return the map without the sources that are plain columns named as their targets."""
+        """Return the map without columns that have their target's name already and are used unchanged."""
         return ColumnMap({name: one for name, one in self.sources.items() if one != Source(name)}, self.absent)
 
     def changed(self, field: str, source: Source | None) -> ColumnMap:

@@ -66,7 +66,7 @@ BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("l
 
 
 class SegmentModel:
-    """Model of a segment: assumed bench, smoothed piston motion, and residuals under claims in physical units.
+    """Model of a segment: residuals [SI units] of the assumed bench with effects, from recorded channels and motion.
 
     `like`: model of the same segment with all recorded rows, whose evaluated samples are used here too.
     """

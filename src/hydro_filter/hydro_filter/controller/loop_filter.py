@@ -206,7 +206,10 @@ _PACK_SAMPLE = struct.Struct("17d?").pack_into
 def loop_filter(
     metric: ScheduledMetric, model: Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopFilter:
-    """Return the filter of a metric's file, with all its metrics (raises as `filter_record`)."""
+    """Build the contraction filter from a scheduled metric and the others of its file, one for each value of C_1.
+
+    Raises as `filter_record`.
+    """
     first, *others = (filter_record(each, model, bench, settings) for each in metric.all_metrics)
     return LoopFilter(first, settings, others)
 
