@@ -218,9 +218,8 @@ def open_session(host: Host) -> None:
     else:
         raise NoStateError(f"the box answered no HELLO within {3 * REPLY_SAMPLES} samples")
     host.receive(2)
-    host.sequence = (
-        host.states[-1].last_command + _SESSION_OFFSET
-    ) % _SEQUENCE_MODULUS  # not a number of the previous session
+    # not a number of the previous session
+    host.sequence = (host.states[-1].last_command + _SESSION_OFFSET) % _SEQUENCE_MODULUS
     host.command = Command()
     host.begin_step()
     host.send()

@@ -405,13 +405,8 @@ def _pieces(path: Path, notes: list[str]) -> Iterator[StateArray]:
 def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[RawTable]]) -> Recording:
     """Recording of the informative windows, selected in a first pass over the stretches and read in a second."""
     windows: list[tuple[int, int, int, float]] = []  # stretch, segment in it, first sample, s since the start
-    occupancy, notes, idle, origin, seconds = (
-        StateOccupancy(bench),
-        list[str](),
-        list[UnusableRecordingError](),
-        0.0,
-        0.0,
-    )
+    occupancy, notes, idle = StateOccupancy(bench), list[str](), list[UnusableRecordingError]()
+    origin = seconds = 0.0
     for number, table in enumerate(stretches()):
         origin = origin if number else float(table.time[0])
         start, seconds = (float(table.time[at]) - origin for at in (0, -1))
