@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong while a policy is trained on the emulator over the serial link in real time, and what is told.
+"""What goes wrong while a policy is trained on the emulator over the serial link, by the plant's clock.
 
 One training goes through all of it, in the order of the tests, and is gone on with after each end.
 """
@@ -10,10 +10,8 @@ import json
 import os
 import re
 import signal
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
-from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -48,7 +46,7 @@ class Training:
         """Start, and wait until it learns."""
         self.probe.spin(0.5)  # what still waits to be heard is of the training before
         self.probe.forget()
-        self.process = stack.enter_context(Trainer("--plant", "emulator", "--pace", "real", *words))
+        self.process = stack.enter_context(Trainer("--plant", "emulator", *words))
         self.probe.wait(self.learns, 150.0)
         return self.process
 
@@ -105,13 +103,13 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(training: Tr
     probe.wait(lambda: "OVERRIDDEN by hand: K_p 60, K_i 10" in probe.told["trainer"].get("message", ""), 3.0)
     refused = ran(override, "--kp", "400", "--ki", "10")
     assert refused.returncode == 2 and "K_p within [15, 90]" in refused.stderr
-    probe.wait(lambda: "override is over" in training.process.text, 6.0)
+    probe.wait(lambda: "override is over" in training.process.text)
     probe.spin(0.5)
     assert ran(override, "--kp", "20", "--ki", "5").returncode == 0
     probe.spin(0.5)
     assert ran(override, "--off").returncode == 0
-    ended = time.time()
-    probe.wait(lambda: read_bag(run.bag)[GAINS]["time"].max() > ended)
+    ended = probe.last(STATE).sequence
+    probe.wait(lambda: read_bag(run.bag).state["sequence"].max() > ended)
 
     def events() -> list[dict[str, Any]]:
         return [event for event in json.loads(run.record.read_text())["events"] if event["kind"] == "override"]
@@ -122,86 +120,61 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(training: Tr
     held = np.isclose(gains["delta_kp"], 45.0) & np.isclose(gains["delta_ki"], 5.0)
     first, last = np.flatnonzero(held)[[0, -1]]
     assert held[first : last + 1].all(), "nobody else's gains in between"
-    # Counted in policy steps, not in milliseconds: one may be under way, and a busy machine may stand still in between.
-    told, times = datetime.fromisoformat(events()[0]["time"]).timestamp(), gains["time"]
-    assert ((times > told) & (times < times[first])).sum() <= 1, "from the next policy step on"
-    assert (held & (times > told + 3.0)).sum() <= 1, "not longer than asked for"
-    assert times[last + 1] - told > 3.0 - 0.02, "and for so long nobody else's"
-    during = (states["time"] > times[first] + 0.1) & (states["time"] < times[last])
-    fresh = (states["flags"] & (Flag.WATCHDOG | Flag.FILTER_STALE)) == 0
-    assert np.median(states["proportional_gain"][during & fresh]) == 60.0
+    begin, end = gains["time"][[first, last]]
+    assert 3.0 - 0.03 < end - begin < 3.0 + 0.02, "from the next policy step on, and for as long as asked for"
+    during = (states["time"] > begin + 0.1) & (states["time"] < end)
+    assert set(states["proportional_gain"][during]) == {60.0}
 
 
 def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Training) -> None:
-    probe, told = training.probe, len(training.process.text)
-    begun = len(probe.states)
+    probe = training.probe
+    probe.wait(training.acts)
+    begun, told = len(probe.states), len(training.process.text)
     (training.run.path / "emulator_control").write_text("unplug 1.5\n")
-    probe.wait(lambda: training.phase() == TrainingStatus.PAUSED, 5.0)
     # Beside other work what waited to be heard may end in samples of a box that has tripped: that is seen first.
     why = re.compile("paused in episode .*: (no samples|tripped|disarmed)")
-    probe.wait(lambda: why.search(training.process.text, told), 5.0)
+    probe.wait(lambda: why.search(training.process.text, told))
 
     def replugged() -> list[BenchState]:
         """First sample after the gap: by the stamps, as samples from before may still wait to be heard."""
         pairs = pairwise(probe.states[begun:])
         return [late for early, late in pairs if seconds(late.header.stamp) - seconds(early.header.stamp) > 1.2]
 
-    probe.wait(replugged, 15.0)
+    probe.wait(replugged)
     assert not replugged()[0].flags & Flag.ARMED, "after the replug the box waits to be armed"
-    probe.wait(training.acts, 20.0)
+    probe.wait(training.acts)
 
 
 def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Training) -> None:
     probe, told = training.probe, "a person disarmed the plant"
-    probe.wait(training.acts, 20.0)
+    probe.wait(training.acts)
     probe.arm(False)
-    probe.wait(lambda: f"{told}: arm it on the live page" in training.process.text, 5.0)
+    probe.wait(lambda: f"{told}: arm it on the live page" in training.process.text)
     probe.forget()
     probe.spin(2.5)
     assert not any(state.flags & Flag.ARMED for state in probe.states)
     assert training.process.text.count(told) == 1
     probe.arm(True)
-    probe.wait(training.acts, 20.0)
+    probe.wait(training.acts)
 
 
 def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
-    for _ in range(3):  # again where the machine stood still: waiting for a learner takes seconds each time
-        during, share, before = gains_while_the_learner_restarts(training)
-        if np.diff(during["time"]).max() < 0.5 and share > 0.9:
-            break
-    assert 1.1 > share > (0.9 if before > 0.9 else 0.4), "a machine that held up steps before may hold up some more"
-    assert np.diff(during["time"]).max() < 0.5
-    assert np.median(np.diff(during["step"].astype(int))) == 1
-
-
-def gains_while_the_learner_restarts(training: Training) -> tuple[np.ndarray, float, float]:
-    """Kill the learner: the recorded gains of 3 s from then on, their share of the steps, and that of 1 s before."""
     probe, process = training.probe, training.process
     begun = probe.last(TRAINING).updates
     probe.spin(1.5)
     before, told = probe.last(TRAINING).updates, process.text.count("learner lost (killed by signal 9)")
     probe.forget()
-    killed = time.time()
     os.kill(process.child("spawn_main"), signal.SIGKILL)
-    probe.wait(lambda: process.text.count("learner lost (killed by signal 9)") > told, 5.0)
-    probe.spin(3.0)
-    probe.wait(lambda: training.learns() and probe.last(TRAINING).updates > before, 30.0)
-    after = [message.updates for _, message in probe.heard[TRAINING]]
-    # A snapshot twice a second; a learner that catches up makes thousands of updates in that time.
-    assert before - min(after) <= (before - begun) / 1.5 + 128, "less than the last second is learnt again"
-    # A disk may keep the recorder waiting for seconds.
-    probe.wait(lambda: read_bag(training.run.bag)[GAINS]["time"].max() > killed + 3.0)
-    bag = read_bag(training.run.bag)
-    gains, times = bag[GAINS], bag.state["time"]
-
-    def within(all_times: np.ndarray, begin: float, end: float) -> np.ndarray:
-        return (all_times > begin) & (all_times < end)
-
-    def share(begin: float, end: float) -> float:
-        return float(within(gains["time"], begin, end).sum() / (within(times, begin, end).sum() / 10))
-
-    during = gains[within(gains["time"], killed, killed + 3.0)]
-    return during, share(killed, killed + 3.0), share(killed - 1.0, killed)
+    probe.wait(lambda: process.text.count("learner lost (killed by signal 9)") > told)
+    probe.wait(lambda: training.learns() and probe.last(TRAINING).updates > before, 60.0)
+    # A snapshot of the weights twice a second.
+    assert begun <= min(message.updates for _, message in probe.heard[TRAINING]), "no more is learnt again"
+    times = [seconds(gains.header.stamp) for _, gains in probe.heard[GAINS]]
+    steps = [gains.step for _, gains in probe.heard[GAINS]]
+    assert np.median(np.diff(times)) == pytest.approx(0.01, abs=1e-6) and np.median(np.diff(steps)) == 1
+    first, last = (seconds(probe.heard[STATE][at][1].header.stamp) for at in (0, -1))
+    gains = read_bag(training.run.bag)[GAINS]["time"]
+    assert np.diff(gains[(gains > first) & (gains < last)]).max() < 0.05, "acting went on"
 
 
 def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:
@@ -209,7 +182,7 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
     probe.spin(0.1)
     sequence = probe.last(STATE).sequence
     os.kill(process.child("/recorder "), signal.SIGKILL)
-    probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text, 5.0)
+    probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text)
     probe.forget()
     probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150, 60.0)
     assert np.median(np.diff([gains.step for _, gains in probe.heard[GAINS]])) == 1
@@ -222,11 +195,11 @@ def test_a_closed_terminal_ends_a_training_as_ctrl_c_does(training: Training) ->
     probe, process = training.probe, training.process
     probe.forget()
     probe.spin(0.2)
-    moment = time.time()
+    told = probe.last(STATE).sequence
     process.process.send_signal(signal.SIGHUP)
-    probe.wait(training.disarmed, 10.0)
-    later = ((seconds(state.header.stamp) - moment, state.flags) for state in probe.states)
-    assert next(after for after, flags in later if after > 0.0 and not flags & Flag.ARMED) < 1.0
+    probe.wait(training.disarmed)
+    later = ((state.sequence - told, state.flags) for state in probe.states)
+    assert next(after for after, flags in later if after > 0 and not flags & Flag.ARMED) < 1000
     assert process.process.wait(40.0) == 130
     assert f"--resume {training.run.path}" in process.text and "Traceback" not in process.text
     checkpoint = training.checkpoint()

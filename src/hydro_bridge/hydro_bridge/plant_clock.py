@@ -38,6 +38,7 @@ from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 FILTER_WINDOW, COMMANDER_WINDOW, RECORDER_WINDOW = 1, SAMPLES_PER_STEP, 100
 """Windows [samples] of a filter, of a commander, and of a recorder."""
 
+_SEQUENCE_MASK = 0xFFFFFFFF
 _PEER_CHECK_PERIOD = 0.1  # s of wall clock between two checks for silent peers
 _RESEND_DELAY, _FIRST_RESEND_DELAY = 10.0, 0.5
 """s of wall clock after which an unanswered sample is published again; the first one, which peers may still miss."""
@@ -139,7 +140,7 @@ class LockStep:
             peer = self._peers[name]
             peer.window, peer.commands, peer.heard = window, commands, time.monotonic()
             if sequence is not None:
-                peer.answered = sequence
+                self._note_answer(peer, sequence)
             self._unmet.discard(name)
         self._check()
 
@@ -148,8 +149,15 @@ class LockStep:
         with self._lock:
             for peer in self._peers.values():
                 if peer.window == FILTER_WINDOW:
-                    peer.answered, peer.heard = sequence, time.monotonic()
+                    self._note_answer(peer, sequence)
+                    peer.heard = time.monotonic()
         self._check()
+
+    def _note_answer(self, peer: _Peer, sequence: int) -> None:
+        """Note the answer to a sample, unless a later one is answered: a sign of life repeats the last answer."""
+        newest = sequence if self._newest is None else self._newest
+        if (newest - sequence) & _SEQUENCE_MASK <= (newest - peer.answered) & _SEQUENCE_MASK:
+            peer.answered = sequence
 
     def on_command(self) -> None:
         """Count a command: gains, law or reference."""
@@ -222,9 +230,10 @@ class LockStep:
         """
         now = time.monotonic()
         with self._lock:
-            first = self._newest is None
+            # Any number, if the box was on before, or its line was unplugged or has lost samples.
+            first = self._newest is None or sequence != (self._newest + 1) & _SEQUENCE_MASK
             self._patience = _FIRST_RESEND_DELAY if first else _RESEND_DELAY
-            if first:  # any number if the box was on before; a commander answers whole steps
+            if first:  # a commander answers whole steps: the end of one may be among those that are missing
                 for peer in self._peers.values():
                     if peer.window == COMMANDER_WINDOW:
                         peer.answered = (sequence - 1) // COMMANDER_WINDOW * COMMANDER_WINDOW
@@ -282,7 +291,7 @@ class LockStep:
         return [
             name
             for name, peer in self._peers.items()
-            if (self._newest - peer.answered) & 0xFFFFFFFF >= peer.window or peer.commands > self._commands
+            if (self._newest - peer.answered) & _SEQUENCE_MASK >= peer.window or peer.commands > self._commands
         ]
 
     def _forget(self, name: str, why: str) -> None:

@@ -65,7 +65,7 @@ def plant() -> Iterator[Callable[..., Plant]]:
     yield make
     for one in made:
         one.lock_step.close()
-        one.thread.join(5.0)
+        one.thread.join(30.0)
         assert not one.thread.is_alive()
 
 
@@ -87,6 +87,19 @@ def test_a_box_that_was_on_before_goes_to_the_end_of_the_step_that_a_commander_a
         assert lock_step.pending is waits
     lock_step.on_answer("one", 25610, COMMANDER_WINDOW)
     assert not lock_step.pending
+
+
+@pytest.mark.parametrize("after", [27118, 25612, 3])
+def test_after_samples_that_are_missing_a_commander_is_waited_for_from_the_next_step_on(after: int) -> None:
+    """As a line that was unplugged, or has lost the end of a step, or a box that was switched on again leaves them."""
+    lock_step = LockStep(LockStepSettings(), lambda _: None)
+    lock_step.on_answer("one", None, COMMANDER_WINDOW)
+    for sequence in (25600, 25601, after, after + 1):
+        lock_step.begin_sample(sequence, lambda: None)
+        assert lock_step.pending is (sequence == 25600)
+        lock_step.on_answer("one", 25600, COMMANDER_WINDOW)
+    lock_step.begin_sample(after // 10 * 10 + 10, lambda: None)
+    assert lock_step.pending
 
 
 def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready_but_not_for_ever(plant) -> None:

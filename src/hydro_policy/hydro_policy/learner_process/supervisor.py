@@ -151,10 +151,14 @@ class LearnerSupervisor:
         self._await(lambda: self._rolled_back and self.updates >= due)
 
     def _await(self, done: Callable[[], bool]) -> None:
-        """If `synchronous`, wait for `done`, at most a minute, and not for a learner that is dead or starting."""
+        """If `synchronous`, wait for `done`, at most a minute, and not for a learner that is dead, starting, or failed.
+
+        A learner that has failed has said so, which `restart_if_dead` reads.
+        """
         give_up = time.monotonic() + SETTLE_TIMEOUT
         while self.synchronous and not done() and self._status["ready"] and time.monotonic() < give_up and self.alive:
-            time.sleep(_POLL_PERIOD)
+            if self._requests.poll(_POLL_PERIOD):
+                break
 
     def store_good_agent(self, good: bytes) -> None:
         """Store an agent, as returned by `sac.dump`, as the last good state."""
