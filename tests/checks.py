@@ -50,7 +50,7 @@ def compiled(source: Path, program: Path, *words: str) -> Path:
 
 
 def wait(
-    condition: Callable[[], object], timeout: float = 5.0, meanwhile: Callable[[], object] = lambda: time.sleep(2e-3)
+    condition: Callable[[], object], timeout: float = 30.0, meanwhile: Callable[[], object] = lambda: time.sleep(2e-3)
 ) -> None:
     """Wait until `condition` holds; fails after `timeout` seconds."""
     end = time.monotonic() + timeout

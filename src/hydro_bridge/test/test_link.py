@@ -56,7 +56,7 @@ def bench(cable, small_box):
     yield make
     for it in made:
         it.link.stop()
-        it.thread.join(5.0)
+        it.thread.join(30.0)
         assert not it.thread.is_alive()
 
 
@@ -106,7 +106,7 @@ def test_a_box_that_goes_while_it_is_to_be_armed_is_not_said_to_be_armed(bench):
         wait(lambda: it.link.guard.armed)
         it.cable.unplug()
         wait(lambda: it.link.state is LinkState.CLOSED)
-    arming.join(2.0)
+    arming.join(30.0)
     assert said == ["the box has gone while it was to be armed: it is not armed"]
     assert it.link.arm(False) == ""
 
@@ -175,7 +175,7 @@ def test_another_device_at_the_port_is_told_once(bench):
     wait(told)
     assert it.link.arm(True).startswith("there is no box")
     it.link.stop()
-    it.thread.join(5.0)
+    it.thread.join(30.0)
     assert it.said("bytes came") == 1, "not at each attempt"
 
 
@@ -255,7 +255,7 @@ def test_what_the_box_sends_after_the_last_command_is_passed_on_no_more(bench, m
     wait(lambda: it.link.counts.frames > frames + 20)
     assert len(it.states) <= passed_on + 1, "but for the one that was under way"
     may_send.set()
-    ending.join(5.0)
+    ending.join(30.0)
     wait(lambda: not it.box.commands[-1].command.arm)
 
 

@@ -99,7 +99,7 @@ def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_s
     probe.commander.publish_reference(SINE)
     probe.drive(32.0, 0.0, 2.5)
     assert steered.armed() and steered.command().reference == SINE
-    probe.wait(lambda: not steered.armed(), 10.0)
+    probe.wait(lambda: not steered.armed())
     assert steered.command().reference == ReferenceSignal()
     steered.told.clear()
     probe.wait(lambda: steered.told and "no gains for 2 s, whoever chose them is gone" in steered.told[-1].message)
@@ -184,7 +184,7 @@ def test_arm_arms_and_says_what_the_plant_answered(cable, bridge, probe, start):
 def test_bridge_disarms_the_box_when_it_is_ended(steered, probe):
     process = steered.process.process
     process.send_signal(signal.SIGHUP)
-    probe.wait(lambda: not steered.command().arm, 2.0)  # it looks for signals five times a second
+    probe.wait(lambda: not steered.command().arm)  # it looks for signals five times a second
     assert process.wait(10.0) == 0
 
 

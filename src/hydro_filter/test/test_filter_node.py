@@ -217,7 +217,7 @@ def test_under_the_compensated_law_a_sample_waits_for_its_law_and_is_stale_if_it
         source.publish(sequence, sample)
         if not sequence % 2:
             laws.publish(pack_law_state(0, sequence, law))
-        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted, timeout=5.0)
+        source.wait(lambda wanted=sequence + 1: len(source.corrections) >= wanted)
         result = core.correct(sample)
         expected.append((sequence, result.status, pytest.approx(result.delta_u, abs=1e-9)))
     assert [(one.sequence, one.status, one.delta_u) for one in source.corrections] == expected

@@ -57,7 +57,7 @@ def test_a_filter_that_raises_is_asked_no_more_and_the_plant_goes_to_base_gains(
         probe.arm(True)
         probe.drive_to(75.0, 10.0, 90.0)
         (tmp_path / "fail").touch()
-        probe.wait(lambda: "the filter failed" in (tmp_path / "said").read_text(), 20.0)
+        probe.wait(lambda: "the filter failed" in (tmp_path / "said").read_text())
         probe.drive_to(75.0, 10.0, 15.0)
         probe.drive(75.0, 10.0, 0.5)
         probe.forget()

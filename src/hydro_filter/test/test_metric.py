@@ -11,7 +11,7 @@ import pytest
 from hydro_core.settings import check
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, FloatArray
 from hydro_filter.metric import (
-    TABLE_STEPS_MAX,
+    GAIN_TABLE_STEPS_MAX,
     MetricDesign,
     ScheduledMetric,
     closed_loop_at_rest,
@@ -121,7 +121,7 @@ def test_the_box_of_the_rollouts_admits_their_gains_and_the_table_that_of_its_la
         np.testing.assert_allclose(run.states["proportional_gain"], run.gains[0], rtol=1e-6)
     design = MetricDesign(velocity_compensation=0.25, gain_low=20.0, gain_high=float(np.ceil(told.base_kp)))
     gains = ScheduledMetric.from_design(make_loop(soft, soft), design).gains
-    assert gains[0] == 20.0 and gains[-1] == design.gain_high >= told.base_kp and len(gains) == TABLE_STEPS_MAX + 1
+    assert gains[0] == 20.0 and gains[-1] == design.gain_high >= told.base_kp and len(gains) == GAIN_TABLE_STEPS_MAX + 1
 
 
 def test_a_range_that_no_held_out_rollout_can_judge_is_refused(rollouts: list[Rollout], loop: Loop) -> None:

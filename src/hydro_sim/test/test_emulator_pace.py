@@ -68,7 +68,7 @@ class Host:
 
     def close(self) -> None:
         self._stopped = True
-        self._thread.join(5.0)
+        self._thread.join(30.0)
         self.port.close()
         self.link.terminal.unplug()
         assert not self._thread.is_alive()

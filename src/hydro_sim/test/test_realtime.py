@@ -66,7 +66,7 @@ class Graph:
         self.simulation.stop()
         self._inbox.put(None)
         for thread in self._threads:
-            thread.join(5.0)
+            thread.join(30.0)
             assert not thread.is_alive()
 
 
