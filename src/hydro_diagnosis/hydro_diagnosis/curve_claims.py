@@ -6,15 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.curves import ForceCurve, Motion, Terms
 from hydro_diagnosis.effects.base import MOTION, Effect, EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport, ParameterEstimate, Rival
 from hydro_diagnosis.shapes import (
     PROFILE_FACTORS,
@@ -27,6 +26,10 @@ from hydro_diagnosis.shapes import (
 )
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE
 from hydro_sim.model import grammar
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.curves import ForceCurve, Motion, Terms
+    from hydro_diagnosis.estimation.problem import Problem
 
 EFFECT_LABELS = {
     "dry": "friction_coulomb", "viscous": "friction_viscous", "constant": "force_offset",

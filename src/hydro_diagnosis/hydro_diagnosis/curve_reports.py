@@ -22,7 +22,6 @@ from scipy.special import stdtrit
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.curves import STANDSTILL_SHARE, ForceCurve, spline_basis
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, EffectHypothesis
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.report_json import CurveReport
 from hydro_diagnosis.significance import CONFIDENCE
@@ -30,6 +29,7 @@ from hydro_sim.model.tables import KNOTS
 
 if TYPE_CHECKING:
     from hydro_diagnosis.curve_claims import CurveClaims
+    from hydro_diagnosis.estimation.problem import Problem
 
 
 def curve_reports(

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,10 +29,12 @@ from scipy.signal import butter, sosfiltfilt, welch
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.effects.memory import Memory
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.significance import COVERAGE_FACTOR, FOLDS, ITERATIONS, PRACTICAL_SHARE, TIE_RATIO
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 from hydro_sim.model.tables import KNOTS
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.model.segment_model import SegmentModel
 
 SAMPLES_PER_PERIOD = 16.0
 """Samples per period of the cut-off."""

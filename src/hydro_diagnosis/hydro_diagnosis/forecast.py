@@ -21,7 +21,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -31,7 +31,6 @@ from hydro_bridge.bags.recording import Recording, RecordingError, read_bag, rea
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law
 from hydro_diagnosis.bench_parameters import can_simulate
 from hydro_diagnosis.effects.base import EffectHypothesis
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.preprocessing.quality import SATURATION_SHARE
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import corrected_bench
@@ -44,6 +43,9 @@ from hydro_sim.model.bench_model import TEXTBOOK_STATE_COUNT
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 MAX_FORECAST_ERROR = 0.2
 """Relative error of a forecast, over the recorded RMSE, beyond which it is reported to miss."""

@@ -13,16 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.estimation.fit import Fit, fit, remove_claim
 from hydro_diagnosis.estimation.intervals import Interval, without_insignificant
-from hydro_diagnosis.estimation.problem import EXCESS_THRESHOLD, Problem
 from hydro_diagnosis.selection.localisation import FreeForm, MismatchLocation, free_forms, locate, locate_claims
-from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE
+from hydro_diagnosis.significance import CLAIM_THRESHOLD, EXCESS_THRESHOLD, ITERATIONS, PRACTICAL_SHARE
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 MIN_EXPLAINED_SHARE = 0.98
 """Least share of the squared mismatch that retained causes explain if something remains: six sevenths of its RMS."""

@@ -12,7 +12,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from hydro_core.process import termination
-from hydro_diagnosis.estimation.problem import Budget
+from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
@@ -71,7 +71,7 @@ def diagnose(
     settings
         Settings of the search.
     seconds
-        Budget of work [s of CPU, counted: `estimation.problem`], after which the best result so far is returned.
+        Budget of work [s of CPU, counted: `estimation.budget`], after which the best result so far is returned.
         Default: 24, in proportion beyond 60,000 samples.
     progress
         Called with the name of each stage as it begins, and with texts on its steps.

@@ -16,13 +16,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.curves import ForceCurve, Point
 from hydro_diagnosis.significance import CONFIDENCE, COVERAGE_FACTOR, ITERATIONS, PRACTICAL_SHARE
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.curves import ForceCurve, Point
 
 STRIBECK_VELOCITY_RATIOS = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Candidate Stribeck velocities, over the top speed."""

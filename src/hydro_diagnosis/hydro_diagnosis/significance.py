@@ -26,5 +26,10 @@ UNIDENTIFIED_HALF_WIDTH = 0.5
 """Half-width of a 95 % interval, over the value or its range, from which a parameter is not identified."""
 FOLDS = 4
 """Number of folds of every cross-validation."""
+FOLD_TIME = 1.0
+"""Length of a held-out block [s]: many times the correlation time of any residual."""
+EXCESS_THRESHOLD = 0.35
+"""Excess over 1 of a channel's mean square over the noise variance that is more than noise: the latter's uncertainty.
+"""
 ITERATIONS = 8
 """Largest number of rounds of any iteration; most converge, by their gain, after three."""

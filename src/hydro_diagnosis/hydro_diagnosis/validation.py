@@ -11,19 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import MOTION, EffectHypothesis, FloatArray, claims_key
+from hydro_diagnosis.effects.base import CHANNELS, MOTION, EffectHypothesis, FloatArray, claims_key
 from hydro_diagnosis.effects.memory import WindowStarts
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_diagnosis.recording import CHANNEL_UNITS
 from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLIER_FACTOR
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
+    from hydro_diagnosis.model.segment_model import SegmentModel
 
 MAX_LEFT_OUT_SHARE = 0.25
 """Largest share of the windows that may be left out; if more are unpredictable, the errors are over all windows."""

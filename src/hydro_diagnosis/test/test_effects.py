@@ -13,12 +13,12 @@ import yaml
 
 from hydro_core.files import bench_digest
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Effect, EffectHypothesis
-from hydro_diagnosis.effects.base import MachineScales, scale_bounds
+from hydro_diagnosis.effects.base import BLOCKS, CHANNELS, MachineScales, scale_bounds
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, smooth_kinematic
 from hydro_diagnosis.recording import Segment

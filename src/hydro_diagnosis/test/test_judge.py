@@ -13,9 +13,11 @@ from hydro_core.signals import FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.bench_parameters import parse_bench
 from hydro_diagnosis.effects import EffectHypothesis
+from hydro_diagnosis.effects.base import CHANNELS
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
-from hydro_diagnosis.estimation.problem import CHANNELS, Layout, Problem, sensor_noise
+from hydro_diagnosis.estimation.noise import sensor_noise
+from hydro_diagnosis.estimation.problem import Layout, Problem
 from hydro_diagnosis.experiment_design import catalog, expected_gain, next_for_law, simulated_recording
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.judge import accounted_shares, assess, retain_claims

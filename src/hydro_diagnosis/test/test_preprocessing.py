@@ -28,7 +28,7 @@ from hydro_diagnosis.preprocessing.loading import check_bag, load_dataset
 from hydro_diagnosis.preprocessing.quality import check_recording, frozen_encoder, sampling_grid, uneven
 from hydro_diagnosis.recording import InputError, Recording
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.stages import naming, reading
+from hydro_diagnosis.stages import naming
 from hydro_diagnosis.stages.reading import DiagnosisInput
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
@@ -153,7 +153,7 @@ def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
     frame(nominal)[::spacing].to_csv(tmp_path / "run.csv", index=False)
     inputs = DiagnosisInput(recordings=[tmp_path / "run.csv"], holdout=[], bench=BENCH, model=None, columns=None,
                         without=[], estimate=[], as_wired=True)  # fmt: skip
-    prepared = reading.prepare(inputs, lambda text: None)
+    prepared = inputs.prepare(lambda text: None)
     assert prepared.problem.aliased_resonance == pytest.approx(0.0 if shown else 86.5, abs=0.5)
     assert (
         any("the mass rings on the oil at 86.5 Hz" in note for note in prepared.report_fields["data_quality"]) != shown

@@ -14,9 +14,11 @@ from hydro_core.signals import Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Effect, EffectHypothesis
+from hydro_diagnosis.effects.base import CHANNELS
+from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import is_significant
-from hydro_diagnosis.estimation.problem import CHANNELS, Budget, Problem
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_parameters import estimated_claims
 from hydro_diagnosis.judge import assess, retain_claims
 from hydro_diagnosis.report.corrected_bench import corrected_bench

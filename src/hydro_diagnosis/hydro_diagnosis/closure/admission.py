@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import by_claim
-from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.significance import PRACTICAL_SHARE
 from hydro_diagnosis.validation import SimulationCache, holdout_errors
@@ -18,6 +16,8 @@ from hydro_sim.model.laws import Law
 
 if TYPE_CHECKING:
     from hydro_diagnosis.closure.selection import ClosureFit
+    from hydro_diagnosis.estimation.intervals import Interval
+    from hydro_diagnosis.estimation.problem import Problem
 
 
 @dataclass(frozen=True)

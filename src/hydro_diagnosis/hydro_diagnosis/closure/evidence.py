@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray
+from hydro_diagnosis.effects.base import BLOCKS, CHANNELS, Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.fit import FORM_ERROR_SHARE, Fit, fit, held_out_deviance, orthogonal
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
-from hydro_diagnosis.model.segment_model import BLOCKS
 from hydro_diagnosis.significance import QUANTILE, TIE_RATIO, UNIDENTIFIED_HALF_WIDTH, VERY_STRONG_EVIDENCE
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 
 def has_identified_shapes(problem: Problem, found: Fit, claim: EffectHypothesis) -> bool:

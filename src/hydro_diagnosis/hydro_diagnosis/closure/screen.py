@@ -12,21 +12,25 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.curves import spline_basis
-from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray
+from hydro_diagnosis.effects.base import CHANNELS, Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure, is_closure
+from hydro_diagnosis.estimation.budget import CPU_COST
 from hydro_diagnosis.estimation.fit import MIN_COLUMN_LENGTH, Fit, cross_validated_deviance
-from hydro_diagnosis.estimation.problem import CHANNELS, CPU_COST, Problem
 from hydro_diagnosis.model.responses import Responses
 from hydro_diagnosis.significance import FOLDS
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import SIGN_VELOCITY, Law, Signals
 from hydro_sim.model.tables import Table
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,10 +28,12 @@ from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis
 from hydro_diagnosis.effects.closure import closure, is_closure
 from hydro_diagnosis.estimation.fit import Fit, fit, rank_candidates
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.significance import CLAIM_THRESHOLD, ITERATIONS, PRACTICAL_SHARE, TIE_RATIO
 from hydro_sim.model.effects.catalogue import CLOSURES_MAX
 from hydro_sim.model.laws import REVERSAL_VELOCITY, REVERSING_TEXT, SIGN_VELOCITY, Law, with_reversal_velocity
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 MIN_GAIN_SHARE = 0.02
 """Least share of the possible gain that a term must bring: less may be a form error of another."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FitParameter
 from hydro_diagnosis.effects.closure import grown_cause
-from hydro_diagnosis.effects.dynamics import CAUSE_CLASSES, Stribeck, StribeckExponential
+from hydro_diagnosis.effects.dynamics import EFFECT_CLASSES, Stribeck, StribeckExponential
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.base import fit, parameter
@@ -22,7 +22,7 @@ from hydro_sim.model.effects.parameter_corrections import Correction
 NOMINAL_BENCH = Bench.nominal()
 
 
-_TABLE = [CAUSE_CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL_BENCH) for kind in CATALOGUE.values()]
+_TABLE = [EFFECT_CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL_BENCH) for kind in CATALOGUE.values()]
 LIBRARY: tuple[Effect, ...] = (
     *(one for one in _TABLE if one.parameters and one.id not in grown.EFFECT_IDS),
     *map(grown_cause, grown.EFFECTS),

@@ -12,18 +12,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import base as physics
 from hydro_sim.model.effects.base import FitParameter as FitParameter
 from hydro_sim.model.effects.base import display_unit as display_unit
 from hydro_sim.model.effects.catalogue import Kind
 from hydro_sim.model.effects.sensing import Sensor, SensorLag
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.effects.memory import Memory
 
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
@@ -32,6 +34,12 @@ ParameterValues = Mapping[str, float]
 Result = TypeVar("Result")
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """Blocks of residuals; a change of an effect's parameters recomputes only the blocks in which it acts."""
+BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
+"""Channels of residuals in each block."""
+CHANNELS = tuple(channel for channels in BLOCKS.values() for channel in channels)
+"""Channels of residuals, in the order of a problem's residual vector."""
+SLOPE_STEP = 1e3
+"""Step [Pa] of the finite differences for the slope of a nonlinear sensor."""
 _EQUATION_BLOCKS = {"motion": {MOTION}, "load": {MOTION, LOAD}}
 _CHANNEL_BLOCKS = {
     "hydraulic_force": {MOTION, HYDRAULIC}, "load_force": {LOAD}, "pressure_a": {PRESSURE, HYDRAULIC},
@@ -215,10 +223,10 @@ class Effect:
             return with_values(bench, **{number: getattr(bench, number) * values["ratio"]})
         return self.correct(bench, values)
 
-    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
-        """Spool position [A] from the command, shape (n, substeps); `substep` in s; initially in steady state."""
+    def command(self, spool: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
+        """Spool position [A] from the command, shape (n, substeps); `memory`: of the substeps, in steady state."""
         path = np.ascontiguousarray(spool).ravel()
-        return np.asarray(self._bound(values, Memory(substep)).command(path)).reshape(spool.shape)
+        return np.asarray(self._bound(values, memory).command(path)).reshape(spool.shape)
 
     def openings(self, edges: Pair, spool: FloatArray, time: FloatArray, values: ParameterValues) -> Pair:
         """Conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
@@ -365,6 +373,6 @@ def claims_key(claims: Sequence[EffectHypothesis]) -> tuple[tuple[Any, ...], ...
     return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
-def acting(claims: Iterable[EffectHypothesis], *hooks: str) -> list[EffectHypothesis]:
+def claims_acting_in(claims: Iterable[EffectHypothesis], *hooks: str) -> list[EffectHypothesis]:
     """Return the claims whose effects act in any of these hooks of `Effect`, in the given order."""
     return [claim for claim in claims if claim.effect.acts_in(*hooks)]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from hydro_diagnosis.effects.base import (
     blocks_of,
     substep_mean,
 )
-from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.jit import njit
 from hydro_sim.model import grammar
@@ -34,6 +33,9 @@ from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
 from hydro_sim.model.effects.closure import NamedLaw, closure_class
 from hydro_sim.model.laws import Law, MemoryElement, Signals, edge_losses, sensor_signals
 from hydro_sim.model.tables import KNOTS, Table
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.effects.memory import Memory
 
 _EQUATION_CHANNELS = {"pressure": ("pressure_a", "pressure_b")}
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
@@ -189,9 +191,9 @@ class Closure(Effect):
         bound.__dict__ |= {"_value": value, "_memory_state": lambda: 0.0, "_final_memory_state": lambda signal: 0.0}
         return bound
 
-    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
+    def command(self, spool: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         path = np.ascontiguousarray(spool).ravel()
-        at = self._remembering(Signals(current=path), Memory(substep), values)
+        at = self._remembering(Signals(current=path), memory, values)
         return spool + self.term_value(at, values).reshape(spool.shape)
 
     def trace(self, motion: Kinematics, memory: Memory, values: ParameterValues) -> None:

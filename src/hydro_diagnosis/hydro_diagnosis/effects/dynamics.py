@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import expm
@@ -16,22 +17,24 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, ParameterValues
-from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import base as physics
 from hydro_sim.model.effects import friction, motion, oil, sensing, valve
 
+if TYPE_CHECKING:
+    from hydro_diagnosis.effects.memory import Memory
 
-class TransportDelayCause(Effect):
+
+class TransportDelay(Effect):
     """Dead time u(t - T) of the command, exact for a current that is held between samples."""
 
     stage = 0
 
-    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
+    def command(self, spool: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         flat = spool.ravel()
         charge = np.concatenate([[0.0], np.cumsum(flat)])
-        at = np.arange(len(charge)) - values["time"] / substep
+        at = np.arange(len(charge)) - values["time"] / memory.step
         whole = np.floor(at).astype(np.int64)
         part = at - whole
         low, high = np.clip(whole, 0, len(flat)), np.clip(whole + 1, 0, len(flat))
@@ -40,11 +43,11 @@ class TransportDelayCause(Effect):
         return np.asarray(np.diff(delayed).reshape(spool.shape))
 
 
-class ValveLagCause(Effect):
+class ValveLag(Effect):
     """Second-order spool dynamics, discretised exactly for a held current."""
 
-    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
-        numerator, denominator = _spool(round(values["bandwidth"], 9), round(values["damping"], 9), substep)
+    def command(self, spool: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
+        numerator, denominator = _spool(round(values["bandwidth"], 9), round(values["damping"], 9), memory.step)
         flat, gain = spool.ravel(), numerator.sum() / denominator.sum()
         steady = np.cumsum((numerator - denominator * gain)[::-1])[::-1][1:]  # holds an input of 1 at its gain
         moved, _ = lfilter(numerator, denominator, flat, zi=steady * flat[0])
@@ -73,9 +76,9 @@ def _spool(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, F
 class SpoolLagFirstOrder(Effect):
     """First-order spool dynamics, discretised exactly for a held current."""
 
-    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
-        decay = np.exp(-2.0 * np.pi * values["bandwidth"] * substep)
-        mean = 1.0 - (1.0 - decay) / (2.0 * np.pi * values["bandwidth"] * substep)
+    def command(self, spool: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
+        decay = np.exp(-2.0 * np.pi * values["bandwidth"] * memory.step)
+        mean = 1.0 - (1.0 - decay) / (2.0 * np.pi * values["bandwidth"] * memory.step)
         # mean over a substep: state before it * (1 - mean) + input * mean
         flat = spool.ravel()
         before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], flat, zi=[flat[0]])
@@ -91,7 +94,7 @@ class Overlap(Effect):
 class SoftOverlap(Overlap):
     """Overlap with edges that open gradually."""
 
-    def command(self, spool: FloatArray, substep: float, values: ParameterValues) -> FloatArray:
+    def command(self, spool: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         return overlap_output(spool, values["half_width"], values["softness"])
 
 
@@ -119,7 +122,7 @@ def _softplus(over):
     return over + math.log1p(math.exp(-over)) if over > 0.0 else math.log1p(math.exp(over))
 
 
-class SupplyDroopCause(Effect):
+class SupplyDroop(Effect):
     """Droop of the supply pressure with the flow demand, after a first-order lag."""
 
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
@@ -137,7 +140,7 @@ class StribeckExponential(Stribeck):
         return level + values["breakaway_force"] * np.exp(-np.abs(motion.velocity) / values["velocity"])
 
 
-class FrictionPreslidingCause(Effect):
+class FrictionPresliding(Effect):
     """Presliding friction: a bristle that deflects elastically before it slides (Dahl 1968)."""
 
     models_presliding = True
@@ -147,7 +150,7 @@ class FrictionPreslidingCause(Effect):
         return force + memory.bristle("presliding", motion.position, values["stiffness"], level)
 
 
-class BacklashCause(Effect):
+class Backlash(Effect):
     """Backlash (play operator) between the piston and the load's spring."""
 
     def load(
@@ -157,7 +160,7 @@ class BacklashCause(Effect):
         return force - bench.spring_stiffness * (motion.position - dragged)
 
 
-class CalibrationErrorCause(Effect):
+class CalibrationError(Effect):
     """Gain or bias error of a sensor, inverted exactly."""
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
@@ -165,7 +168,7 @@ class CalibrationErrorCause(Effect):
         return reading if (zero, one) == (0.0, 1.0) else (reading - zero) / (one - zero)
 
 
-class SensorLagCause(Effect):
+class SensorLag(Effect):
     """Second-order low-pass of a sensor's amplifier, inverted by derivatives of the smoothed reading."""
 
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
@@ -183,20 +186,20 @@ class SensorLagCause(Effect):
         return np.asarray(reading + 2.0 * values["damping"] / omega * slope + 1.0 / omega**2 * bend)
 
 
-CAUSE_CLASSES: dict[type[physics.Effect], type[Effect]] = {
-    valve.TransportDelay: TransportDelayCause,
-    valve.ValveLag: ValveLagCause,
+EFFECT_CLASSES: dict[type[physics.Effect], type[Effect]] = {
+    valve.TransportDelay: TransportDelay,
+    valve.ValveLag: ValveLag,
     valve.ValveLagFirstOrder: SpoolLagFirstOrder,
     valve.ValveDeadband: Overlap,
     valve.ValveDeadbandAsymmetric: Overlap,
     valve.ValveDeadbandSoft: SoftOverlap,
-    oil.SupplyDroop: SupplyDroopCause,
+    oil.SupplyDroop: SupplyDroop,
     friction.FrictionStribeck: Stribeck,
-    friction.FrictionPresliding: FrictionPreslidingCause,
-    motion.BacklashPlay: BacklashCause,
-    sensing.LoadCellGain: CalibrationErrorCause,
-    sensing.LoadCellBias: CalibrationErrorCause,
-    sensing.PressureSensorBias: CalibrationErrorCause,
-    sensing.SensorLag: SensorLagCause,
+    friction.FrictionPresliding: FrictionPresliding,
+    motion.BacklashPlay: Backlash,
+    sensing.LoadCellGain: CalibrationError,
+    sensing.LoadCellBias: CalibrationError,
+    sensing.PressureSensorBias: CalibrationError,
+    sensing.SensorLag: SensorLag,
 }
 """Subclasses of `Effect`, by the effect of the model; all other effects are plain `Effect`s."""

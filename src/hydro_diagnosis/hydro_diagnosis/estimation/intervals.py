@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -21,17 +22,20 @@ from scipy.special import stdtrit
 
 from hydro_diagnosis.effects.base import EffectHypothesis, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, pack, unpack
-from hydro_diagnosis.estimation.problem import FOLD_TIME, Problem
 from hydro_diagnosis.report_json import ParameterEstimate
 from hydro_diagnosis.significance import (
     CONFIDENCE,
     COVERAGE_FACTOR,
+    FOLD_TIME,
     FOLDS,
     ITERATIONS,
     PRACTICAL_SHARE,
     QUANTILE,
     VERY_STRONG_EVIDENCE,
 )
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:

@@ -21,6 +21,8 @@ from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.bench_parameters import available_equations, require_equation
 from hydro_diagnosis.effects.base import (
+    BLOCKS,
+    CHANNELS,
     HYDRAULIC,
     LOAD,
     MOTION,
@@ -29,17 +31,14 @@ from hydro_diagnosis.effects.base import (
     Effect,
     EffectHypothesis,
     FloatArray,
-    acting,
+    claims_acting_in,
 )
+from hydro_diagnosis.estimation.budget import CPU_COST, Budget
 from hydro_diagnosis.estimation.noise import SegmentNoise, mass_attenuation, sensor_noise
-from hydro_diagnosis.model.segment_model import BLOCKS, LAG_ITERATIONS, SegmentModel
+from hydro_diagnosis.model.segment_model import LAG_ITERATIONS, SegmentModel
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.significance import FOLDS
+from hydro_diagnosis.significance import EXCESS_THRESHOLD, FOLD_TIME, FOLDS
 from hydro_sim.model.bench import Bench
-
-FOLD_TIME = 1.0
-"""Length of a held-out block [s]: many times the correlation time of any residual."""
-CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
 
 
 @dataclass(frozen=True)
@@ -87,52 +86,8 @@ class Layout:
         return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
-CPU_COST = {
-    PRESSURE: 7e-8, MOTION: 2.5e-8, LOAD: 1.7e-8, HYDRAULIC: 8e-9,  # per sample and block
-    "column": 5e-8,  # per sample and column of a screen
-    "evaluation": 8e-4,  # per evaluation in a fit, whatever the number of samples
-    "segment": 2e-4,  # per segment and block, however short
-}  # fmt: skip
-"""CPU time [s] by block or kind of work on an AMD EPYC core; `benchmarks.real_recordings` compares measured times."""
-SEARCH_SHARE = 0.6
-"""Share of the budget for the search for named causes; the rest is for laws."""
-
-
-@dataclass
-class Budget:
-    """Budget of work in nominal seconds of CPU, counted by kind of work (`CPU_COST`): the same on every machine."""
-
-    seconds: float | None = None
-    """Allowed work; None until the number of samples is known."""
-    spent: float = 0.0
-    evaluations: int = 0
-    """Evaluations of all residuals: the measure of a search's effort."""
-
-    def allow(self, samples: int) -> None:
-        """Set the budget for a number of samples, unless already set: 24 s of CPU per 60 s at 1 kHz, at least 24 s.
-
-        For search and laws; the later stages take at most a quarter of it in addition.
-        """
-        if self.seconds is None:
-            self.seconds = 24.0 * max(1.0, samples / 6e4)
-
-    def exceeds(self, share: float) -> bool:
-        """Return whether more than a share of the budget is spent."""
-        return self.seconds is not None and self.spent > share * self.seconds
-
-    @property
-    def exhausted(self) -> bool:
-        """Whether the whole budget is spent: no further search may start."""
-        return self.exceeds(1.0)
-
-
 ResidualParts = dict[tuple[str, int], FloatArray]
 """Residuals by channel and segment, physical unit."""
-
-
-EXCESS_THRESHOLD = 0.35
-"""Excess over 1 of a channel's mean square over the noise variance that is more than noise: the latter's uncertainty.
-"""
 
 
 class Problem:
@@ -311,7 +266,7 @@ class Problem:
 
         def computed(some: Sequence[EffectHypothesis]) -> list[dict[str, FloatArray]]:
             late = block == PRESSURE and any(claim.effect.lagged_channel for claim in some)
-            times = 1.0 + LAG_ITERATIONS * late + len(acting(some, "invert_reading"))
+            times = 1.0 + LAG_ITERATIONS * late + len(claims_acting_in(some, "invert_reading"))
             self.budget.spent += times * (CPU_COST[block] * self.samples + CPU_COST["segment"] * len(self.models))
             return [one.residuals(block, some) for one in self.models]
 

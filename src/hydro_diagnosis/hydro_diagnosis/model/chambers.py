@@ -17,7 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Pair, acting, substep_mean
+from hydro_diagnosis.effects.base import (
+    ChamberInputs,
+    EffectHypothesis,
+    FloatArray,
+    Pair,
+    claims_acting_in,
+    substep_mean,
+)
 from hydro_diagnosis.effects.memory import Memory
 from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
@@ -151,13 +158,13 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesi
     """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
-    if acting(claims, "openings", "supply"):
+    if claims_acting_in(claims, "openings", "supply"):
         edges: Pair = (np.maximum(oil.spool, 0.0) * bench.valve_gain, np.maximum(-oil.spool, 0.0) * bench.valve_gain)
-        for claim in acting(claims, "openings"):
+        for claim in claims_acting_in(claims, "openings"):
             edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
         out, back = (substep_mean(one) for one in edges)
         supply = np.full_like(p_a, bench.supply_pressure)
-        sagging = acting(claims, "supply")
+        sagging = claims_acting_in(claims, "supply")
         for _ in range(3 if sagging else 0):
             (drop_a, _), (_, drop_b) = eq.edge_drops(supply, tank, p_a, p_b)
             demand = out * eq.signed_root(drop_a) + back * eq.signed_root(drop_b)
@@ -167,14 +174,14 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesi
         edge_flows(*flows, out, back, p_a, p_b, supply, tank)
     else:
         nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, tank)
-    for claim in acting(claims, "leaks"):
+    for claim in claims_acting_in(claims, "leaks"):
         flows = claim.effect.leaks(flows, oil, bench, memory, claim.values)
     return flows
 
 
 def chamber_stiffnesses(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesis]) -> Pair:
     """Return the stiffnesses beta/V [Pa/m3] of the oil in both chambers under claims."""
-    softer = acting(claims, "modulus")
+    softer = claims_acting_in(claims, "modulus")
     moduli: list[Any] = [bench.bulk_modulus, bench.bulk_modulus]
     for k, pressure in enumerate(oil.pressures if softer else ()):
         moduli[k] = np.full_like(pressure, bench.bulk_modulus)

@@ -11,16 +11,27 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Pair, substep_mean
+from hydro_diagnosis.effects.base import (
+    BLOCKS,
+    SLOPE_STEP,
+    ChamberInputs,
+    EffectHypothesis,
+    FloatArray,
+    Pair,
+    substep_mean,
+)
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.segment_model import BLOCKS, SLOPE_STEP, SegmentModel
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.model.segment_model import SegmentModel
 
 _PRESSURES = ("pressure_a", "pressure_b")
 ChannelResponses = dict[str, FloatArray]
@@ -71,7 +82,7 @@ class Responses:
             spool = self._oil.spool
             spool = np.repeat(spool, chambers.SUBSTEPS, axis=1) if spool.shape[-1] == 1 else spool
             substep = model.step / spool.shape[-1]
-            shifts = [one.effect.command(spool, substep, one.values) - spool for one in terms]
+            shifts = [one.effect.command(spool, Memory(substep), one.values) - spool for one in terms]
             return self.to_spool(np.stack([substep_mean(one) for one in shifts]))
         if effect.acts_in("leaks"):
             still = zeros, zeros

@@ -27,14 +27,14 @@ from hydro_diagnosis.effects.base import (
     HYDRAULIC,
     LOAD,
     MOTION,
-    PRESSURE,
+    SLOPE_STEP,
     BoundedCache,
     ChamberInputs,
     EffectHypothesis,
     FloatArray,
     Kinematics,
     Pair,
-    acting,
+    claims_acting_in,
 )
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
@@ -57,12 +57,8 @@ from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 LAG_ITERATIONS = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
-SLOPE_STEP = 1e3
-"""Step [Pa] of the finite differences for the slope of a nonlinear sensor."""
 _NODES, _WEIGHTS = hermegauss(3)
 """Gauss-Hermite nodes and weights of a mean over a Gaussian; the weights sum to the root of two pi."""
-BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
-"""Channels of residuals in each block."""
 
 
 class SegmentModel:
@@ -113,7 +109,7 @@ class SegmentModel:
     def bench(self, claims: Sequence[EffectHypothesis]) -> Bench:
         """Return the bench with the parameters that the claims correct."""
         bench = self.base
-        for claim in acting(claims, "correct"):
+        for claim in claims_acting_in(claims, "correct"):
             bench = claim.effect.correct(bench, claim.values)
         return bench
 
@@ -131,7 +127,7 @@ class SegmentModel:
     def true_signal(self, channel: str, claims: Sequence[EffectHypothesis]) -> FloatArray:
         """Return the true signal of a channel, shape (n,): its recording with the claimed sensor errors inverted."""
         signal = self.channels[channel]
-        for claim in acting(claims, "invert_reading"):
+        for claim in claims_acting_in(claims, "invert_reading"):
             signal = claim.effect.invert_reading(channel, signal, self.memory, claim.values)
         return signal
 
@@ -140,7 +136,7 @@ class SegmentModel:
     ) -> FloatArray:
         """Return the reading of a channel's sensor for a true signal; `smoothed`: through the test function."""
         self.memory.other_signals = self._smoothed_signals if smoothed else self.other_signals
-        for claim in acting(claims, "read_sensor"):
+        for claim in claims_acting_in(claims, "read_sensor"):
             signal = claim.effect.read_sensor(channel, signal, self.memory, claim.values)
         self.memory.other_signals = self.other_signals
         return signal
@@ -201,9 +197,11 @@ class SegmentModel:
 
         The last value is repeated. The spool has shape (n, substeps).
         """
-        moving = sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage)
+        moving = sorted(claims_acting_in(claims, "command"), key=lambda claim: claim.effect.stage)
         spool = self._cache.get_or_compute("spool", moving, self._spool)
-        p_a, p_b = self._cache.get_or_compute("pressures", acting(claims, "invert_reading"), self._interval_pressures)
+        p_a, p_b = self._cache.get_or_compute(
+            "pressures", claims_acting_in(claims, "invert_reading"), self._interval_pressures
+        )
         position = self._cache.get_or_compute(
             "position", (), lambda claims: chambers.interval_means(self.channels["piston_position"])
         )
@@ -220,7 +218,7 @@ class SegmentModel:
         else:
             spool = np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS if claims else 1, axis=1)
         for claim in claims[-1:]:
-            spool = claim.effect.command(spool, self.step / chambers.SUBSTEPS, claim.values)
+            spool = claim.effect.command(spool, Memory(self.step / chambers.SUBSTEPS), claim.values)
         return spool
 
     def _interval_pressures(self, claims: Sequence[EffectHypothesis]) -> Pair:
@@ -271,7 +269,7 @@ class SegmentModel:
             increments = increments * self.reading_slope(channel, self.true_signal(channel, claims), curved)
             claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
         gain = self.step / OBSERVER_TIME_CONSTANT
-        if not acting(claims, "read_sensor"):
+        if not claims_acting_in(claims, "read_sensor"):
             return np.asarray(chambers.innovations(self.channels[channel], increments, gain))
         integral = np.concatenate([[0.0], np.cumsum(increments[:-1])])
         unexplained = self.channels[channel] - self.reading(channel, integral, claims)
@@ -293,14 +291,14 @@ class SegmentModel:
         """Magnitude [N] of sliding dry friction at the smoothed, or a given, velocity [m/s], shape (n,)."""
         motion = self.kinematics if velocity is None else Kinematics(self.time, self.x, velocity)
         level = np.zeros_like(self.x)
-        for claim in acting(claims, "dry_level"):
+        for claim in claims_acting_in(claims, "dry_level"):
             level = claim.effect.dry_level(level, motion, claim.values)
         return level
 
     def load_force(self, bench: Bench, claims: Sequence[EffectHypothesis], motion: Kinematics) -> FloatArray:
         """Force [N] of the load under claims, without sensor errors, shape (n,)."""
         force = bench.spring_stiffness * (motion.position - bench.spring_rest_position)
-        for claim in acting(claims, "load"):
+        for claim in claims_acting_in(claims, "load"):
             force = claim.effect.load(force, motion, bench, self.memory, claim.values)
         return force
 
@@ -311,7 +309,7 @@ class SegmentModel:
         within milliseconds would be a quarter too small.
         """
         force = np.zeros_like(self.x)
-        if not acting(claims, "dry_level") or any(claim.effect.models_presliding for claim in claims):
+        if not claims_acting_in(claims, "dry_level") or any(claim.effect.models_presliding for claim in claims):
             return force
         for weight, velocity, sign in self._seen_velocities:
             force += weight * self.dry_friction_magnitude(claims, velocity) * sign
@@ -332,7 +330,7 @@ class SegmentModel:
         """Hydraulic force [N] required by the recorded motion (inverse dynamics), after the first Gaussian, (n,)."""
         bench = self.bench(claims)
         force = self.dry_friction(claims)
-        resisting = acting(claims, "opposing_force")
+        resisting = claims_acting_in(claims, "opposing_force")
         level = self.dry_friction_magnitude(claims) if resisting else force
         for claim in resisting:
             force = claim.effect.opposing_force(force, level, self.kinematics, self.memory, claim.values)
@@ -389,7 +387,7 @@ class SegmentModel:
     def motion_residual(self, claims: Sequence[EffectHypothesis]) -> FloatArray:
         """Return the residual [N] of the motion equation, decimated, without the interpolation error."""
         required = self.required_force(claims)
-        if "hydraulic_force" not in self.channels or not acting(claims, "read_sensor"):
+        if "hydraulic_force" not in self.channels or not claims_acting_in(claims, "read_sensor"):
             return self.measured_force(claims) - self.smooth_kinematic_at_evaluated(required)
         shown = self.reading("hydraulic_force", self.smooth_kinematic(required), claims, smoothed=True)
         return self.measured_force(claims) - self.at_evaluated(shown)

@@ -11,17 +11,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Kinematics, acting
+from hydro_diagnosis.effects.base import ChamberInputs, EffectHypothesis, FloatArray, Kinematics, claims_acting_in
 from hydro_diagnosis.effects.memory import ColumnMemory, Memory, StepMemory, WindowMemory, WindowStarts
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.model.segment_model import SegmentModel
 
 
 def measurements(plant: Plant, states: FloatArray, begins: WindowStarts) -> dict[str, FloatArray]:
@@ -167,13 +170,15 @@ class Plant:
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[EffectHypothesis]) -> Plant:
         """Return the plant of a recording under claims: spool path and states of memory along it are computed."""
-        has_stiction = bool(acting(claims, "dry_level")) and not any(claim.effect.models_presliding for claim in claims)
+        has_stiction = bool(claims_acting_in(claims, "dry_level")) and not any(
+            claim.effect.models_presliding for claim in claims
+        )
         substeps = chambers.SUBSTEPS * (2 if has_stiction else 1)
         channels, model = model.channels, model.with_true_position(claims)
         claims = [claim for claim in claims if not claim.effect.is_position_error]
         spool = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
-        for claim in sorted(acting(claims, "command"), key=lambda claim: claim.effect.stage):
-            spool = claim.effect.command(spool, model.step / substeps, claim.values)
+        for claim in sorted(claims_acting_in(claims, "command"), key=lambda claim: claim.effect.stage):
+            spool = claim.effect.command(spool, Memory(model.step / substeps), claim.values)
         memory = model.memory = Memory(model.step, model.other_signals)
         model.chamber_run(claims)
         model.required_force(claims)
@@ -214,9 +219,12 @@ class Plant:
     @cached_property
     def acting(self) -> dict[str, tuple[EffectHypothesis, ...]]:
         """Claims by the hook of `Effect` in which they act; `hydraulic`: those of the chamber equations."""
-        found = {hook: tuple(acting(self.claims, hook)) for hook in ("dry_level", "opposing_force", "load", "inertia")}
+        found = {
+            hook: tuple(claims_acting_in(self.claims, hook))
+            for hook in ("dry_level", "opposing_force", "load", "inertia")
+        }
         # the spool's path is computed beforehand
-        return {"hydraulic": tuple(acting(self.claims, "openings", "supply", "leaks", "modulus")), **found}
+        return {"hydraulic": tuple(claims_acting_in(self.claims, "openings", "supply", "leaks", "modulus")), **found}
 
     def mass(self, motion: Kinematics) -> FloatArray | float:
         """Return the moving mass [kg], including that moved with the load."""

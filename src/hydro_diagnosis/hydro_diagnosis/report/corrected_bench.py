@@ -16,7 +16,7 @@ import yaml
 
 from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import EffectHypothesis, acting
+from hydro_diagnosis.effects.base import EffectHypothesis, claims_acting_in
 from hydro_diagnosis.effects.closure import from_mapping, is_closure
 from hydro_sim.model.bench import Bench
 
@@ -40,7 +40,7 @@ def corrected_bench(bench: Bench, claims: Sequence[EffectHypothesis]) -> Bench:
             bench = replace(bench, closures=(*bench.closures, claim.effect.to_closure(claim.values)))
             continue
         hooks = [hook for hook in ("modulus", "openings") if claim.effect.acts_in(hook)]
-        changed = bench if acting(before, *hooks) else claim.effect.write_into_bench(bench, claim.values)
+        changed = bench if claims_acting_in(before, *hooks) else claim.effect.write_into_bench(bench, claim.values)
         if changed == bench or claim.effect.id == "sensor_lag":
             effects.append(claim.to_mapping())
             before.append(claim)

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hydro_bridge.pages import environment
 from hydro_core.files.atomic import write_atomic
 from hydro_diagnosis.effects.base import MOTION, EffectHypothesis, FloatArray, display_unit
-from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
@@ -23,6 +22,9 @@ from hydro_diagnosis.significance import COVERAGE_FACTOR
 from hydro_diagnosis.simulator_comparison import sentences
 from hydro_diagnosis.validation import FREE_RUN_TIME, SIMULATION_CHANNELS
 from hydro_sim.plotting import GREEN, PURPLE, RED, SKY, UNITS
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.model.segment_model import SegmentModel
 
 
 def compare(found: Diagnosis) -> dict[str, Any] | None:

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.effects.base import Effect, FloatArray
-from hydro_diagnosis.estimation.problem import CHANNELS
+from hydro_diagnosis.effects.base import CHANNELS, Effect, FloatArray
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import EffectReport
 from hydro_sim.model.effects import grown

@@ -14,14 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_core.signals import FloatArray
+from hydro_diagnosis.effects.base import CHANNELS
 from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.problem import CHANNELS, FOLD_TIME, Problem
 from hydro_diagnosis.model.responses import ChannelResponses, Responses
+from hydro_diagnosis.significance import FOLD_TIME
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 KNOTS = 24
 """Number of knots of each free-form function; of functions of time, per segment."""

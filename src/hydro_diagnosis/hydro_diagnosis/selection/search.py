@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Effect
+from hydro_diagnosis.effects.base import CHANNELS, Effect
+from hydro_diagnosis.estimation.budget import SEARCH_SHARE
 from hydro_diagnosis.estimation.fit import (
     FORM_ERROR_SHARE,
     Candidate,
@@ -26,7 +28,6 @@ from hydro_diagnosis.estimation.fit import (
     remove_claim,
 )
 from hydro_diagnosis.estimation.intervals import all_significant
-from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH_SHARE, Problem
 from hydro_diagnosis.significance import (
     CLAIM_THRESHOLD,
     COVERAGE_FACTOR,
@@ -34,6 +35,9 @@ from hydro_diagnosis.significance import (
     PRACTICAL_SHARE,
     VERY_STRONG_EVIDENCE,
 )
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
 
 
 @dataclass(frozen=True, kw_only=True)

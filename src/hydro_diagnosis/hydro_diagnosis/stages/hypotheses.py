@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice, product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -26,11 +26,11 @@ from hydro_diagnosis.io.column_map import ColumnMap, Source
 from hydro_diagnosis.recording import MEASURED_CHANNELS, InputError, Segment
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.significance import ITERATIONS
-from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, ProgressCallback, prepare
 from hydro_diagnosis.wiring import AlternativeRepairs, PlausibilityCheck, Repair, in_other_units, reversed_sign
 
 if TYPE_CHECKING:
     from hydro_diagnosis.stages.naming import StageResult
+    from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, ProgressCallback
 
 DECISIVE_LOG_RATIO = float(np.log(10.0))
 """Decisive `log_gain` of a repair: log of the factor by which mean squared residuals fall, summed over the channels."""
@@ -43,7 +43,7 @@ PHYSICAL_DELAYS = {
 """Range of each channel's delay [s] (negative: early) that valve, play or an amplifier explain: causes, no mistakes."""
 TRIAL_SETTINGS = SearchSettings(effort=1500)
 """Search settings for the comparison of wiring hypotheses."""
-RepairedDiagnosis = tuple[tuple[Repair, ...], PreparedDiagnosis]
+RepairedDiagnosis: TypeAlias = "tuple[tuple[Repair, ...], PreparedDiagnosis]"
 """Repairs, and the prepared diagnosis of the repaired recordings."""
 
 
@@ -200,7 +200,7 @@ def prepare_best_wiring(inputs: DiagnosisInput, progress: ProgressCallback) -> P
     prepared: PreparedDiagnosis | None = None
     refusal = ""
     try:
-        prepared = prepare(inputs, progress, inspection)
+        prepared = inputs.prepare(progress, inspection)
     except InputError as error:
         if inputs.as_wired or not inspection.doubts:
             raise
@@ -216,9 +216,9 @@ def prepare_best_wiring(inputs: DiagnosisInput, progress: ProgressCallback) -> P
         if further := suspected_repairs(one.problem, (), one.held_out, one.units):  # besides implausible values
             repairs = (*repairs, *further)
             with suppress(InputError):
-                readings[k] = repairs, prepare(_repaired(inputs, repairs, inspection.units), progress)
+                readings[k] = repairs, _repaired(inputs, repairs, inspection.units).prepare(progress)
     if not readings:
-        return prepare(inputs, progress)
+        return inputs.prepare(progress)
     repairs, other = readings[0]
     if len(readings) > 1:
         explained = [_searched(one, progress) for _, one in readings]
@@ -249,7 +249,7 @@ def reconsider_wiring(prepared: PreparedDiagnosis, found: StageResult, progress:
     if not repairs:
         return prepared
     try:
-        other = prepare(_repaired(prepared.inputs, repairs, prepared.units), progress)
+        other = _repaired(prepared.inputs, repairs, prepared.units).prepare(progress)
     except InputError:
         return prepared
     return _choose(prepared, _wiring_fit(found.problem, found.holdout, claims), repairs, other, progress)
@@ -267,10 +267,10 @@ def _plausible(
     for repairs in islice(product(*_one_per_field(inspection.doubts)), 8):
         further = PlausibilityCheck()
         try:
-            prepared = prepare(_repaired(inputs, repairs, units), progress, further)
+            prepared = _repaired(inputs, repairs, units).prepare(progress, further)
             if further.doubts:  # in millimetres and from mid-stroke, for instance
                 repairs = (*repairs, *(doubt[-1] for doubt in _one_per_field(further.doubts)))
-                prepared = prepare(_repaired(inputs, repairs, units), progress)
+                prepared = _repaired(inputs, repairs, units).prepare(progress)
         except InputError:
             continue
         key = frozenset(prepared.problem.models[0].channels)
@@ -341,7 +341,7 @@ def _choose(
     ]
     if again != list(repairs):
         with suppress(InputError):
-            nearer = prepare(_repaired(prepared.inputs, again, prepared.units), progress)
+            nearer = _repaired(prepared.inputs, again, prepared.units).prepare(progress)
             closer = _searched(nearer, progress)
             gained = log_gain(there.fitted, closer.fitted)
             if gained > TIE_LOG_RATIO or (gained > -TIE_LOG_RATIO and closer.parameter_count <= there.parameter_count):

@@ -23,15 +23,15 @@ from hydro_diagnosis.curves import ForceCurve, Motion, motions
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Effect, EffectHypothesis
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
 from hydro_diagnosis.judge import Assessment, ExplainedShares, accounted_shares, assess, retain_claims
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.selection.search import Search, SearchOutcome
 from hydro_diagnosis.validation import SimulationCache, equation_errors, holdout_errors
 
 if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Problem
+    from hydro_diagnosis.selection.search import Search, SearchOutcome
     from hydro_diagnosis.stages.reading import PreparedDiagnosis, ProgressCallback
 
 

@@ -4,17 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray, display_unit
 from hydro_diagnosis.estimation.fit import Fit, cause_key, eligible_effects, orthogonal
-from hydro_diagnosis.estimation.intervals import Interval
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import MEASURED_CHANNELS
 from hydro_diagnosis.report_json import BenchParameterEstimate
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE, UNIDENTIFIED_HALF_WIDTH
 from hydro_sim.model.bench import Bench
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.intervals import Interval
+    from hydro_diagnosis.estimation.problem import Problem
 
 
 def bench_parameter_estimates(

@@ -33,7 +33,8 @@ from hydro_diagnosis.bench_parameters import (
 )
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, MachineScales, scale_bounds
-from hydro_diagnosis.estimation.problem import Budget, Problem
+from hydro_diagnosis.estimation.budget import Budget
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_parameters import estimated_claims, require_estimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.preprocessing.loading import RecordingReader, load_dataset
@@ -106,6 +107,80 @@ class DiagnosisInput:
     reader: RecordingReader = field(default_factory=RecordingReader)
     """Reader that all wiring hypotheses share: none reads a file again that fits into its memory."""
 
+    def prepare(self, progress: ProgressCallback, inspection: PlausibilityCheck | None = None) -> PreparedDiagnosis:
+        """Read the recordings, check them against the bench file, initialise the parameters to be estimated.
+
+        `inspection`: as of `load_dataset`.
+
+        Raises InputError if no recording can be diagnosed, or the bench file lacks parameters that they require.
+        """
+        estimate = tuple(dict.fromkeys(self.estimate))
+        require_estimable(estimate)
+        given, origin = baseline(self.bench, self.model, estimate)
+        candidates = _candidates(self.without)
+        progress(stage_bar.READING)
+        inspection = PlausibilityCheck() if inspection is None else inspection
+        fitted, held_out, quality = load_dataset(
+            self.recordings, self.holdout, mark_unknown(given, estimate), ColumnMap.load(self.columns),
+            inspection, self.reader,
+        )  # fmt: skip
+        channels = set.intersection(*(set(segment.channels) for segment in fitted))
+        require_parameters(channels, given, estimate)
+        starting, baseline_claims = given, claims_of(given)
+        if estimate:
+            progress("estimating " + ", ".join(estimate))
+            with threadpool_limits(1, "blas"):
+                starting = starting_bench(fitted, given, baseline_claims, estimate)
+        others = (effect for effect in CANDIDATES if effect not in candidates and effect.named)
+        ruled_out = [effect.adapted(starting) for effect in others if applies(effect, starting)]
+        self.budget.allow(sum(len(segment) for segment in fitted))
+        problem = Problem(
+            fitted, starting, baseline_claims,
+            estimated=estimated_claims(starting, estimate), ruled_out=ruled_out, budget=self.budget,
+        )  # fmt: skip
+        if not np.isfinite(problem.residual(())).all():
+            raise InputError(
+                "the recordings and the bench file give residuals that are not finite: check units and numbers"
+            )
+        candidates = [effect.adapted(starting) for effect in candidates if applies(effect, starting)]
+        if machine := _machine_scales(problem):
+            candidates = [scale_bounds(effect, machine) for effect in candidates]
+        limits = [f"--without {' '.join(self.without)}: these causes were not tried"] if self.without else []
+        limits += [*omission_notes(channels, starting), *quality]
+        if rings := problem.aliased_resonance:  # which the load cell hardly shows
+            candidates = [
+                one for one in candidates if one.id not in RESONANCE_CAUSES or one.lagged_channel == "load_force"
+            ]
+            limits.append(
+                f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no "
+                "cause is sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is "
+                f"given no law; record at {math.ceil(2.0 * rings)} Hz or more"
+            )
+        if HYDRAULIC not in problem.blocks:  # without pressures the force cell's errors are not identifiable
+            cell = {"load_cell_gain:hydraulic_force", "load_cell_bias:hydraulic_force"}
+            candidates = [one for one in candidates if one.label not in cell]
+        try:
+            version = metadata.version("hydro_diagnosis")
+        except metadata.PackageNotFoundError:
+            version = "0.1.0"
+        report_fields = {
+            "checked": [name for block, names in BLOCK_EQUATIONS.items() if block in problem.blocks for name in names],
+            "not_checked": [
+                name for block, names in BLOCK_EQUATIONS.items() if block not in problem.blocks for name in names
+            ],
+            "recordings": recording_entries([*self.recordings, *self.holdout]),
+            "data_quality": limits,
+            "baseline": {"bench": given.to_mapping(), "model": origin},
+            "versions": {"hydro_diagnosis": version},
+        }
+        estimated_parameters = {
+            name: None if is_missing(given, name) else float(getattr(given, name)) for name in estimate
+        }
+        return PreparedDiagnosis(
+            inputs=self, problem=problem, candidates=candidates, held_out=held_out, report_fields=report_fields,
+            estimated_parameters=estimated_parameters, units=inspection.units,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedDiagnosis:
@@ -124,79 +199,6 @@ class PreparedDiagnosis:
     """Unit of a field's column before conversion to SI, if stated."""
     wiring: str = ""
     """Note on the wiring hypothesis taken, as recorded or repaired, if a mistake is suspected; else empty."""
-
-
-def prepare(
-    inputs: DiagnosisInput, progress: ProgressCallback, inspection: PlausibilityCheck | None = None
-) -> PreparedDiagnosis:
-    """Read the recordings, check them against the bench file, initialise the parameters to be estimated.
-
-    `inspection`: as of `load_dataset`.
-
-    Raises InputError if no recording can be diagnosed, or the bench file lacks parameters that they require.
-    """
-    estimate = tuple(dict.fromkeys(inputs.estimate))
-    require_estimable(estimate)
-    given, origin = baseline(inputs.bench, inputs.model, estimate)
-    candidates = _candidates(inputs.without)
-    progress(stage_bar.READING)
-    inspection = PlausibilityCheck() if inspection is None else inspection
-    fitted, held_out, quality = load_dataset(
-        inputs.recordings, inputs.holdout, mark_unknown(given, estimate), ColumnMap.load(inputs.columns),
-        inspection, inputs.reader,
-    )  # fmt: skip
-    channels = set.intersection(*(set(segment.channels) for segment in fitted))
-    require_parameters(channels, given, estimate)
-    starting, baseline_claims = given, claims_of(given)
-    if estimate:
-        progress("estimating " + ", ".join(estimate))
-        with threadpool_limits(1, "blas"):
-            starting = starting_bench(fitted, given, baseline_claims, estimate)
-    others = (effect for effect in CANDIDATES if effect not in candidates and effect.named)
-    ruled_out = [effect.adapted(starting) for effect in others if applies(effect, starting)]
-    inputs.budget.allow(sum(len(segment) for segment in fitted))
-    problem = Problem(
-        fitted, starting, baseline_claims,
-        estimated=estimated_claims(starting, estimate), ruled_out=ruled_out, budget=inputs.budget,
-    )  # fmt: skip
-    if not np.isfinite(problem.residual(())).all():
-        raise InputError(
-            "the recordings and the bench file give residuals that are not finite: check units and numbers"
-        )
-    candidates = [effect.adapted(starting) for effect in candidates if applies(effect, starting)]
-    if machine := _machine_scales(problem):
-        candidates = [scale_bounds(effect, machine) for effect in candidates]
-    limits = [f"--without {' '.join(inputs.without)}: these causes were not tried"] if inputs.without else []
-    limits += [*omission_notes(channels, starting), *quality]
-    if rings := problem.aliased_resonance:  # which the load cell hardly shows
-        candidates = [one for one in candidates if one.id not in RESONANCE_CAUSES or one.lagged_channel == "load_force"]
-        limits.append(
-            f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no cause "
-            "is sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is given no "
-            f"law; record at {math.ceil(2.0 * rings)} Hz or more"
-        )
-    if HYDRAULIC not in problem.blocks:  # without pressures the force cell's errors are not identifiable
-        cell = {"load_cell_gain:hydraulic_force", "load_cell_bias:hydraulic_force"}
-        candidates = [one for one in candidates if one.label not in cell]
-    try:
-        version = metadata.version("hydro_diagnosis")
-    except metadata.PackageNotFoundError:
-        version = "0.1.0"
-    report_fields = {
-        "checked": [name for block, names in BLOCK_EQUATIONS.items() if block in problem.blocks for name in names],
-        "not_checked": [
-            name for block, names in BLOCK_EQUATIONS.items() if block not in problem.blocks for name in names
-        ],
-        "recordings": recording_entries([*inputs.recordings, *inputs.holdout]),
-        "data_quality": limits,
-        "baseline": {"bench": given.to_mapping(), "model": origin},
-        "versions": {"hydro_diagnosis": version},
-    }
-    estimated_parameters = {name: None if is_missing(given, name) else float(getattr(given, name)) for name in estimate}
-    return PreparedDiagnosis(
-        inputs=inputs, problem=problem, candidates=candidates, held_out=held_out, report_fields=report_fields,
-        estimated_parameters=estimated_parameters, units=inspection.units,
-    )  # fmt: skip
 
 
 RESONANCE_CAUSES = frozenset(

@@ -14,19 +14,20 @@ import scipy.signal
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.curve_claims import OPERATOR_EFFECTS
 from hydro_diagnosis.curve_reports import curve_reports
-from hydro_diagnosis.effects.base import HYDRAULIC, Effect, EffectHypothesis, FloatArray
+from hydro_diagnosis.effects.base import CHANNELS, HYDRAULIC, Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
+from hydro_diagnosis.estimation.budget import SEARCH_SHARE
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause_key, fit, holdout_gain
-from hydro_diagnosis.estimation.problem import CHANNELS, SEARCH_SHARE, Layout, Problem
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
-from hydro_diagnosis.selection.localisation import MismatchLocation
-from hydro_diagnosis.selection.search import Search, SearchOutcome
 from hydro_diagnosis.significance import VERY_STRONG_EVIDENCE
 from hydro_diagnosis.stages.parameter_checks import bench_parameter_estimates, confirmation_note, undetectable_note
 
 if TYPE_CHECKING:
+    from hydro_diagnosis.estimation.problem import Layout, Problem
+    from hydro_diagnosis.selection.localisation import MismatchLocation
+    from hydro_diagnosis.selection.search import Search, SearchOutcome
     from hydro_diagnosis.stages.naming import StageResult
     from hydro_diagnosis.stages.reading import PreparedDiagnosis
 
