@@ -72,7 +72,7 @@ class MetricDesign:
     """Smallest eigenvalue of M, over its largest entry."""
 
 
-TABLE_STEPS_MAX = 48
+GAIN_TABLE_STEPS_MAX = 48
 """Largest number of steps of the table: a wider range of gains gets wider steps."""
 SCANNED_GAINS_MAX = 600
 """Largest number of gains at which `limit_to_stable_range` evaluates the loop."""
@@ -222,8 +222,8 @@ class ScheduledMetric:
     def from_design(cls, loop: Loop, design: MetricDesign) -> ScheduledMetric:
         """Solve a design's metrics for the loop at rest, each scaled to 1 along f_l; raises as `solve_lyapunov`."""
         low, high, step, c_1 = design.gain_low, design.gain_high, design.gain_step, design.velocity_compensation
-        wide = high - low > TABLE_STEPS_MAX * step
-        gains = np.linspace(low, high, TABLE_STEPS_MAX + 1) if wide else np.arange(low, high + 0.5 * step, step)
+        wide = high - low > GAIN_TABLE_STEPS_MAX * step
+        gains = np.linspace(low, high, GAIN_TABLE_STEPS_MAX + 1) if wide else np.arange(low, high + 0.5 * step, step)
         solved = [solve_lyapunov(closed_loop_at_rest(loop, gain, c_1), design.own_decay) for gain in gains]
         solved.append(solve_riccati(loop, design)[0])
         return cls(

@@ -265,7 +265,7 @@ def learn_metric(options: argparse.Namespace) -> None:
     box = BoxIdentity.of_file(options.bench)
     learned_bench.require_match(options.model, box, remedy)
     if options.recording:
-        recordings.require_box(options.recording, box)
+        recordings.require_same_box(options.recording, box)
     provenance = Provenance(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
     loop = make_loop(model, bench)
     if without_overlap(model) is not None:

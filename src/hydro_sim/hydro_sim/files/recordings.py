@@ -94,7 +94,7 @@ def box_law(path: str | Path) -> BoxLaw | None:
     return BoxLaw.of_message(message)
 
 
-def require_box(path: str | Path, bench: BoxIdentity) -> None:
+def require_same_box(path: str | Path, bench: BoxIdentity) -> None:
     """Raise PairingError if a recording is of a box with another bench file."""
     with suppress(RecordingError):  # without a box's description
         *_, (_, box) = read_messages(path, BOX_TOPIC)
