@@ -51,18 +51,16 @@ def _without_inflation(uncertainty: Any) -> Any:
     return plain
 
 
-_JUDGE, _SEARCH, _NAMING = "judge", "selection.search", "stages.naming"
+_JUDGE, _SEARCH = "judge", "selection.search"
 _INTERVALS, _NOISE, _PROBLEM = "estimation.intervals", "estimation.noise:SegmentNoise", "estimation.problem"
 DOUBTS: dict[str, tuple[str, str, Change]] = {
     "searched": ("search: a claim below its smallest size, or the error of its signal, is not taken",
                  f"{_SEARCH}:all_significant", _answer(True)),
     "form errors": ("search: a claim that explains no more than an error in the form of its kin, and what others "
                     "explain beside it", f"{_SEARCH}:form_error", _answer(False)),
-    "little": ("search: two claims one after the other that remove little of what remains end it",
-               f"{_SEARCH}:removes_little", _answer(False)),
     "nearly all": ("judge: where names leave something, those that act there need 98 % of the squares",
                    f"{_JUDGE}:MIN_EXPLAINED_SHARE", _constant(0.0)),
-    "insignificant": ("judge, and `sure laws`: an interval that includes absence",
+    "insignificant": ("judge: an interval that includes absence",
                       f"{_INTERVALS}:_includes_neutral", _answer(False)),
     "harmful": ("judge: a name that makes what was held out worse", f"{_JUDGE}:_most_harmful", _answer(None)),
     "noisy signal": ("interval: noise in the acceleration that a mass multiplies",
@@ -80,13 +78,6 @@ DOUBTS: dict[str, tuple[str, str, Change]] = {
                  f"{_INTERVALS}:_uncertainty", _without_inflation),
     "recurrence": ("interval: blocks of residuals that resemble their neighbours", f"{_INTERVALS}:_recurrence",
                    lambda old: lambda moves, blocks: np.ones(moves.shape[1])),
-    "forms": ("interval: another form of a law that fits as well",
-              "effects.dynamics:Stribeck.other_forms", _constant(())),
-    "sure laws": ("laws: an interval that includes absence", f"{_NAMING}:all_exclude_neutral", _answer(True)),
-    "harmless laws": ("laws: an error of what was held out that becomes larger",
-                      "closure.admission:increases_no_error", _answer(True)),
-    "small laws": ("laws: less than a twentieth of the gap of what was held out",
-                   "closure.admission:PRACTICAL_SHARE", _constant(-np.inf)),
     "rough": ("curves first: rough recordings are named by their curve", "curves:ForceCurve.rough", _constant(False)),
 }  # fmt: skip
 """By name: what it does; where it is in hydro_diagnosis, `module:attribute`; what leaves it out."""

@@ -218,5 +218,4 @@ def _law(
         sentence=f"A force that {'rises' if slope > 0.0 else 'falls'} with the position by {abs(slope):.3g} N/m in the "
         "mean: like that of a spring that the bench file does not hold.",
         share_closed=float(np.clip(accounted["all"] - accounted["named"], 0.0, 1.0)),
-        share_by_form={"smooth": accounted["all"] - accounted["named"]},
     )

@@ -100,8 +100,6 @@ class ClosureReport:
     """Usual physical meaning of such a term."""
     share_closed: float
     """Share of the held-out squared error above the noise, left by names alone, that terms and names remove."""
-    share_by_form: dict[str, float | None]
-    """`share_closed` of each form that was tried: shows the cost of condensing a smooth function into a law."""
 
 
 @dataclass(frozen=True, kw_only=True)

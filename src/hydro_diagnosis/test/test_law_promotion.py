@@ -16,7 +16,7 @@ import pytest
 
 from hydro_core.errors import UserError
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.closure.admission import AdmittedClosure, closure_reports
+from hydro_diagnosis.closure.validation import closure_reports
 from hydro_diagnosis.effects import EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
@@ -35,8 +35,8 @@ def entry(law: Law | Table, **values: float) -> dict[str, Any]:
     effect = closure(law, Bench.nominal())
     sizes = {one.name: values.get(one.name, 1.0) for one in effect.parameters}
     bounds = [Interval(size, *sorted((0.99 * size, 1.01 * size)), identifiable=True) for size in sizes.values()]
-    fit: Any = SimpleNamespace(fit=SimpleNamespace(claims=[EffectHypothesis(effect, sizes)]))
-    (found,) = closure_reports(AdmittedClosure(fit, {}, 1.0, {}), bounds)
+    fit: Any = SimpleNamespace(claims=[EffectHypothesis(effect, sizes)])
+    (found,) = closure_reports(fit, bounds, share=1.0)
     return asdict(found)
 
 

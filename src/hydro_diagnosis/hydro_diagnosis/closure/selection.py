@@ -8,7 +8,7 @@ signals is taken; the velocity over which a law reverses becomes a parameter whe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -56,8 +56,8 @@ class ClosureFit:
     """Screening from which the terms were selected."""
 
 
-def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Iterator[ClosureFit]:
-    """Yield fits with closures of a fit's residual, the preferred first; none if no term gains on held-out blocks.
+def best_closure(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> ClosureFit | None:
+    """Return the fit with unnamed terms of a fit's residual; None if no term gains on held-out blocks.
 
     `names`: causes that may be fitted jointly with a law though the judgement does not retain them.
     """
@@ -68,14 +68,12 @@ def closures(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> Itera
     }
     if more and by_law.problem.has_excess(by_law.fit.residual) and not problem.budget.exhausted:
         by_law = _by_law(problem, base, screen, ())  # where something remains, no further named cause is certain
-    if by_law.gain > 0.0 and (problem.budget.exhausted or not by_law.problem.has_excess(by_law.fit.residual)):
-        yield by_law
-    if problem.budget.exhausted:
-        return
     left = by_law.problem.has_excess(by_law.fit.residual)
-    smooth = _by_curve(by_law if left else ClosureFit(base, "smooth", 0.0, problem, screen))
-    both = (by_law, smooth) if by_law.gain >= (1.0 - PRACTICAL_SHARE) * smooth.gain else (smooth, by_law)
-    yield from (one for one in (both if left else (smooth,)) if one.gain > 0.0)
+    found = by_law
+    if not problem.budget.exhausted and (left or by_law.gain <= 0.0):
+        smooth = _by_curve(by_law if left else ClosureFit(base, "smooth", 0.0, problem, screen))
+        found = smooth if by_law.gain < (1.0 - PRACTICAL_SHARE) * smooth.gain else by_law
+    return found if found.gain > 0.0 else None
 
 
 def _terms(found: Fit) -> int:

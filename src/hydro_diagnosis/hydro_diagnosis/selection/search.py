@@ -48,8 +48,6 @@ class SearchSettings:
     """Evidence in units of BIC that a claim needs beyond its parameters' price."""
     max_claims: int = 12
     """Largest number of claims."""
-    patience: int = 2
-    """Successive claims that each remove less than twice `PRACTICAL_SHARE` of the remainder before the search ends."""
     effort: int = 9000
     """Evaluations of all residuals after which the search ends: some 3 ms each for 60 s of data."""
 
@@ -235,17 +233,16 @@ class Search:
     def _grown(self, outcome: SearchOutcome) -> SearchOutcome:
         """The outcome with further claims."""
         self._shortlists.signatures.clear()
-        ranked, idle = self._ranked(outcome.problem, outcome.fit), 0
+        ranked = self._ranked(outcome.problem, outcome.fit)
         for _ in range(2 * self.settings.max_claims):
             if ranked:
-                idle = idle + 1 if removes_little(outcome.problem, outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
             elif self._exhausted or not self._swap(outcome, 0.0):
                 break
             for _ in range(ITERATIONS):
                 if self._exhausted or not self._swap(outcome, REFIT_MARGIN):
                     break
-            ranked = [] if idle >= self.settings.patience else self._further(outcome)
+            ranked = self._further(outcome)
         return outcome
 
     def _further(self, outcome: SearchOutcome) -> list[Fit]:
@@ -375,12 +372,3 @@ def acts_in_other_channels(problem: Problem, base: Fit, mended: Fit, other: Fit)
         part for name, part in removed.items() if before[name] - one[name] > little * (before[name] - two[name])
     )
     return shared < little * sum(removed.values())
-
-
-def removes_little(problem: Problem, base: Fit, found: Fit) -> bool:
-    """Return whether the newest claim removes little of what remains in the channel in which it removes most."""
-    before, after = (problem.mean_squares(one.residual) for one in (base, found))
-    counts = dict(zip(CHANNELS, problem.layout.count, strict=True))
-    channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
-    excess = problem.excess_channels(found.residual).get(channel, 1.0) - 1.0
-    return before[channel] - after[channel] < 2.0 * PRACTICAL_SHARE * excess

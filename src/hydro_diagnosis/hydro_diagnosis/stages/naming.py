@@ -16,13 +16,13 @@ import numpy as np
 
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_parameters import can_simulate
-from hydro_diagnosis.closure.admission import admit, closure_reports
-from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.closure.selection import best_closure
+from hydro_diagnosis.closure.validation import closure_reports, errors_with_closure, share_closed
 from hydro_diagnosis.curve_claims import CurveClaims, claims_from_curve
 from hydro_diagnosis.curves import ForceCurve, Motion, motions
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Effect, EffectHypothesis
 from hydro_diagnosis.estimation.fit import fit
-from hydro_diagnosis.estimation.intervals import Interval, all_exclude_neutral, intervals
+from hydro_diagnosis.estimation.intervals import Interval, intervals
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
 from hydro_diagnosis.judge import Assessment, ExplainedShares, accounted_shares, assess, retain_claims
 from hydro_diagnosis.recording import Segment
@@ -32,7 +32,7 @@ from hydro_diagnosis.validation import SimulationCache, equation_errors, holdout
 if TYPE_CHECKING:
     from hydro_diagnosis.estimation.problem import Problem
     from hydro_diagnosis.selection.search import Search, SearchOutcome
-    from hydro_diagnosis.stages.reading import PreparedDiagnosis, ProgressCallback
+    from hydro_diagnosis.stages.reading import PreparedDiagnosis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,10 +99,10 @@ def moving_motions(problem: Problem) -> list[Motion]:
 
 
 def model_remainder(found: StageResult, prepared: PreparedDiagnosis, search: Search) -> StageResult:
-    """Return the result extended by closures; unchanged if no mismatch remains or no closure is admitted.
+    """Return the result extended by closures; unchanged if no mismatch remains or none improves the fit.
 
     None is sought if the remainder may be a resonance aliased by the logger (`Problem.aliased_resonance`), or if the
-    budget is spent. If none is admitted in the motion equation of rough recordings, the force curve names effects.
+    budget is spent. If there is none in the motion equation of rough recordings, the force curve names effects.
     """
     problem, curve = found.problem, found.curve
     if found.by_curve is not None or not found.assessment.remainder:
@@ -110,7 +110,7 @@ def model_remainder(found: StageResult, prepared: PreparedDiagnosis, search: Sea
     if not problem.aliased_resonance and not problem.budget.exhausted:
         search.progress(stage_bar.MODELLING)
         library = [effect for effect in search.library if effect.named]
-        if modelled := _with_laws(found, library, search.progress):
+        if modelled := _with_laws(found, library):
             return modelled
     in_motion = any(place.equation == MOTION for place in found.assessment.remainder)
     if curve is None or not in_motion or not (curve.rough or problem.aliased_resonance):
@@ -143,26 +143,29 @@ def _by_curve(
     )  # fmt: skip
 
 
-def _with_laws(names: StageResult, library: Sequence[Effect], progress: ProgressCallback) -> StageResult | None:
-    """Result with the first admitted closure, fitted jointly with the claims; None if none is admitted."""
-    problem, holdout = names.problem, names.holdout
-    candidates = closures(problem, names.assessment.fit, library)
-    found = admit(problem, holdout, candidates, names.holdout_report, names.simulations)
-    bounds = intervals(found.closure_fit.problem, found.closure_fit.fit) if found else []
-    if not found or not all_exclude_neutral(found.closure_fit.fit.claims, bounds):
+def _with_laws(names: StageResult, library: Sequence[Effect]) -> StageResult | None:
+    """Result with a closure, fitted jointly with the claims; None if none improves the simulation of held-out data."""
+    found = best_closure(names.problem, names.assessment.fit, library)
+    if found is None:
         return None
-    joint_fit, problem = found.closure_fit.fit, found.closure_fit.problem
-    holdout = holdout.reweighted(joint_fit.claims)
+    joint_fit, problem = found.fit, found.problem
+    errors = errors_with_closure(names.problem, names.holdout, joint_fit, names.holdout_report, names.simulations)
+    share = share_closed(names.holdout_report, errors)
+    if not share > 0.0:
+        return None
+    bounds = intervals(problem, joint_fit)
+    holdout = names.holdout.reweighted(joint_fit.claims)
     named = tuple(one for one in joint_fit.claims if one.effect.named)
     everything = equation_errors(holdout, joint_fit.claims)
     accounted = accounted_shares(everything, equation_errors(holdout, named))
     baseline_fit = names.outcome.baseline_fit
     result = replace(
-        names, problem=problem, holdout=holdout, bounds=bounds, closures=closure_reports(found, bounds),
-        accounted=accounted, assessment=assess(problem, names.outcome.fit, joint_fit, baseline_fit, holdout, accounted),
-        holdout_report={**found.holdout_report, "equations": everything},
+        names, problem=problem, holdout=holdout, bounds=bounds,
+        closures=closure_reports(joint_fit, bounds, share), accounted=accounted,
+        assessment=assess(problem, names.outcome.fit, joint_fit, baseline_fit, holdout, accounted),
+        holdout_report={**errors, "equations": everything},
     )  # fmt: skip
     ahead = names.next_recording if result.names == names.names else None  # else it would separate a dropped claim
     if ahead is None and can_simulate(problem.bench):
-        ahead = next_for_law(problem, joint_fit, found.closure_fit.screen)
+        ahead = next_for_law(problem, joint_fit, found.screen)
     return replace(result, next_recording=ahead)
