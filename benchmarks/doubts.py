@@ -78,6 +78,8 @@ DOUBTS: dict[str, tuple[str, str, Change]] = {
                  f"{_INTERVALS}:_uncertainty", _without_inflation),
     "recurrence": ("interval: blocks of residuals that resemble their neighbours", f"{_INTERVALS}:_recurrence",
                    lambda old: lambda moves, blocks: np.ones(moves.shape[1])),
+    "forms": ("interval: another form of a law that fits as well",
+              "effects.dynamics:Stribeck.other_forms", _constant(())),
     "rough": ("curves first: rough recordings are named by their curve", "curves:ForceCurve.rough", _constant(False)),
 }  # fmt: skip
 """By name: what it does; where it is in hydro_diagnosis, `module:attribute`; what leaves it out."""

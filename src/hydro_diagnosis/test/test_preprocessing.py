@@ -149,7 +149,7 @@ def test_what_a_ringing_between_slow_rows_mimics_is_not_judged(
 ) -> None:
     """The mass rings at 87 Hz: 200 rows a second show it; in 100 it is as slow as 13 Hz, and so it is in 50."""
     tried: list[Problem] = []
-    monkeypatch.setattr(naming, "closures", lambda problem, *_: tried.append(problem) or ())
+    monkeypatch.setattr(naming, "best_closure", lambda problem, *_: tried.append(problem))
     frame(nominal)[::spacing].to_csv(tmp_path / "run.csv", index=False)
     inputs = DiagnosisInput(recordings=[tmp_path / "run.csv"], holdout=[], bench=BENCH, model=None, columns=None,
                         without=[], estimate=[], as_wired=True)  # fmt: skip

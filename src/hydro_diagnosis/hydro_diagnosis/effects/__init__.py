@@ -11,11 +11,12 @@ from typing import Any
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FitParameter
 from hydro_diagnosis.effects.closure import grown_cause
-from hydro_diagnosis.effects.dynamics import EFFECT_CLASSES
+from hydro_diagnosis.effects.dynamics import EFFECT_CLASSES, Stribeck, StribeckExponential
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.base import fit, parameter
 from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
+from hydro_sim.model.effects.friction import FrictionStribeck
 from hydro_sim.model.effects.parameter_corrections import Correction
 
 NOMINAL_BENCH = Bench.nominal()
@@ -27,6 +28,8 @@ LIBRARY: tuple[Effect, ...] = (
     *map(grown_cause, grown.EFFECTS),
 )
 """Effects that can be claimed; several may share an id (chambers, sensors, forms of one cause)."""
+_EXPONENTIAL = Kind(FrictionStribeck, (("form", "exponential"),))
+Stribeck.other_forms = (StribeckExponential(_EXPONENTIAL).adapted(NOMINAL_BENCH),)
 
 
 class _WideningHoses(Correction):

@@ -122,6 +122,8 @@ class Effect:
     """Whether the effect is in the table of causes; others are candidates that are never claimed."""
     stage: ClassVar[int] = 1
     """Order in the command path: 0 before the spool, 1 spool dynamics, 2 functions of its position (overlap)."""
+    other_forms: ClassVar[tuple[Effect, ...]] = ()
+    """Other forms of the same cause and parameters, never claimed; intervals also span those that fit as well."""
     models_presliding: ClassVar[bool] = False
     """Whether it models dry friction elastically (presliding): the model then adds no dry friction and no stiction."""
     has_no_time_filter: ClassVar[bool] = False

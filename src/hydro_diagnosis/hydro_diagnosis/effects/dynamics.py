@@ -129,6 +129,17 @@ class SupplyDroop(Effect):
         return supply - values["resistance"] * memory.lag("supply", demand, values["time_constant"])
 
 
+class Stribeck(Effect):
+    """Stribeck friction: a rise near standstill, of which another form may fit as well."""
+
+
+class StribeckExponential(Stribeck):
+    """Stribeck friction of exponential form, F_s exp(-|v|/v_s) (Tustin 1947), which is never claimed."""
+
+    def dry_level(self, level: FloatArray, motion: Kinematics, values: ParameterValues) -> FloatArray:
+        return level + values["breakaway_force"] * np.exp(-np.abs(motion.velocity) / values["velocity"])
+
+
 class FrictionPresliding(Effect):
     """Presliding friction: a bristle that deflects elastically before it slides (Dahl 1968)."""
 
@@ -183,6 +194,7 @@ EFFECT_CLASSES: dict[type[physics.Effect], type[Effect]] = {
     valve.ValveDeadbandAsymmetric: Overlap,
     valve.ValveDeadbandSoft: SoftOverlap,
     oil.SupplyDroop: SupplyDroop,
+    friction.FrictionStribeck: Stribeck,
     friction.FrictionPresliding: FrictionPresliding,
     motion.BacklashPlay: Backlash,
     sensing.LoadCellGain: CalibrationError,

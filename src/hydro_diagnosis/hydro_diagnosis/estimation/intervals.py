@@ -5,13 +5,14 @@ A parameter is moved, all others are fitted again, and the deviance must rise by
 independent and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to
 the curvature (the sandwich), and by more where blocks are autocorrelated (slow noise, drift); where a remainder is left
 unexplained that ratio grows by itself. The systematic part covers the residuals' own discretisation, a fraction of the
-smallest size worth claiming, noise in a parameter's regressor, and missing rows.
+smallest size worth claiming, noise in a parameter's regressor, and missing rows. Where a claim's law may have another
+form, the interval spans those of all forms that fit as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, sqrt
 from typing import TYPE_CHECKING
 
@@ -30,6 +31,7 @@ from hydro_diagnosis.significance import (
     ITERATIONS,
     PRACTICAL_SHARE,
     QUANTILE,
+    VERY_STRONG_EVIDENCE,
 )
 
 if TYPE_CHECKING:
@@ -131,14 +133,30 @@ def _includes_neutral(claim: EffectHypothesis, bounds: Sequence[Interval]) -> bo
 
 def intervals(problem: Problem, found: Fit) -> list[Interval]:
     """Return the 95 % interval of each parameter of the claims, in the order of `pack`."""
+    owners = [claim for claim in found.claims for _ in claim.effect.parameters]
+    bounds = _intervals(problem, found, range(len(owners)))
+    for claim in found.claims:
+        kin = [k for k, one in enumerate(owners) if one.effect.family == claim.effect.family]
+        for form in claim.effect.other_forms:
+            others = [replace(one, effect=form) if one is claim else one for one in found.claims]
+            other = fit(problem, others)
+            if other.deviance < found.deviance + VERY_STRONG_EVIDENCE:
+                for k, bound in zip(kin, _intervals(problem, other, kin), strict=True):
+                    low, high = min(bounds[k].low, bound.low), max(bounds[k].high, bound.high)
+                    bounds[k] = replace(bounds[k], low=low, high=high)
+    return bounds
+
+
+def _intervals(problem: Problem, found: Fit, which: Sequence[int]) -> list[Interval]:
+    """Intervals of `which` of the parameters, the form of every claim as it is."""
     parameters, values = pack(found.claims)
     if not len(values):
         return []
     owners = [claim.effect.id for claim in found.claims for _ in claim.effect.parameters]
     curvature, inflation = _uncertainty(problem, found)
     missing, bounds = np.concatenate(shifts(problem, found)), []
-    for k, one in enumerate(parameters):
-        value, widened = float(values[k]), inflation[k]
+    for k in which:
+        one, value, widened = parameters[k], float(values[k]), inflation[k]
         reach = QUANTILE * (curvature[k] * one.span) * widened
         sides = [_profiled(problem, found, k, value, sign * reach, widened) for sign in (-1.0, 1.0)]
         attenuation = hypot(problem.attenuation.get(owners[k], 0.0), missing[k])
