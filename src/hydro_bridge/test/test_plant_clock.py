@@ -22,11 +22,12 @@ from tests.checks import wait
 
 
 class Plant:
-    """A plant's thread that takes samples from 0 on; `samples` were published, the last one still waits."""
+    """A plant's thread that takes samples from 0 on; the last of `samples` waits once it is in `published`."""
 
     def __init__(self, **settings: object) -> None:
         self.said: list[str] = []
         self.samples: list[int] = []
+        self.published: list[int] = []
         self.again: list[int] = []
         self.lock_step = LockStep(LockStepSettings(**settings), self.said.append)
         self.thread = threading.Thread(target=self._run, daemon=True)
@@ -40,12 +41,13 @@ class Plant:
             self.samples.append(sequence)
             answered.clear()
             self.lock_step.begin_sample(sequence, lambda sequence=sequence: self.again.append(sequence))
+            self.published.append(sequence)
             while not answered.is_set():
                 answered.wait(self.lock_step.poll())
 
     def stands_at(self, sequence: int) -> bool:
         """Whether it has come to this sample, and goes no further."""
-        wait(lambda: self.samples and self.samples[-1] >= sequence)
+        wait(lambda: self.published and self.published[-1] >= sequence)
         time.sleep(0.05)
         return self.samples[-1] == sequence
 
@@ -117,7 +119,7 @@ def test_a_correction_is_the_answer_of_the_filter(plant) -> None:
     it = plant(filter=FILTER_WINDOW)
     for sequence in range(50):
         assert it.samples[-1:] <= [sequence]
-        wait(lambda sequence=sequence: it.samples and it.samples[-1] == sequence)
+        wait(lambda sequence=sequence: it.published and it.published[-1] == sequence)
         it.lock_step.on_correction(sequence)
     assert it.stands_at(50)
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FitParameter, FloatArray
 from hydro_diagnosis.significance import FOLDS, ITERATIONS
+from hydro_sim.identification.least_squares import damped_step
 
 if TYPE_CHECKING:
     from hydro_diagnosis.estimation.problem import Problem
@@ -151,10 +152,10 @@ def fit(
         found = _stepped(problem, effects, values, residual, best, slopes, weight, damping, fixed)
         if found is None:
             break
-        trial, outcome, reached, damping = found
+        (trial, outcome), reached, damping = found
         gained, best = best - reached, reached
-        step, damping = (trial - values) / span, damping * 0.1
         if secant:
+            step = (trial - values) / span
             missed = outcome - residual - slopes @ step
             slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
         values, residual = trial, outcome
@@ -167,8 +168,8 @@ def fit(
 
 def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, residual: FloatArray, best: float,
              slopes: FloatArray, weight: FloatArray, damping: float, fixed: int | None,
-             ) -> tuple[FloatArray, FloatArray, float, float] | None:  # fmt: skip
-    """Values, residual, deviance and damping after a step that gains; None where none does."""
+             ) -> tuple[tuple[FloatArray, FloatArray], float, float] | None:  # fmt: skip
+    """Values and residual, deviance and next damping after a step that gains; None where none does."""
     parameters = [parameter for effect in effects for parameter in effect.parameters]
     low, high, span = (np.array([getattr(one, name) for one in parameters]) for name in ("low", "high", "span"))
     normal = slopes.T @ (slopes * weight[:, None])
@@ -176,15 +177,13 @@ def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, re
     if fixed is not None:
         normal[fixed, :] = normal[:, fixed] = force[fixed] = 0.0
         normal[fixed, fixed] = 1.0
-    for _ in range(4):
-        damped = normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)
-        trial = np.clip(values - np.linalg.lstsq(damped, force, rcond=None)[0] * span, low, high)
+
+    def attempt(change: FloatArray) -> tuple[tuple[FloatArray, FloatArray], float]:
+        trial = np.clip(values + change * span, low, high)
         outcome = problem.residual(unpack(effects, trial))
-        reached = problem.deviance(outcome)
-        if reached < best:
-            return trial, outcome, reached, damping
-        damping *= 20.0
-    return None
+        return (trial, outcome), problem.deviance(outcome)
+
+    return damped_step(normal, force, best, attempt, damping)
 
 
 def cross_validated_deviance(

@@ -19,6 +19,7 @@ from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Data, Run
 from hydro_sim.identification import bench_states
 from hydro_sim.identification.bench_states import Indices, Sensitivities, StateEstimator
+from hydro_sim.identification.least_squares import damped_step
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import DEAD_TIME_PARAMETER, BenchModel
 from hydro_sim.model.effects import catalogue, valve
@@ -210,18 +211,19 @@ class WindowFit:
         matrix, gradient, eliminated = self.normal_equations()
         cost = self.cost(self.q, self.s)
         reach = np.where(self.parametrisation.logarithm, 1.0, np.maximum(np.abs(self.q), 1.0))
-        while self.damping < 1e8:
-            damped = matrix + self.damping * np.diag(np.diag(matrix))
-            change = np.clip(-np.linalg.solve(damped, gradient), -reach, reach)
-            q = self.parametrisation.coordinates(self.parametrisation.parameters(self.q + change))
+
+        def attempt(change: FloatArray) -> tuple[tuple[FloatArray, FloatArray], float]:
+            moved = self.q + np.clip(change, -reach, reach)
+            q = self.parametrisation.coordinates(self.parametrisation.parameters(moved))
             moves = -(eliminated[:, :, -1] + eliminated[:, :, :-1] @ (q - self.q))
             s = self.s + np.clip(moves, -INITIAL_STATE_STEP_MAX, INITIAL_STATE_STEP_MAX)
-            better = self.cost(q, s)
-            if better < cost:
-                self.q, self.s, self.damping = q, s, max(self.damping / 10.0, 1e-7)
-                return better < (1.0 - COST_TOLERANCE) * cost
-            self.damping *= 10.0
-        return False
+            return (q, s), self.cost(q, s)
+
+        found = damped_step(matrix, gradient, cost, attempt, self.damping, attempts=8)
+        if found is None:
+            return False
+        (self.q, self.s), better, self.damping = found
+        return better < (1.0 - COST_TOLERANCE) * cost
 
     def predictions(self, q: FloatArray, s: FloatArray) -> list[FloatArray]:
         """Return the readings of each window, shape (H, 5)."""
