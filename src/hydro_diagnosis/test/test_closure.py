@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure.evidence import equals_ruled_out, excluded_blocks, has_identified_shapes, held_out_gain
 from hydro_diagnosis.closure.screen import Screen
-from hydro_diagnosis.closure.selection import best_closure
+from hydro_diagnosis.closure.selection import ClosureFit, best_closure
 from hydro_diagnosis.closure.validation import share_closed
 from hydro_diagnosis.effects import CANDIDATES, EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
@@ -25,6 +26,7 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.report_json import ClosureReport
+from hydro_diagnosis.stages import naming
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import REVERSING_TEXT, Signals, edge_losses, spool_shift_losses
@@ -209,8 +211,16 @@ def test_the_share_closed_is_that_of_the_squared_error_above_the_noise(after: fl
     assert share_closed(held(a=10.0, b=0.9), held(a=after, b=0.9)) == pytest.approx(share, abs=0.05)
 
 
-def test_a_law_whose_simulation_diverges_closes_no_share() -> None:
-    assert not share_closed(held(a=10.0, b=1.5), held(a=1.0, b=float("nan"))) > 0.0
+@pytest.mark.parametrize("later", [10.0, 20.0, float("nan")])
+def test_a_law_that_does_not_improve_the_simulation_of_held_out_data_is_refused(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch, later: float
+) -> None:
+    base = fit(problem, ())
+    names: Any = SimpleNamespace(problem=problem, holdout=problem, holdout_report=held(a=10.0), simulations={},
+                                 assessment=SimpleNamespace(fit=base))  # fmt: skip
+    monkeypatch.setattr(naming, "best_closure", lambda *_: ClosureFit(base, "law", 1.0, problem))
+    monkeypatch.setattr(naming, "errors_with_closure", lambda *_: held(a=later))
+    assert naming._with_laws(names, []) is None
 
 
 def test_a_number_that_no_sample_shows_is_not_known(problem: Problem) -> None:
