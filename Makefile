@@ -96,10 +96,10 @@ fuzz: setup  ## a million hostile frames to the decoder
 	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)
 
 fuzz-line: setup  ## ten million hostile bytes each way of an armed plant's serial line
-	@$(SOURCED) .venv/bin/python -m tests.soak --causes "corrupt bytes" "corrupt bytes alone" --lasts 100 $(ARGS)
+	@$(SOURCED) .venv/bin/python -m benchmarks.soak --causes "corrupt bytes" "corrupt bytes alone" --lasts 100 $(ARGS)
 
 soak: setup  ## an hour of training under faults drawn at random (ARGS="--seed 1 --hours 0.1")
-	@$(SOURCED) .venv/bin/python -m tests.soak $(ARGS)
+	@$(SOURCED) .venv/bin/python -m benchmarks.soak $(ARGS)
 
 firmware:  ## the box in C: unit tests, 10^7 hostile bytes under sanitizers, coverage, mutants, operations (ARGS="--no-mutants")
 	@$(PYTHON) firmware/test/checks.py $(ARGS)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.soak.crew import Memory
+from benchmarks.soak.wire import TYPE
 from hydro_core.signals import Flag
-from tests.soak.crew import Memory
-from tests.soak.wire import TYPE
 
 _LASTING = 300  # samples at base gains that a policy does not choose: thirty steps
 BASE_KP = 15.0  # 1/s, of the emulated box
@@ -35,10 +35,12 @@ def read(path: Path) -> Records:
 
 
 def armed(records: Records) -> NDArray[np.bool_]:
+    """Return where the box was armed."""
     return (records["flags"] & Flag.ARMED) != 0
 
 
 def largest(values: NDArray[np.float32]) -> float:
+    """Return the largest magnitude, 0 of none."""
     return float(np.abs(values).max(initial=0.0))
 
 
@@ -107,15 +109,15 @@ class Outcome:
         self.disarmed = int((~armed(records)).sum())
         self.force, self.current = largest(until["force"]), largest(until["current"])
 
-    def violations(self, slack: float = 1.0) -> list[str]:
-        """What was unsafe; `slack` times later is still in time."""
+    def violations(self) -> list[str]:
+        """What was unsafe."""
         if self.stays_armed and self.disarmed:
             return [f"{self.cause}: disarmed for {self.disarmed} samples"]
         if self.safe_within is None:
             return []
         if self.safe_after is None:
             return [f"{self.cause}: never safe"]
-        late = self.safe_after > slack * self.safe_within
+        late = self.safe_after > self.safe_within
         return [f"{self.cause}: safe after {self.safe_after:.2f} s, not {self.safe_within} s"] if late else []
 
 
@@ -133,10 +135,10 @@ def invariants(records: Records) -> list[str]:
     return [sentence for sentence, broken in found.items() if broken]
 
 
-def growth(memory: Mapping[str, Memory], least: float = 60.0) -> list[str]:
-    """Which processes that lived `least` s from their first figure on have grown."""
+def growth(memory: Mapping[str, Memory]) -> list[str]:
+    """Which processes that lived a minute from their first figure on have grown."""
     return [
         f"{name}: {each.last - each.first:.1f} MiB more memory"
         for name, each in memory.items()
-        if each.seconds > least and each.last - each.first > GROWTH.get(name.split()[0], _GROWTH)
+        if each.seconds > 60.0 and each.last - each.first > GROWTH.get(name.split()[0], _GROWTH)
     ]

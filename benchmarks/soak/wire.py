@@ -83,6 +83,7 @@ class Direction:
         self.unwritten += b"".join(list(self._passed)[-count:])
 
     def written(self, count: int) -> None:
+        """Forget the first `count` bytes; of a line that nobody reads, all but the last."""
         self.unwritten = self.unwritten[count:][-_HELD:]
 
     def _chunk(self) -> bytes:

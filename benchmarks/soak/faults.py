@@ -18,9 +18,9 @@ from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 
+from benchmarks.soak.crew import LEARNER
 from hydro_bridge.ros.topics import AUTHORITY, create_subscription
 from tests.attacks import ATTACKS, DISARMS, STAYS_ARMED, stranger
-from tests.soak.crew import LEARNER
 
 _WATCHDOG = 0.35
 """s: the box' watchdog of 200 ms, and what had been sent before."""

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -12,12 +11,12 @@ from random import Random
 
 import numpy as np
 
+from benchmarks.soak import wire
+from benchmarks.soak.crew import Crew
+from benchmarks.soak.faults import Fault
+from benchmarks.soak.judge import Outcome, Records, acting, growth, invariants, read
 from hydro_core.process.termination import signals_ignored
 from tests.domains import own_domain
-from tests.soak import wire
-from tests.soak.crew import Crew
-from tests.soak.faults import Fault
-from tests.soak.judge import Outcome, Records, acting, growth, invariants, read
 
 _PATIENCE = 240.0  # s until a policy acts again: imports, a lease of 20 s of who was killed, a compiler
 _CALM = 0.5  # s of samples that must all be armed
@@ -27,11 +26,11 @@ _TRACEBACK = "Traceback (most recent call last)"
 class Soak:
     """A graph under faults; make it by `soaking`."""
 
-    def __init__(self, folder: Path, seed: int, stack: ExitStack, slack: float) -> None:
+    def __init__(self, folder: Path, seed: int, stack: ExitStack) -> None:
         self.outcomes: list[Outcome] = []
         self.broken: list[str] = []
         """What was unsafe, but for what is found in the trace and in memory at the end."""
-        self._random, self._slack = Random(seed), slack
+        self._random = Random(seed)
         self.orders, self._trace = wire.start(stack, folder, seed), folder / "trace"
         self.crew = Crew(folder, seed)  # after the wire, which stays until all has ended
         self._acting = False
@@ -41,9 +40,7 @@ class Soak:
         """All samples of the box."""
         return read(self._trace)
 
-    def run(
-        self, faults: Iterable[Fault], seconds: float = math.inf, tick: Callable[[float], None] = lambda _: None
-    ) -> None:
+    def run(self, faults: Iterable[Fault], seconds: float, tick: Callable[[float], None]) -> None:
         """Strike until there is no fault more or `seconds` are over; `tick` is told how many have passed."""
         self._tick, self._begun = tick, time.monotonic()
         self.crew.revive()
@@ -61,7 +58,7 @@ class Soak:
         outcome = Outcome(fault.cause, time.monotonic(), fault.safe_within, fault.stays_armed)
         self.outcomes.append(outcome)
         end = outcome.began + fault.lasts
-        late = outcome.began + self._slack * (fault.safe_within or 0.0)
+        late = outcome.began + (fault.safe_within or 0.0)
         with fault.strike(self) as again:
             while time.monotonic() < end:
                 again()
@@ -92,7 +89,7 @@ class Soak:
 
     def violations(self) -> list[str]:
         """What was unsafe."""
-        late = [sentence for outcome in self.outcomes for sentence in outcome.violations(self._slack)]
+        late = [sentence for outcome in self.outcomes for sentence in outcome.violations()]
         return [*late, *invariants(self.records), *growth(self.crew.memory), *self.broken]
 
     def _wait_until_acting(self) -> bool:
@@ -120,11 +117,11 @@ class Soak:
 
 
 @contextmanager
-def soaking(folder: Path, seed: int, slack: float = 1.0) -> Iterator[Soak]:
-    """A soak in a domain of its own, whose processes end with it; `slack` times later than it should is in time."""
+def soaking(folder: Path, seed: int) -> Iterator[Soak]:
+    """A soak in a domain of its own, whose processes end with it."""
     with ExitStack() as stack:
         stack.enter_context(own_domain())
-        soak = Soak(folder, seed, stack, slack)
+        soak = Soak(folder, seed, stack)
         try:
             yield soak
         finally:

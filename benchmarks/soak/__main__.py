@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A training under faults drawn at random, by the hour: `make soak`; its hostile bytes alone: `make fuzz-line`.
 
-python -m tests.soak [--seed S] [--hours H] [--causes CAUSE ...] [--lasts S] [--json FILE]
+python -m benchmarks.soak [--seed S] [--hours H] [--causes CAUSE ...] [--lasts S] [--json FILE]
 
 Emulator, bridge, filter, trainer (external, from scratch) and recorder run at 1 kHz; a process on the serial line keeps
 what the box says. Whatever ends is started again as its user would. Ctrl-C ends it with the table so far. Exit status 1
@@ -20,12 +20,14 @@ from itertools import chain, count
 from pathlib import Path
 from random import Random
 
+from tqdm import tqdm
+
+from benchmarks.soak.faults import FAULTS
+from benchmarks.soak.judge import Outcome
+from benchmarks.soak.soak import soaking
 from hydro_bridge.ros.node import restrict_to_localhost
 from hydro_core.cli.console import Table, add_json_argument, bounded_number, command, progress, writable_folder
 from hydro_core.process.termination import Terminated
-from tests.soak.faults import FAULTS
-from tests.soak.judge import Outcome
-from tests.soak.soak import soaking
 
 COLUMNS = {
     "cause": "",
@@ -58,7 +60,8 @@ def run(asked: argparse.Namespace, folder: Path) -> int:
     chosen = [replace(fault, lasts=asked.lasts or fault.lasts) for fault in chosen]
     random, seconds = Random(asked.seed), 3600.0 * asked.hours
     turns = chain.from_iterable(random.sample(chosen, len(chosen)) for _ in count())
-    with soaking(folder, asked.seed) as soak, progress(total=round(seconds), label="soak", unit="s") as bar:
+    bar: tqdm[None] = progress(total=round(seconds), label="soak", unit="s")
+    with soaking(folder, asked.seed) as soak, bar:
         try:
             soak.run(chosen if asked.causes else turns, seconds, lambda now: bar.update(int(now) - bar.n))
         except Terminated as ending:
@@ -77,7 +80,7 @@ def run(asked: argparse.Namespace, folder: Path) -> int:
 def main() -> int:
     """Entry point."""
     causes = [fault.cause for fault in FAULTS]
-    parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
     parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
     parser.add_argument("--hours", type=bounded_number(1e-3), default=1.0, help="default: %(default)s")
     parser.add_argument("--causes", nargs="+", choices=causes, metavar="CAUSE", help="only these faults, each once")
