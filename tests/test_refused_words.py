@@ -99,10 +99,8 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--runs @new --plant bench --filter=--model=@other_model.yaml", "was made for model"),
         ("--runs @new --plant sim --filter none", "a policy trains behind the filter"),
     ),
-    "hydro_sim collect": (("--out @new", "collect is now `ros2 run hydro_policy collect`"),),
     "hydro_sim emulator": (
         ("--offline", "--offline needs --out"),
-        ("--speed 1", "--speed is now --pace"),
         ("--offline --out /dev/null/x", "/dev/null is not a folder: choose another place"),
     ),
     "hydro_sim export": (
@@ -113,7 +111,6 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--c @model.c --bench @nowhere.yaml", "nowhere.yaml"),
         ("--fmu /dev/null/x.fmu", "/dev/null/x.fmu cannot be written"),
     ),
-    "hydro_sim export_c": (("--out @box.h", "export_c is now `ros2 run hydro_sim export --box FILE.h`"),),
     "hydro_sim learn": (("@bag --out @new", "a bench file's name ends in .yaml or .yml"),),
     "hydro_sim sim": (
         ("--model shipped --box-bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),

@@ -132,7 +132,7 @@ def test_set_up_checkout_is_left_alone_and_at_once() -> None:
     ("words", "sentence"),
     [
         ("run nothing echo", "package 'nothing' not found"),
-        ("run hydro_sim si", "no executable 'si'; it has: collect, "),
+        ("run hydro_sim si", "no executable 'si'; it has: emulator, "),
         ("doctor", "`ros2 doctor` needs a full ROS 2 Jazzy"),
         ("service call /hydro/arm std_srvs/srv/SetBool '{dat: 1}'", "has no field dat; it has: data"),
         ("service call /hydro/arm std_srvs/srv/SetBool '{data: 1}'", "data: 1 is no boolean"),

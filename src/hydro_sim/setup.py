@@ -41,8 +41,6 @@ setup(
         "console_scripts": [
             "sim = hydro_core.process.startup:main_of.hydro_sim.nodes.sim",
             "export = hydro_core.process.startup:main_of.hydro_sim.export.command",
-            "collect = hydro_core.process.startup:main_of.hydro_sim.nodes.renamed",
-            "export_c = hydro_core.process.startup:main_of.hydro_sim.nodes.renamed",
             "emulator = hydro_core.process.startup:main_of.hydro_sim.emulator.command",
             "learn = hydro_core.process.startup:main_of.hydro_sim.identification.learn",
             "validate = hydro_core.process.startup:main_of.hydro_sim.identification.validate",

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
@@ -75,12 +75,6 @@ def parse_pace(text: str) -> float | None:
         if 0.0 < (factor := float(text)) <= 100.0:
             return factor
     raise SettingsError(f"--pace {text}: say plant, real, or a factor of real time within (0, 100]; {_PACE_HELP}")
-
-
-def reject_speed_option(words: Sequence[str]) -> None:
-    """Raise SettingsError for the former option `--speed`, which `--pace` has replaced."""
-    if any(word.split("=")[0] == "--speed" for word in words):
-        raise SettingsError(f"--speed is now --pace; {_PACE_HELP}")
 
 
 @dataclass

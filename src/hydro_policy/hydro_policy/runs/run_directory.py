@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from hydro_core.files.atomic import encode_json, fsync_folder, write_atomic
 from hydro_core.files.tensors import InvalidTensorError, check_finite
 from hydro_core.settings import SettingsError, check, from_mapping, quantity, read_yaml
-from hydro_policy.sac.settings import SacSettings, rename_legacy_keys
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import BASE_GAINS, TaskSettings
@@ -144,10 +144,6 @@ class RunDirectory:
             values.pop("plant", None)
             if not values:
                 raise SettingsError("it is empty")
-            if "warmup_steps" in values:  # until 2026-11
-                values["learning_starts"] = values.pop("warmup_steps")
-            if isinstance(values.get("sac"), dict):
-                values["sac"] = rename_legacy_keys(values["sac"])
             return from_mapping(TrainingSettings, values, self.config.name)
         except ValueError as error:
             raise ValueError(f"{self.path} holds no run to resume: {error}") from error

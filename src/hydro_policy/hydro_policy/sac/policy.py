@@ -104,7 +104,7 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
     tensors, header = weights.load(path)
     try:
         seen, (low, high) = header["observation"], header["log_std_bounds"]
-        size = BenchScales(**seen["size"]) if "size" in seen else NOMINAL
+        size = BenchScales(**seen["size"])
         check(size)
         center, scale = normalization(size)
         known = OBSERVATION_NAMES, center.tolist(), scale.tolist()

@@ -32,7 +32,7 @@ from hydro_core.files.tensors import InvalidTensorError, check_finite, check_sha
 from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.dense import BATCH_MAX, BLOCK_SIZE, STRIDE, Floats, affine, outer, relu, relu_gradient
-from hydro_policy.sac.settings import SacSettings, rename_legacy_keys
+from hydro_policy.sac.settings import SacSettings
 from hydro_sim.jit import njit
 
 # ---------------------------------------------------------------------------------------------------- replay buffer
@@ -542,7 +542,7 @@ def actor_parameters(blob: bytes) -> FloatArray:
 
 def settings_of(blob: bytes) -> SacSettings:
     """Return the settings of the agent in a dump."""
-    settings = SacSettings(**rename_legacy_keys(_opened(blob)[1]["settings"]))
+    settings = SacSettings(**_opened(blob)[1]["settings"])
     check(settings)
     return settings
 

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 from hydro_core.settings import quantity
 
@@ -40,9 +39,3 @@ class SacSettings:
     """Upper bound of the same."""
     seed: Annotated[int, quantity("-", 0, 9e15)] = 0
     """Seed of the initial weights, and of the batches and the noise of updates."""
-
-
-def rename_legacy_keys(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a file's settings with the former names `discount`, `target_rate` (until 2026-11) replaced by the new."""
-    former = {"discount": "gamma", "target_rate": "tau"}
-    return {former.get(name, name): value for name, value in values.items()}

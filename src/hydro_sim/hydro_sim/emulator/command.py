@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import argparse
 import secrets
-import sys
 import time
 from pathlib import Path
 from types import FrameType
 from typing import get_args
 
-from hydro_bridge.plant_clock import parse_pace, reject_speed_option
+from hydro_bridge.plant_clock import parse_pace
 from hydro_core.cli.console import bounded_number, command, writable_file, writable_folder
 from hydro_core.process import termination
 from hydro_core.settings import SettingsError
@@ -31,7 +30,6 @@ from hydro_sim.model.bench import Bench
 @command(ValueError, OSError)
 def main() -> None:
     """Entry point."""
-    reject_speed_option(sys.argv[1:])
     options = _parser().parse_args()
     if options.offline:
         _record(options)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, arming_state
-from hydro_bridge.plant_clock import LockStep, LockStepSettings, reject_speed_option
+from hydro_bridge.plant_clock import LockStep, LockStepSettings
 from hydro_bridge.ros.diagnostics import Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import describe_box
@@ -115,7 +115,6 @@ def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
         parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=setting.text)
     site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
-    reject_speed_option(own)
     asked = parser.parse_args(own)
     site.apply_site_option(asked, bench=site.BENCH_FILE, model=site.MODEL_FILE)
     given: dict[str, Any] = {name: getattr(asked, name) for name in declared}
