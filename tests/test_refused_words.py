@@ -65,7 +65,7 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--out @new/m.safetensors --recording @own_bag", "the box of the recording own_bag believes bench"),
     ),
     "hydro_policy collect": (
-        ("--out @new --schedule @seconds", "segments[1].seconds must be a number in s, not 'abc'"),
+        ("--out @new --schedule @seconds", "segments[1].seconds must be a number within [0.001, 36000] s, not 'abc'"),
         ("--out @new --schedule @pulse", "segments[1].delta_u is 0.01 A: only the emulator"),
     ),
     "hydro_policy commission": (

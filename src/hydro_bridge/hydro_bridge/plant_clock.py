@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import Annotated
 
-from hydro_core.settings import SettingsError, check, quantity
+from hydro_core.settings import SettingsError, check, described, quantity
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 
 FILTER_WINDOW, COMMANDER_WINDOW, RECORDER_WINDOW = 1, SAMPLES_PER_STEP, 100
@@ -53,12 +53,9 @@ _ARMING_SAMPLES_MAX = 500
 class LockStepSettings:
     """Peers that a paced plant waits for, and time-outs."""
 
-    peers: str = ""
-    """Names of nodes that are met before the first sample, separated by blanks."""
-    silence_max: Annotated[float, quantity("s", 0.1, 3600.0)] = 60.0
-    """Wall clock after which a silent peer counts as dead."""
-    meet_max: Annotated[float, quantity("s", 0.1, 3600.0)] = 300.0
-    """Wall clock that the nodes to be met are awaited."""
+    peers: Annotated[str, described("Nodes that are met before the first sample, separated by blanks")] = ""
+    silence_max: Annotated[float, quantity("s", 0.1, 3600.0, "Wall clock until a silent peer counts as dead")] = 60.0
+    meet_max: Annotated[float, quantity("s", 0.1, 3600.0, "Wall clock that the nodes to be met are awaited")] = 300.0
 
     def __post_init__(self) -> None:
         check(self)

@@ -1,33 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings: frozen dataclasses whose annotations give each field's unit and range.
+"""Settings: frozen dataclasses whose annotations give each field's unit, range and meaning.
 
 ::
 
     @dataclass(frozen=True, kw_only=True)
     class PortSettings:
-        path: str = "/dev/ttyUSB0"
-        '''Device, or link to one.'''
-        silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
-        '''Without a byte, after which the port is closed and opened again.'''
+        path: Annotated[str, described("Device, or link to one")] = "/dev/ttyUSB0"
+        silence_max: Annotated[float, quantity("s", 0.1, 60.0, "Longest time without a byte")] = 1.0
         parity: Literal["none", "even"] = "none"
 
-Checks, YAML files, ROS parameters, help texts and reference pages are derived from them. msgspec converts and checks
-(docs/decisions/0062-settings-by-msgspec.md); the error messages are written here. Missing and unknown YAML keys are
-errors; the message has the nearest known key.
+Checks, YAML files, options, ROS parameters, help texts and reference pages are derived from them. msgspec converts and
+checks (docs/decisions/0062-settings-by-msgspec.md). Missing and unknown YAML keys are errors.
 """
 
 from __future__ import annotations
 
-import ast
+import argparse
 import dataclasses
-import inspect
-import textwrap
 import types
 import typing
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
-from itertools import pairwise
 from math import inf, isfinite
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -44,18 +37,22 @@ class SettingsError(UserError, ValueError):
     """An invalid setting; the message is one sentence that names it and the allowed range."""
 
 
-def quantity(unit: str, low: float, high: float) -> msgspec.Meta:
-    """Return the annotation of a numeric field: its unit ("-": dimensionless) and closed range [low, high]."""
+def quantity(unit: str, low: float, high: float, meaning: str | None = None) -> msgspec.Meta:
+    """Return the annotation of a numeric field: unit ("-": dimensionless), closed range [low, high] and meaning."""
     # msgspec checks integers against integer limits only.
     ge, le = (int(limit) if float(limit).is_integer() else limit for limit in (low, high))
-    return msgspec.Meta(ge=ge, le=le, extra={"unit": unit})
+    return msgspec.Meta(ge=ge, le=le, description=meaning, extra={"unit": unit})
+
+
+def described(meaning: str) -> msgspec.Meta:
+    """Return the annotation of any other field: its meaning."""
+    return msgspec.Meta(description=meaning)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setting:
     """Declaration of one settings field."""
 
-    name: str
     hint: Any
     """Type of the field, with annotations."""
     kind: Any
@@ -64,7 +61,6 @@ class Setting:
     low: float
     high: float
     meaning: str
-    """Sentence below the field, without its full stop; empty if there is none."""
     required: bool
 
     @property
@@ -75,14 +71,24 @@ class Setting:
     @property
     def text(self) -> str:
         """Meaning, unit and range, as shown in help texts and ROS."""
-        unit = "" if self.unit == "-" else self.unit
-        limits = ", ".join(part for part in (unit, self.range) if part)
+        limits = ", ".join(part for part in (self.unit.strip("-"), self.range) if part)
         return f"{self.meaning} [{limits}]".strip() if limits else self.meaning
 
     @property
     def range(self) -> str:
         """Range as text, `low to high`; empty if there is none."""
         return f"{self.low:.12g} to {self.high:.12g}" if isfinite(self.low) else ""
+
+    @property
+    def allowed(self) -> str:
+        """Allowed values, for messages: `a number within [0, 1] N`."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        if self.kind not in (int, float):
+            return {str: "text", bool: "true or false"}.get(self.kind, "a mapping")
+        several = typing.get_origin(self.hint) is tuple
+        noun = "numbers" if several else "a whole number" if self.kind is int else "a number"
+        return f"{noun} within [{self.low:g}, {self.high:g}] {self.unit.strip('-')}".strip()
 
 
 _SETTINGS_BY_CLASS: dict[type[Any], dict[str, Setting]] = {}
@@ -92,27 +98,31 @@ def describe(settings: type[Any]) -> dict[str, Setting]:
     """Return the declarations of all fields of a settings dataclass, in order."""
     if settings in _SETTINGS_BY_CLASS:
         return _SETTINGS_BY_CLASS[settings]
-    hints, meanings = typing.get_type_hints(settings, include_extras=True), dict[str, str]()
-    tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
-    for node, below in pairwise(typing.cast(ast.ClassDef, tree.body[0]).body):  # the string below each field
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(below, ast.Expr):
-            text = getattr(below.value, "value", None)
-            if isinstance(text, str):
-                meanings[node.target.id] = " ".join(text.split()).removesuffix(".")
+    hints = typing.get_type_hints(settings, include_extras=True)
     known = _SETTINGS_BY_CLASS[settings] = {}
     for field in dataclasses.fields(settings):
         kind, meta = _unwrapped(hints[field.name])
         known[field.name] = Setting(
-            name=field.name,
             hint=hints[field.name],
             kind=kind,
             unit=(meta.extra or {}).get("unit", "-"),
             low=-inf if meta.ge is None else meta.ge,
             high=inf if meta.le is None else meta.le,
-            meaning=meanings.get(field.name, ""),
+            meaning=meta.description or "",
             required=field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING,
         )
     return known
+
+
+def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:
+    """Return the type inside Annotated, `| None` and tuple, and the first annotation found on the way."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is typing.Annotated:
+        kind, _ = _unwrapped(arguments[0])
+        return kind, arguments[1]
+    if origin in (types.UnionType, typing.Union):
+        return _unwrapped(next(argument for argument in arguments if argument is not type(None)))
+    return _unwrapped(arguments[0]) if origin is tuple else (hint, msgspec.Meta())
 
 
 def check(settings: Any) -> None:
@@ -132,45 +142,28 @@ def convert(setting: Setting, value: Any, where: str, *, strict: bool = False) -
     try:
         return msgspec.convert(value, setting.hint, strict=strict)
     except msgspec.ValidationError:
-        number = inf
-    unit = "" if setting.unit == "-" else f" {setting.unit}"
-    limits = f"within [{setting.low:g}, {setting.high:g}]{unit}"
-    told = f": {setting.meaning}" if setting.meaning else ""
-    if setting.choices:
-        raise SettingsError(f"{where} must be one of {', '.join(setting.choices)}, not {value!r}")
-    if setting.kind not in (int, float) or isinstance(value, (list, tuple)):
-        wanted = {str: "text", bool: "true or false"}.get(setting.kind, f"numbers {limits}")
-        raise SettingsError(f"{where} must be {wanted}, not {value!r}{told}")
-    if not isinstance(value, bool):
-        with suppress(TypeError, ValueError, OverflowError):
-            number = float(value)
-    if isfinite(number) and not setting.low <= number <= setting.high:
-        raise SettingsError(f"{where} must be {limits}, not {number:g}{told}")
-    whole = "whole " if setting.kind is int else ""
-    raise SettingsError(f"{where} must be a {whole}number{unit and f' in{unit}'}, not {value!r}")
+        raise SettingsError(f"{where} must be {setting.allowed}, not {value!r}") from None
 
 
-def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:
-    """Return the type inside Annotated, `| None` and tuple, and the first annotation found on the way."""
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is typing.Annotated:
-        kind, inner = _unwrapped(arguments[0])
-        return kind, next((each for each in arguments[1:] if isinstance(each, msgspec.Meta)), inner)
-    if origin in (types.UnionType, typing.Union):
-        return _unwrapped(next(argument for argument in arguments if argument is not type(None)))
-    return _unwrapped(arguments[0]) if origin is tuple else (hint, msgspec.Meta())
+def add_options(parser: argparse.ArgumentParser, defaults: Any, names: Sequence[str]) -> None:
+    """Add a command's option for each of these fields of a settings dataclass; `defaults`: an instance."""
+    for name in names:
+        setting, default = describe(type(defaults))[name], getattr(defaults, name)
+        words = {float: "NUMBER", int: "N", str: "TEXT"}
+        how: dict[str, Any] = {"type": setting.kind, "metavar": words.get(setting.kind)}
+        if setting.kind is bool:
+            how = {"action": "store_true"}
+        text = f"{setting.text}; default %(default)s" if default else setting.text
+        parser.add_argument("--" + name.replace("_", "-"), default=default, help=text, **how)
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Return the mapping in a YAML file. Raises SettingsError if the file cannot be read or does not hold a mapping."""
     try:
         data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except UnicodeDecodeError as error:
-        raise SettingsError(f"{path} cannot be read: it is not UTF-8 text") from error
-    except (OSError, yaml.YAMLError) as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise SettingsError(f"{path} cannot be read: {' '.join(str(error).split())}") from error
-    if data is None:
-        return {}
+    data = {} if data is None else data
     if not isinstance(data, dict):
         raise SettingsError(f"{path} must hold a mapping, not a {type(data).__name__}")
     return data
@@ -199,7 +192,7 @@ def from_mapping(cls: type[T], data: object, where: str) -> T:
         if not nested:
             values[key] = convert(setting, value, place)
         elif typing.get_origin(setting.hint) is tuple:
-            items = [] if value is None else value if isinstance(value, list) else [value]
+            items = value if isinstance(value, list) else [] if value is None else [value]
             values[key] = tuple(from_mapping(kind, item, place) for item in items)
         else:
             absent = value is None and type(None) in typing.get_args(setting.hint)
@@ -212,19 +205,3 @@ def unknown_key(key: str, known: list[str], where: str) -> str:
     near = get_close_matches(key, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
     return f"{where}.{key} is not a known setting; {hint}"
-
-
-def to_mapping(settings: Any) -> dict[str, Any]:
-    """Return a settings dataclass as plain data for YAML, without None and empty entries."""
-    result: dict[str, Any] = {}
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        if isinstance(value, tuple) and all(map(dataclasses.is_dataclass, value)):
-            items = [to_mapping(item) for item in value]
-            if items or field.default:  # an empty entry equals the default
-                result[field.name] = items[0] if len(items) == 1 else items
-        elif dataclasses.is_dataclass(value):
-            result[field.name] = to_mapping(value)
-        elif value is not None or field.default is not None:
-            result[field.name] = value
-    return result

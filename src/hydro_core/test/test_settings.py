@@ -16,7 +16,7 @@ from hydro_core.cli.console import FIXED_ON_RESUME, command, refuse_changed_opti
 from hydro_core.errors import UserError, writable_file, writable_folder
 from hydro_core.files.atomic import write_atomic
 from hydro_core.files.tensors import InvalidTensorError, check_finite
-from hydro_core.settings import SettingsError, from_mapping, quantity, to_mapping
+from hydro_core.settings import SettingsError, add_options, described, from_mapping, quantity
 from tests.checks import files_of_at_most, status_of
 
 
@@ -27,12 +27,11 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Example:
-    rate: Annotated[float, quantity("1/s", -1.0, 1.0)] = 0.0
-    """How fast."""
+    rate: Annotated[float, quantity("1/s", -1.0, 1.0, "How fast")] = 0.0
     count: Annotated[int, quantity("-", 0, 9e15)] = 0
     limit: Annotated[float, quantity("A", 0.0, 1.0)] | None = None
     tones: tuple[Annotated[float, quantity("Hz", 0.05, 10.0)], ...] = (1.0,)
-    form: Literal["hard", "soft"] = "hard"
+    form: Annotated[Literal["hard", "soft"], described("Of the corner")] = "hard"
     on: bool = False
     parts: tuple[Part, ...] = ()
 
@@ -40,11 +39,11 @@ class Example:
 @pytest.mark.parametrize(
     ("data", "sentence"),
     [
-        ({"rate": 2}, "file.rate must be within [-1, 1] 1/s, not 2: How fast"),
-        ({"rate": "fast"}, "file.rate must be a number in 1/s, not 'fast'"),
-        ({"count": 1.5}, "file.count must be a whole number, not 1.5"),
-        ({"limit": True}, "file.limit must be a number in A, not True"),
-        ({"rate": 10**400}, f"file.rate must be a number in 1/s, not {10**400}"),
+        ({"rate": 2}, "file.rate must be a number within [-1, 1] 1/s, not 2"),
+        ({"rate": "fast"}, "file.rate must be a number within [-1, 1] 1/s, not 'fast'"),
+        ({"count": 1.5}, "file.count must be a whole number within [0, 9e+15], not 1.5"),
+        ({"limit": True}, "file.limit must be a number within [0, 1] A, not True"),
+        ({"rate": 10**400}, f"file.rate must be a number within [-1, 1] 1/s, not {10**400}"),
         ({"tones": [1, 20]}, "file.tones must be numbers within [0.05, 10] Hz, not [1, 20]"),
         ({"form": "round"}, "file.form must be one of hard, soft, not 'round'"),
         ({"on": "often"}, "file.on must be true or false, not 'often'"),
@@ -59,13 +58,18 @@ def test_a_file_that_cannot_be_used_is_told_in_one_sentence(data, sentence):
     assert str(error.value) == sentence
 
 
-def test_what_is_written_is_read_back_and_numbers_may_be_written_as_yaml_reads_them():
-    found = from_mapping(Example, {"rate": "1e-1", "count": "1e3", "limit": None, "parts": {"size": 1}}, "file")
-    assert (found.rate, found.count, found.limit, found.parts) == (0.1, 1000, None, (Part(size=1.0),))
+def test_numbers_may_be_written_as_yaml_reads_them():
+    data = {"rate": "1e-1", "count": "1e3", "limit": None, "form": "soft", "parts": {"size": 1}}
+    found = from_mapping(Example, data, "file")
+    assert found == Example(rate=0.1, count=1000, form="soft", parts=(Part(size=1.0),))
     assert isinstance(found.count, int)
-    full = Example(rate=0.25, limit=0.5, tones=(0.5, 2.0), form="soft", parts=(Part(size=0.1), Part(size=0.2)))
-    for settings in (full, Example(tones=())):
-        assert from_mapping(Example, to_mapping(settings), "file") == settings
+
+
+def test_options_have_type_default_and_help_of_their_settings():
+    parser = argparse.ArgumentParser()
+    add_options(parser, Example(rate=0.5), ("rate", "count", "on"))
+    assert vars(parser.parse_args(["--count", "3", "--on"])) == {"rate": 0.5, "count": 3, "on": True}
+    assert "How fast [1/s, -1 to 1]" in " ".join(parser.format_help().split())
 
 
 def test_words_that_say_otherwise_than_a_run_that_goes_on_are_refused():

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -12,7 +12,6 @@ from hydro_bridge.safety.guard_settings import GuardSettings
 from hydro_bridge.serial.protocol import Details, encode_hello
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.bench_scales import rescale
-from hydro_core.settings import to_mapping
 from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import MetricDesign, ScheduledMetric
@@ -121,7 +120,7 @@ def test_a_schedule_goes_with_the_size_and_may_be_of_any() -> None:
     assert here == list(DEFAULT_SCHEDULE)
     assert [each.amplitude for each in there] == pytest.approx([FORCE * each.amplitude for each in here])
     segments = [replace(each, amplitude=1e3 * each.amplitude, delta_u=0.5) for each in there]
-    assert parse_schedule({"segments": [to_mapping(each) for each in segments]}, "own") == segments
+    assert parse_schedule({"segments": [asdict(each) for each in segments]}, "own") == segments
 
 
 def flags(bench: Bench) -> list[int]:

@@ -8,7 +8,7 @@ of 0.3 s joins the segments (protocol.md).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import log, pi
 from pathlib import Path
 from typing import Annotated, Literal, cast
@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from hydro_core.files.atomic import write_atomic
-from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml, to_mapping
+from hydro_core.settings import SettingsError, from_mapping, quantity, read_yaml
 from hydro_core.signals import ReferenceSignal, Waveform
 from hydro_sim.model.bench import NOMINAL
 
@@ -73,7 +73,7 @@ def parse_schedule(data: object, where: str) -> list[Segment]:
 def save_schedule(segments: Sequence[Segment], path: str | Path) -> None:
     """Write a schedule in the format of `load_schedule`; missing folders are created."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
-    text = yaml.safe_dump({"segments": [to_mapping(segment) for segment in segments]}, sort_keys=False)
+    text = yaml.safe_dump({"segments": [asdict(segment) for segment in segments]}, sort_keys=False)
     write_atomic(Path(path), text.encode())
 
 

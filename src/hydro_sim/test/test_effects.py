@@ -73,8 +73,8 @@ CLOSURE = {"equation": "motion", "form": "quadratic drg", "parameters": {}}
 REFUSED: tuple[tuple[dict[str, object], str], ...] = (
     ({"bulk_modulos": 1e9}, "bench.bulk_modulos is not a known setting; did you mean bulk_modulus?"),
     ({"stroke": ...}, "bench lacks stroke [m]"),
-    ({"stroke": -0.08}, "bench.stroke must be within [0.001, 5] m, not -0.08"),
-    ({"moving_mass": nan}, "bench.moving_mass must be a number in kg, not nan"),
+    ({"stroke": -0.08}, "bench.stroke must be a number within [0.001, 5] m, not -0.08"),
+    ({"moving_mass": nan}, "bench.moving_mass must be a number within [1e-06, 1e+07] kg, not nan"),
     ({"supply_pressure": 1e5, "tank_pressure": 2e5}, "is not below supply_pressure 100000 Pa"),
     ({"effects": [{"id": "gremlin"}]}, "effect 'gremlin' is not known"),
     ({"closures": [CLOSURE]}, "is not known; there is closure equation=motion form=quadratic drag, "),

@@ -47,12 +47,12 @@ def test_the_emulated_bench_is_the_box_s_where_the_truth_does_not_say_otherwise(
 CUSHION = {"position": 0.06, "stiffness": 1e3}
 REFUSED: tuple[tuple[dict[str, Any], str], ...] = (
     ({"effect": {}}, "truth.effect is not a known setting; did you mean effects?"),
-    ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be within [0, 1e-10] m3/s/Pa, not -1"),
+    ({"effects": {"leakage_internal": {"coefficient": -1}}}, "must be a number within [0, 1e-10] m3/s/Pa, not -1"),
     ({"effects": {"load_cell_gain": [{"ratio": 1.1}, {"ratio": 1.2}]}}, "names the same cell twice"),
     ({"effects": {"end_cushion": [CUSHION, {**CUSHION, "position": 0.07}]}}, "one for each end"),
     ({"effects": {"end_cushion": [CUSHION, {**CUSHION, "position": 0.01, "form": "quadratic"}]}}, "both of one form"),
     ({"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}}, "give friction_coulomb form"),
-    ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
+    ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number within [-1, 20] kg, not nan"),
     ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
     ({"bench": {"spring_rest_position": 0.09}}, "must lie within the stroke"),
     ({"effects": {"friction_viscous": {"coefficient": -61}}}, "takes away more than all"),

@@ -26,7 +26,7 @@ from hydro_bridge.serial.protocol import BoxInfo, State
 from hydro_core.bench_scales import BenchScales
 from hydro_core.cli.console import UserError, command
 from hydro_core.files import bench_digest, site
-from hydro_core.settings import describe
+from hydro_core.settings import add_options
 
 
 class SerialPlant(Link):
@@ -106,9 +106,8 @@ def parser() -> argparse.ArgumentParser:
         epilog="Limits, ages and time-outs are ROS parameters: --ros-args -p guard.delta_kp_max:=50.0. The plant is "
         "armed by the trainer, or by `ros2 run hydro_bridge arm`.",
     )
-    texts, defaults = describe(PortSettings), PortSettings()
-    result.add_argument("--port", default=defaults.path, help=f"{texts['path'].text}; default %(default)s")
-    result.add_argument("--baud", type=int, default=defaults.baud, help=f"{texts['baud'].text}; default %(default)s")
+    result.add_argument("--port", default=PortSettings.path, help="device, or link to one; default %(default)s")
+    add_options(result, PortSettings(), ["baud"])
     result.add_argument(
         "--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: the nominal bench"
     )

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from hydro_bridge.serial.protocol import BoxInfo
 from hydro_core.bench_scales import BenchScales
-from hydro_core.settings import quantity
+from hydro_core.settings import described, quantity
 from hydro_core.signals import ReferenceSignal, Waveform
 
 
@@ -18,32 +18,27 @@ from hydro_core.signals import ReferenceSignal, Waveform
 class GuardSettings:
     """Limits of commands, and ages. Defaults: the paper's Table training_agent and the failure table of failures.md."""
 
-    delta_kp_min: Annotated[float, quantity("1/s", -200.0, 0.0)] = 0.0
-    """Smallest change of the proportional gain."""
-    delta_kp_max: Annotated[float, quantity("1/s", 0.0, 500.0)] = 75.0
-    """Largest change of the proportional gain."""
-    delta_ki_min: Annotated[float, quantity("1/s^2", -50.0, 0.0)] = 0.0
-    """Smallest change of the integral gain."""
-    delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 100.0)] = 10.0
-    """Largest change of the integral gain."""
-    delta_u_max: Annotated[float, quantity("A", 0.0, 20.0)] = 0.02
-    """Largest magnitude of the correction; the learned metric's filter needs 0.0045 (authority.md)."""
-    reference_force_max: Annotated[float, quantity("N", 0.0, 1e8)] = 1000.0
-    """Largest |offset| + amplitude of the reference."""
-    reference_frequency_max: Annotated[float, quantity("Hz", 0.1, 100.0)] = 20.0
-    """Largest frequency of the reference."""
-    correction_age_max: Annotated[float, quantity("s", 0.001, 0.2)] = 0.02
-    """An older correction is stale, and so is one of an older sample."""
-    correction_hold: Annotated[float, quantity("s", 0.001, 0.2)] = 0.003
-    """An older correction acts no more, while the gains that it allows go on (decision 0064)."""
-    gains_age_max: Annotated[float, quantity("s", 0.01, 2.0)] = 0.2
-    """Older gains are stale."""
-    gains_timeout: Annotated[float, quantity("s", 2.0, 3600.0)] = 10.0
-    """Without gains, after there were some since arming: reference 0 N, disarmed."""
-    relies_on: str = "nothing"
-    """The filter that gains of this range need to be safe; nothing: the bench bears them all; told at the start."""
-    require_filter: bool = True
-    """Without a fresh correction: base gains; false lets gains pass unfiltered: logged, flagged and on /diagnostics."""
+    delta_kp_min: Annotated[float, quantity("1/s", -200.0, 0.0, "Smallest change of the proportional gain")] = 0.0
+    delta_kp_max: Annotated[float, quantity("1/s", 0.0, 500.0, "Largest change of the proportional gain")] = 75.0
+    delta_ki_min: Annotated[float, quantity("1/s^2", -50.0, 0.0, "Smallest change of the integral gain")] = 0.0
+    delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 100.0, "Largest change of the integral gain")] = 10.0
+    delta_u_max: Annotated[float, quantity("A", 0.0, 20.0, "Largest correction; shipped metric needs 0.0045")] = 0.02
+    reference_force_max: Annotated[float, quantity("N", 0.0, 1e8, "Largest |offset| plus amplitude")] = 1000.0
+    reference_frequency_max: Annotated[float, quantity("Hz", 0.1, 100.0, "Largest frequency of the reference")] = 20.0
+    correction_age_max: Annotated[float, quantity("s", 0.001, 0.2, "An older correction or sample is stale")] = 0.02
+    correction_hold: Annotated[
+        float, quantity("s", 0.001, 0.2, "An older one acts no more; the gains it allows go on (decision 0064)")
+    ] = 0.003
+    gains_age_max: Annotated[float, quantity("s", 0.01, 2.0, "Older gains are stale")] = 0.2
+    gains_timeout: Annotated[
+        float, quantity("s", 2.0, 3600.0, "Without gains, after there were some since arming: reference 0 N, disarmed")
+    ] = 10.0
+    relies_on: Annotated[
+        str, described("The filter that gains of this range need to be safe; nothing: the bench bears them all")
+    ] = "nothing"
+    require_filter: Annotated[
+        bool, described("Without a fresh correction: base gains; false: gains pass, logged and flagged")
+    ] = True
 
     @classmethod
     def of_size(cls, size: BenchScales) -> GuardSettings:

@@ -14,7 +14,7 @@ from typing import Annotated
 import serial
 
 from hydro_core.errors import UserError
-from hydro_core.settings import check, quantity
+from hydro_core.settings import check, described, quantity
 
 _READ_SIZE = 65536
 _TAKEN_ERRNOS = (errno.EAGAIN, errno.EBUSY)
@@ -32,16 +32,13 @@ class PortTakenError(PortLostError):
 class PortSettings:
     """Settings of a serial port."""
 
-    path: str = "/dev/ttyUSB0"
-    """Device, or link to one."""
-    baud: Annotated[int, quantity("Bit/s", 1300000, 12000000)] = 2_000_000
-    """Speed of the line; a STATE each millisecond takes 1290000."""
-    silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
-    """Without a new sample, or before the box has greeted without a frame: the port is closed and opened again."""
-    backoff_first: Annotated[float, quantity("s", 0.01, 10.0)] = 0.1
-    """Before the second attempt to open; doubles with each."""
-    backoff_max: Annotated[float, quantity("s", 0.1, 60.0)] = 2.0
-    """Longest wait between attempts."""
+    path: Annotated[str, described("Device, or link to one")] = "/dev/ttyUSB0"
+    baud: Annotated[int, quantity("Bit/s", 1300000, 12000000, "A STATE each millisecond takes 1290000")] = 2_000_000
+    silence_max: Annotated[
+        float, quantity("s", 0.1, 60.0, "Without a sample, or a frame before the greeting: the port is reopened")
+    ] = 1.0
+    backoff_first: Annotated[float, quantity("s", 0.01, 10.0, "Before the second attempt to open, then doubled")] = 0.1
+    backoff_max: Annotated[float, quantity("s", 0.1, 60.0, "Longest wait between attempts")] = 2.0
 
     def __post_init__(self) -> None:
         check(self)

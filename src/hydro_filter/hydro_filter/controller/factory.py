@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.files import site
-from hydro_core.settings import describe
+from hydro_core.settings import add_options
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped_metric
 from hydro_filter.region.certified_region import CertifiedRegion, region_path
@@ -154,10 +154,6 @@ class FilterChoice:
         return RegionMonitor(proved, float(filtering.record["closing"][0])) if proved else None
 
 
-NUMERIC_OPTIONS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "state_age_max")
-"""Settings that are also command-line options."""
-
-
 def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:
     """Parse the command line into the filter choice, its settings, and the remaining options.
 
@@ -175,14 +171,11 @@ def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argp
         "--model", type=Path, metavar="FILE", help="bench file that the metric was made for; default: the shipped one"
     )
     site.add_site_option(parser, "--bench, --metric and --model")
-    docs = describe(LoopFilterSettings)
-    for name in NUMERIC_OPTIONS:
-        parser.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=docs[name].text)
-    parser.add_argument("--bypass", action="store_true", help=docs["bypass"].text)
+    names = [field.name for field in fields(LoopFilterSettings)]
+    add_options(parser, LoopFilterSettings(), names)
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
     asked = parser.parse_args(given)
     site.apply_site_option(asked, bench=site.BENCH_FILE, metric=site.METRIC_FILE, model=site.MODEL_FILE)
     choice = FilterChoice.from_files(metric=asked.metric, model=asked.model, bench=asked.bench)
-    numbers = {name: value for name in NUMERIC_OPTIONS if (value := getattr(asked, name)) is not None}
     raise_if_mismatched(choice.pairing_error())
-    return choice, LoopFilterSettings(bypass=asked.bypass, **numbers), asked
+    return choice, LoopFilterSettings(**{name: getattr(asked, name) for name in names}), asked

@@ -28,7 +28,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hydro_core.settings import check, quantity
+from hydro_core.settings import check, described, quantity
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import coordinate_names, make_loop
@@ -69,18 +69,18 @@ beyond its sensors' ranges."""
 class LoopFilterSettings:
     """Settings of the filter."""
 
-    contraction_rate: Annotated[float, quantity("1/s", 0.0, 10.0)] = 0.1
-    """lambda for gains of the certified range; the paper's 0.1."""
-    foreign_rate: Annotated[float, quantity("1/s", 0.0, 15.0)] = 8.0
-    """lambda for all other gains, whose loop the correction closes: how fast an error has to decay."""
-    noise_share: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
-    """What of the metric's own noise level counts as nothing; 0: correct noise as well."""
-    innovation_limit: Annotated[float, quantity("-", 0.3, 10.0)] = 1.0
-    """How far the model's predictions may be off before nothing rests on them, of what is allowed."""
-    state_age_max: Annotated[float, quantity("s", 0.001, 0.1)] = 5e-3
-    """A state that is older, or stamped so far ahead, is not acted upon."""
-    bypass: bool = False
-    """Correct nothing and say so in every correction: status BYPASSED."""
+    contraction_rate: Annotated[float, quantity("1/s", 0.0, 10.0, "lambda for certified gains; the paper's 0.1")] = 0.1
+    foreign_rate: Annotated[
+        float, quantity("1/s", 0.0, 15.0, "lambda of all other gains, whose loop the correction closes")
+    ] = 8.0
+    noise_share: Annotated[
+        float, quantity("-", 0.0, 100.0, "Share of the metric's noise level that is ignored; 0: correct noise, too")
+    ] = 1.0
+    innovation_limit: Annotated[
+        float, quantity("-", 0.3, 10.0, "Factor on the prediction error beyond which the model is not trusted")
+    ] = 1.0
+    state_age_max: Annotated[float, quantity("s", 0.001, 0.1, "States older, or that far ahead, are ignored")] = 5e-3
+    bypass: Annotated[bool, described("Correct nothing and say so in every correction: status BYPASSED")] = False
 
     def __post_init__(self) -> None:
         check(self)

@@ -52,17 +52,13 @@ if TYPE_CHECKING:
 class TrainingSettings:
     """Settings of a training run: length, updates per step, buffer size and more."""
 
-    episodes: Annotated[int, quantity("-", 1, 1e6)] = 160
-    """Episodes of the run (paper: 160)."""
-    updates_per_step: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
-    """Gradient updates owed per policy step; the learner catches up in pauses."""
-    learning_starts: Annotated[int, quantity("-", 1, 1e6)] = 1800
-    """Policy steps before learning starts, an episode; they act with the initial, broad policy. From less of one sine
-    (500 steps) critics prefer the lowest gains, which takes thousands of steps to unlearn (docs/reports/results.md)."""
-    replay_capacity: Annotated[int, quantity("-", 65, 1e8)] = 288_000
-    """Transitions remembered (the paper's whole training)."""
-    seed: Annotated[int, quantity("-", 0, 9e15)] = 0
-    """Seed of references and of exploration in the actor."""
+    episodes: Annotated[int, quantity("-", 1, 1e6, "Episodes of the run (paper: 160)")] = 160
+    updates_per_step: Annotated[float, quantity("-", 0.0, 100.0, "Gradient updates owed per policy step")] = 1.0
+    learning_starts: Annotated[
+        int, quantity("-", 1, 1e6, "Policy steps by the initial, broad policy before learning starts, an episode")
+    ] = 1800
+    replay_capacity: Annotated[int, quantity("-", 65, 1e8, "Transitions stored (the paper's whole training)")] = 288_000
+    seed: Annotated[int, quantity("-", 0, 9e15, "Seed of references and of exploration in the actor")] = 0
     sac: SacSettings = field(default_factory=SacSettings)
     task: TaskSettings = field(default_factory=TaskSettings)
     exam: ExamSettings = field(default_factory=ExamSettings)

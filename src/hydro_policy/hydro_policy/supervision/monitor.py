@@ -39,18 +39,16 @@ _STEP_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 class MonitorSettings:
     """Limits of the safety monitor; the defaults lie between the values of good and of bad runs (training.md)."""
 
-    peak_error: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
-    """|e| in the mean over a policy step."""
-    chatter: Annotated[float, quantity("A/s", 1e-3, 1e3)] = NOMINAL.current * 1.4 * 10.0
-    """RMS of u' in the window's median step: 14 times the valve's limit a second."""
-    chatter_window: Annotated[float, quantity("s", 0.02, 10.0)] = 0.1
-    """Length of the window that chatter is taken over."""
-    violations: Annotated[float, quantity("-", 0.0, 1.0)] = 0.5
-    """Share of the window's samples with M_c > 0 although the filter corrected; 1 never stops."""
-    violations_window: Annotated[float, quantity("s", 0.02, 10.0)] = 0.5
-    """Length of the window that violations are taken over."""
-    rollbacks_max: Annotated[int, quantity("-", 0, 1000)] = 3
-    """Rollbacks without a newly accepted policy in between before the run ends."""
+    peak_error: Annotated[float, quantity("N", 1e-3, 1e7, "|e| in the mean over a policy step")] = NOMINAL.force
+    chatter: Annotated[
+        float, quantity("A/s", 1e-3, 1e3, "RMS of u' in the window's median step: 14 times the valve's limit a second")
+    ] = NOMINAL.current * 1.4 * 10.0
+    chatter_window: Annotated[float, quantity("s", 0.02, 10.0, "Length of the window that chatter is taken over")] = 0.1
+    violations: Annotated[
+        float, quantity("-", 0.0, 1.0, "Share of samples with M_c > 0 in spite of correction; 1 never stops")
+    ] = 0.5
+    violations_window: Annotated[float, quantity("s", 0.02, 10.0, "Window that violations are counted in")] = 0.5
+    rollbacks_max: Annotated[int, quantity("-", 0, 1000, "Rollbacks without an accepted policy before the end")] = 3
 
 
 class SafetyMonitor:

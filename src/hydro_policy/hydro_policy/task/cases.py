@@ -109,20 +109,15 @@ class EvaluationSettings:
 class ExamSettings:
     """Settings of an examination: evaluation of the policy's mean action on the paper's sines between episodes."""
 
-    every: Annotated[int, quantity("-", 0, 1e6)] = 4
-    """Training episodes between two examinations, one before the first and one at the end; 0: none."""
-    settle: Annotated[float, quantity("s", 0.5, 60.0)] = 2.0
-    """Left out at the start of each sine, as in an evaluation."""
-    measure: Annotated[float, quantity("s", 0.1, 600.0)] = 2.0
-    """Measured at least of each sine; rounded up to whole periods."""
-    amplitude: Annotated[float, quantity("N", 0.0, 1e7)] = NOMINAL.force
-    """Of the sines."""
-    repeats: Annotated[int, quantity("-", 1, 20)] = 2
-    """Runs of each sine. Their scatter is the noise that a policy must be better by to be the best; 1: any counts."""
-    reference_kp: Annotated[float, quantity("1/s", 0.0, 500.0)] = 90.0
-    """K_p of the fixed gains that scores are relative to (the paper's III)."""
-    reference_ki: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 15.0
-    """K_i of the same."""
+    every: Annotated[int, quantity("-", 0, 1e6, "Episodes between two, one more before and after; 0: none")] = 4
+    settle: Annotated[float, quantity("s", 0.5, 60.0, "Left out at the start of each sine, as in an evaluation")] = 2.0
+    measure: Annotated[float, quantity("s", 0.1, 600.0, "Measured at least of each sine, in whole periods")] = 2.0
+    amplitude: Annotated[float, quantity("N", 0.0, 1e7, "Of the sines")] = NOMINAL.force
+    repeats: Annotated[
+        int, quantity("-", 1, 20, "Runs of each sine; their scatter is what a better policy must beat; 1: any counts")
+    ] = 2
+    reference_kp: Annotated[float, quantity("1/s", 0.0, 500.0, "K_p that scores are relative to (paper's III)")] = 90.0
+    reference_ki: Annotated[float, quantity("1/s^2", 0.0, 500.0, "K_i of the same")] = 15.0
 
     @property
     def evaluation(self) -> EvaluationSettings:

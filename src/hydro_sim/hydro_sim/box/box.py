@@ -26,7 +26,7 @@ import numpy as np
 
 from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW, BoxInfo, BoxLaw, LawState
 from hydro_core.bench_scales import rescale
-from hydro_core.settings import SettingsError, check, quantity
+from hydro_core.settings import SettingsError, check, described, quantity
 from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
 from hydro_sim.box import firmware
 from hydro_sim.box.firmware import BENCH_FIELDS, Precision, RecordArray, signal_record
@@ -50,42 +50,34 @@ EMULATED_BOX = "hydro emulator"
 class BoxConfig:
     """Settings of the box. Its gain limits are wider than those of the guard for a policy."""
 
-    base_kp: Annotated[float, quantity("1/s", 0.0, 500.0)] = 15.0
-    """K_p (Table training_agent)."""
-    base_ki: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 5.0
-    """K_i (Table training_agent)."""
-    delta_kp_min: Annotated[float, quantity("1/s", -500.0, 0.0)] = -55.0
-    """Smallest change of K_p."""
-    delta_kp_max: Annotated[float, quantity("1/s", 0.0, 500.0)] = 285.0
-    """Largest change of K_p."""
-    delta_ki_min: Annotated[float, quantity("1/s^2", -500.0, 0.0)] = -25.0
-    """Smallest change of K_i."""
-    delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 95.0
-    """Largest change of K_i."""
-    delta_u_max: Annotated[float, quantity("A", 0.0, 20.0)] = 2.0 * NOMINAL.current
-    """Magnitude of the correction."""
-    load_force_limit: Annotated[float, quantity("N", 1e-3, 1e8)] = NOMINAL.force * 7.0 / 3.0
-    """Magnitude beyond which the box trips; the nominal spring reaches the stroke's end at 800 N."""
-    recovery_margin: Annotated[float, quantity("N", 0.0, 1e8)] = NOMINAL.force / 15.0
-    """Initial rise allowed to a force that is beyond its limit at arming: the cell's noise, the oil's last swing."""
-    hold_timeout: Annotated[float, quantity("s", 0.002, 1.0)] = 0.05
-    """Without a command, after which base gains and no correction hold."""
-    trip_timeout: Annotated[float, quantity("s", 0.002, 5.0)] = 0.2
-    """Without a command, after which the box trips; not below `hold_timeout`."""
-    gain_floor_share: Annotated[float, quantity("-", 0.01, 1.0)] = 0.1
-    """Smallest g that the force law believes, over g of the still bench."""
-    force_range: Annotated[float, quantity("N", 1e-3, 1e8)] = NOMINAL.force * 50.0 / 3.0
-    """Magnitude that a load cell can show."""
-    pressure_min: Annotated[float, quantity("Pa", -1e7, 0.0)] = -NOMINAL.pressure / 32.0
-    """Lowest that a pressure sensor can show."""
-    pressure_max: Annotated[float, quantity("Pa", 1e5, 1e9)] = NOMINAL.pressure * 1.5625
-    """Highest that a pressure sensor can show."""
-    position_margin: Annotated[float, quantity("m", 0.0, 1.0)] = NOMINAL.length / 16.0
-    """How far outside the stroke the encoder can stand."""
-    feedback: Literal["load", "hydraulic"] = "load"
-    """Force in the tracking error; the paper writes `hydraulic` once, its objective is `load`."""
-    integral: Integral = "bumpless"
-    """What the law's integrator carries: `bumpless` K_i e, so that new gains change its slope, `paper` e alone."""
+    base_kp: Annotated[float, quantity("1/s", 0.0, 500.0, "K_p (Table training_agent)")] = 15.0
+    base_ki: Annotated[float, quantity("1/s^2", 0.0, 500.0, "K_i (Table training_agent)")] = 5.0
+    delta_kp_min: Annotated[float, quantity("1/s", -500.0, 0.0, "Smallest change of K_p")] = -55.0
+    delta_kp_max: Annotated[float, quantity("1/s", 0.0, 500.0, "Largest change of K_p")] = 285.0
+    delta_ki_min: Annotated[float, quantity("1/s^2", -500.0, 0.0, "Smallest change of K_i")] = -25.0
+    delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 500.0, "Largest change of K_i")] = 95.0
+    delta_u_max: Annotated[float, quantity("A", 0.0, 20.0, "Magnitude of the correction")] = 2.0 * NOMINAL.current
+    load_force_limit: Annotated[
+        float, quantity("N", 1e-3, 1e8, "Beyond it the box trips; the nominal spring is at its end at 800 N")
+    ] = NOMINAL.force * 7.0 / 3.0
+    recovery_margin: Annotated[
+        float, quantity("N", 0.0, 1e8, "Rise allowed at arming to a force beyond its limit (noise, oil's swing)")
+    ] = NOMINAL.force / 15.0
+    hold_timeout: Annotated[
+        float, quantity("s", 0.002, 1.0, "Without a command, after which base gains and no correction hold")
+    ] = 0.05
+    trip_timeout: Annotated[float, quantity("s", 0.002, 5.0, "Without a command, then the box trips")] = 0.2
+    gain_floor_share: Annotated[float, quantity("-", 0.01, 1.0, "Smallest g of the force law, over g at rest")] = 0.1
+    force_range: Annotated[float, quantity("N", 1e-3, 1e8, "Largest force reading")] = NOMINAL.force * 50.0 / 3.0
+    pressure_min: Annotated[float, quantity("Pa", -1e7, 0.0, "Lowest pressure reading")] = -NOMINAL.pressure / 32.0
+    pressure_max: Annotated[float, quantity("Pa", 1e5, 1e9, "Highest pressure reading")] = NOMINAL.pressure * 1.5625
+    position_margin: Annotated[float, quantity("m", 0.0, 1.0, "Readings outside the stroke")] = NOMINAL.length / 16.0
+    feedback: Annotated[
+        Literal["load", "hydraulic"], described("Force in the tracking error; the paper's objective is `load`")
+    ] = "load"
+    integral: Annotated[
+        Integral, described("`bumpless` integrates K_i e, so that new gains change its slope; `paper` e alone")
+    ] = "bumpless"
     compensated: BoxLaw = field(default_factory=BoxLaw)
     """The compensated law. The gains above are the paper's."""
 

@@ -29,40 +29,25 @@ from hydro_sim.model.quality import Quality
 class Bench:
     """Parameters, effects and closures of a bench, SI units. Raises ValueError: a value is not within its range."""
 
-    bulk_modulus: Annotated[float, quantity("Pa", 1e7, 1e10)]
-    """beta, of oil and hoses together."""
-    piston_area: Annotated[float, quantity("m2", 1e-6, 1e-1)]
-    """A_p, of chamber A."""
-    area_ratio: Annotated[float, quantity("-", 0.05, 1.0)]
-    """alpha, area of chamber B over that of chamber A."""
-    stroke: Annotated[float, quantity("m", 1e-3, 5.0)]
-    """L_c."""
-    supply_pressure: Annotated[float, quantity("Pa", 1e5, 1e8)]
-    """p_s."""
-    tank_pressure: Annotated[float, quantity("Pa", 0.0, 1e7)]
-    """p_t, below the supply pressure."""
-    valve_nominal_flow: Annotated[float, quantity("m3/s", 1e-7, 1e-1)]
-    """q_n, at nominal current and nominal pressure drop over both lands together."""
-    valve_nominal_current: Annotated[float, quantity("A", 1e-4, 10.0)]
-    """u_n."""
-    valve_nominal_pressure_drop: Annotated[float, quantity("Pa", 1e4, 1e8)]
-    """Delta p_n."""
-    valve_current_max: Annotated[float, quantity("A", 1e-4, 10.0)]
-    """Magnitude at which the valve current saturates."""
-    dead_volume_a: Annotated[float, quantity("m3", 1e-7, 1e-1)]
-    """V_dead_a, valve block and hoses."""
-    dead_volume_b: Annotated[float, quantity("m3", 1e-7, 1e-1)]
-    """V_dead_b."""
-    moving_mass: Annotated[float, quantity("kg", 1e-6, 1e7)]
-    """m, piston, rod and load together."""
-    viscous_friction: Annotated[float, quantity("N s/m", 0.0, 1e9)]
-    """b."""
-    spring_stiffness: Annotated[float, quantity("N/m", 1.0, 1e8)]
-    """k_s, of the environment."""
-    spring_rest_position: Annotated[float, quantity("m", -5.0, 5.0)]
-    """x_rest, piston position at which the spring carries no force."""
-    load_cell_bandwidth: Annotated[float, quantity("Hz", 1.0, 1e4)] | None = None
-    """Second-order Butterworth low-pass in the load cell's amplifier; None: ideal."""
+    bulk_modulus: Annotated[float, quantity("Pa", 1e7, 1e10, "beta, of oil and hoses together")]
+    piston_area: Annotated[float, quantity("m2", 1e-6, 1e-1, "A_p, of chamber A")]
+    area_ratio: Annotated[float, quantity("-", 0.05, 1.0, "alpha, area of chamber B over that of chamber A")]
+    stroke: Annotated[float, quantity("m", 1e-3, 5.0, "L_c")]
+    supply_pressure: Annotated[float, quantity("Pa", 1e5, 1e8, "p_s")]
+    tank_pressure: Annotated[float, quantity("Pa", 0.0, 1e7, "p_t, below the supply pressure")]
+    valve_nominal_flow: Annotated[float, quantity("m3/s", 1e-7, 1e-1, "q_n, at nominal current and drop of both lands")]
+    valve_nominal_current: Annotated[float, quantity("A", 1e-4, 10.0, "u_n")]
+    valve_nominal_pressure_drop: Annotated[float, quantity("Pa", 1e4, 1e8, "Delta p_n")]
+    valve_current_max: Annotated[float, quantity("A", 1e-4, 10.0, "Magnitude at which the valve current saturates")]
+    dead_volume_a: Annotated[float, quantity("m3", 1e-7, 1e-1, "V_dead_a, valve block and hoses")]
+    dead_volume_b: Annotated[float, quantity("m3", 1e-7, 1e-1, "V_dead_b")]
+    moving_mass: Annotated[float, quantity("kg", 1e-6, 1e7, "m, piston, rod and load together")]
+    viscous_friction: Annotated[float, quantity("N s/m", 0.0, 1e9, "b")]
+    spring_stiffness: Annotated[float, quantity("N/m", 1.0, 1e8, "k_s, of the environment")]
+    spring_rest_position: Annotated[float, quantity("m", -5.0, 5.0, "x_rest, where the spring carries no force")]
+    load_cell_bandwidth: Annotated[float, quantity("Hz", 1.0, 1e4, "Load cell's second-order Butterworth")] | None = (
+        None
+    )
     effects: tuple[Mapping[str, Any], ...] = ()
     """Effects beyond these equations, found by a diagnosis (`corrected.yaml`), as read: `hydro_sim.model.effects`."""
     closures: tuple[Mapping[str, Any], ...] = ()

@@ -10,8 +10,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import fields
 from typing import Any
 
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, arming_state
@@ -22,7 +21,7 @@ from hydro_bridge.safety.box_info import describe_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_core.cli.console import command
 from hydro_core.files import site
-from hydro_core.settings import describe
+from hydro_core.settings import add_options
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import learned_bench
@@ -109,17 +108,15 @@ def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
         description="The simulated bench in place of emulator and bridge: same topics, types, rates and rules.",
         epilog="Limits and time-outs of guard and box are ROS parameters: --ros-args -p box.load_force_limit:=600.0.",
     )
-    declared, defaults = describe(SimSettings), SimSettings()
-    for name, setting in declared.items():
-        default = getattr(defaults, name)
-        parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=setting.text)
+    names = [field.name for field in fields(SimSettings)]
+    add_options(parser, SimSettings(), names)
     site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     asked = parser.parse_args(own)
     site.apply_site_option(asked, bench=site.BENCH_FILE, model=site.MODEL_FILE)
-    given: dict[str, Any] = {name: getattr(asked, name) for name in declared}
-    paths = {name: str(value) for name, value in given.items() if isinstance(value, Path)}
-    return replace(defaults, **given | paths), asked.realtime
+    given: dict[str, Any] = {name: getattr(asked, name) for name in names}
+    given |= {name: str(given[name]) for name in ("model", "bench")}  # a Path by --site
+    return SimSettings(**given), asked.realtime
 
 
 def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:

@@ -28,7 +28,7 @@ from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.plant_interface import PlantInterface
 from hydro_bridge.serial.protocol import LawState
 from hydro_core.process.realtime import PeriodicTimer, disable_timer_slack
-from hydro_core.settings import check, quantity
+from hydro_core.settings import check, described, quantity
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
@@ -40,18 +40,16 @@ _NOMINAL_CURRENT_COLUMN = (STATE_DTYPE.names or ()).index("nominal_valve_current
 class SimSettings:
     """Settings of the sim node."""
 
-    model: str = ""
-    """Bench file, `shipped` (learned bench) or `analytic`; empty: `analytic` if `bench` is given, `shipped` if not."""
-    bench: str = ""
-    """Path of a bench.yaml or a diagnosis' corrected.yaml; empty: the one that comes with hydro_sim."""
-    box_bench: str = ""
-    """Path of the bench.yaml that the box's force law believes; empty: the same as `bench`."""
-    pace: str = "plant"
-    """`plant`: each sample waits for the graph's answers; `real`: real time; a number: that many times real time."""
-    noise: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
-    """Scale of the sensors' noise and quantisation."""
-    seed: Annotated[int, quantity("-", 0, 4294967295)] = 0
-    """Seed of the noise."""
+    model: Annotated[
+        str, described("Bench file, `shipped` or `analytic`; empty: `analytic` with `bench`, else `shipped`")
+    ] = ""
+    bench: Annotated[str, described("bench.yaml or a diagnosis' corrected.yaml; empty: the shipped one")] = ""
+    box_bench: Annotated[str, described("bench.yaml that the box's force law believes; empty: `bench`")] = ""
+    pace: Annotated[
+        str, described("`plant`: samples wait for the graph's answers; `real`; or a number of times real time")
+    ] = "plant"
+    noise: Annotated[float, quantity("-", 0.0, 100.0, "Scale of the sensors' noise and quantisation")] = 1.0
+    seed: Annotated[int, quantity("-", 0, 4294967295, "Seed of the noise")] = 0
 
     def __post_init__(self) -> None:
         check(self)

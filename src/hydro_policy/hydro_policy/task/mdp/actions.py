@@ -21,16 +21,12 @@ BASE_GAINS = (15.0, 5.0)
 class GainRange:
     """Range of the gain changes: actions in [-1, 1] cover [min, max] (paper Table training_agent)."""
 
-    delta_kp_min: Annotated[float, quantity("1/s", -300.0, 300.0)] = 0.0
-    """Smallest change of K_p."""
-    delta_kp_max: Annotated[float, quantity("1/s", -300.0, 300.0)] = 75.0
-    """Largest change of K_p, above delta_kp_min; with the paper's base gain 15, 285 gives the wide authority K_p <=
-    300.
-    """
-    delta_ki_min: Annotated[float, quantity("1/s^2", -100.0, 100.0)] = 0.0
-    """Smallest change of K_i."""
-    delta_ki_max: Annotated[float, quantity("1/s^2", -100.0, 100.0)] = 10.0
-    """Largest change of K_i, above delta_ki_min."""
+    delta_kp_min: Annotated[float, quantity("1/s", -300.0, 300.0, "Smallest change of K_p")] = 0.0
+    delta_kp_max: Annotated[
+        float, quantity("1/s", -300.0, 300.0, "Largest change of K_p; 285 on a base gain of 15 reaches K_p = 300")
+    ] = 75.0
+    delta_ki_min: Annotated[float, quantity("1/s^2", -100.0, 100.0, "Smallest change of K_i")] = 0.0
+    delta_ki_max: Annotated[float, quantity("1/s^2", -100.0, 100.0, "Largest change of K_i, above delta_ki_min")] = 10.0
 
     @classmethod
     def enclosing(cls, *ranges: Any) -> GainRange:
