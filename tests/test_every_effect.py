@@ -17,7 +17,6 @@ from hydro_sim.files import recordings
 from hydro_sim.identification.bench_learning import learn
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
-from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.catalogue import CATALOGUE, parse_entry
 from tests.segments import record
 
@@ -33,7 +32,6 @@ SIZES = {
     "valve": 3e-10,
 }  # fmt: skip
 """Of parameters; coefficients by the effect's first word. At whole steps of 0.1 ms the dead time has two slopes."""
-GROWN = {one.id: one.typical_parameters for one in grown.EFFECTS}
 SENSOR_BANDWIDTH = 20.0
 """Hz: a sensor of 80 Hz is not told from a faster one by runs whose power lies below 10 Hz."""
 
@@ -44,7 +42,7 @@ def having(label: str, factor: float = 1.0) -> Bench:
     """A bench with an effect, and what it needs; `factor`: of all sizes, a place moves by a tenth of that."""
     word, *options = label.split()
     names = [one.name for one in CATALOGUE[label].parameters]
-    sizes = GROWN.get(word) or {name: SIZES[word.split("_")[0] if name == "coefficient" else name] for name in names}
+    sizes = {name: SIZES[word.split("_")[0] if name == "coefficient" else name] for name in names}
     if word == "sensor_lag":
         sizes["bandwidth"] = SENSOR_BANDWIDTH
     effect = {"id": word, **dict(option.split("=") for option in options), "parameters": sizes}

@@ -9,7 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "data/*", "export/templates/*", "model/*.c", "model/effects/grown/*.yaml"]},
+    package_data={name: ["py.typed", "data/*", "export/templates/*", "model/*.c"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),

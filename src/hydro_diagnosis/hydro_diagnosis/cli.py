@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run hydro_diagnosis diagnose RECORDING... --out DIR`, and `diagnose --grow REPORT... --id NAME`.
-
-`law_promotion` carries out the latter.
-"""
+"""`ros2 run hydro_diagnosis diagnose RECORDING... --out DIR`."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_core.cli.console import command, writable_file, writable_folder
+from hydro_core.cli.console import command, writable_folder
 from hydro_core.process import termination
 from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError
 from hydro_diagnosis.report_json import DiagnosisInterrupted
@@ -61,23 +58,13 @@ def parser() -> argparse.ArgumentParser:
         "--seconds", type=float, metavar="S", help="budget of work, in s of CPU as counted, not timed; then the best "
         "answer so far is given (default: 24, in proportion beyond 60 s at 1 kHz)",
     )  # fmt: skip
-    options.add_argument(
-        "--out", type=writable_folder, metavar="DIR", help="where the report goes; with --grow the effect's file "
-        "(default: the source tree in a checkout, else ~/.local/share/hydro/effects)"
-    )  # fmt: skip
+    options.add_argument("--out", type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
     options.add_argument(
         "--page", action="store_true", help="in place of recordings: a page in the browser to drop them on"
     )
     options.add_argument("--port", type=int, default=0, metavar="N", help="of the page (default: a free one)")
     options.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
-    options.add_argument(
-        "--grow", nargs="+", metavar="REPORT", dest="reports", help="in place of recordings: report.json of two "
-        "benches or more, or the folders that hold them; the law that they share becomes a named effect"
-    )  # fmt: skip
-    options.add_argument("--id", metavar="NAME", help="of the effect, for instance port_drag")
-    options.add_argument("--law", metavar="FORM", help="which one, where the reports have several laws in common")
-    options.add_argument("--json", type=writable_file, metavar="FILE", help="also write the table of the law's numbers")
     return options
 
 
@@ -85,10 +72,8 @@ def run(arguments: Sequence[str]) -> int:
     """Run the command; returns 0 for any verdict, 128 + the signal's number if interrupted, with a partial report."""
     options = parser()
     chosen = options.parse_args(arguments)
-    if [bool(chosen.recordings), chosen.page, bool(chosen.reports)].count(True) != 1:
-        options.error("give recordings, --page or --grow")
-    if bool(chosen.reports) != bool(chosen.id) or (not chosen.reports and (chosen.law or chosen.json)):
-        options.error("--grow needs --id; --id, --law and --json go with --grow")
+    if bool(chosen.recordings) == chosen.page:
+        options.error("give recordings or --page")
     if chosen.simulated_columns and not chosen.simulated:
         options.error("--simulated-columns goes with --simulated")
     if chosen.page:
@@ -96,10 +81,6 @@ def run(arguments: Sequence[str]) -> int:
         from hydro_diagnosis.pipeline import diagnose
 
         return import_page.run(chosen.bench, chosen.port, diagnose, opened=chosen.open)
-    if chosen.reports:
-        from hydro_diagnosis.law_promotion import grow
-
-        return grow(chosen)
     if not chosen.out:
         options.error("--out DIR says where the report goes")
     if chosen.seconds is not None and not chosen.seconds > 0.0:

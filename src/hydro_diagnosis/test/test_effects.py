@@ -14,7 +14,7 @@ import yaml
 from hydro_core.files import bench_digest
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Effect, EffectHypothesis
 from hydro_diagnosis.effects.base import BLOCKS, CHANNELS, MachineScales, scale_bounds
-from hydro_diagnosis.effects.closure import Closure, closure, is_closure
+from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -28,8 +28,7 @@ from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation import Segment as Drive
 from hydro_sim.model import grammar, tables
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects.catalogue import CATALOGUE, Kind, label
-from hydro_sim.model.effects.closure import NamedLaw, effect_class
+from hydro_sim.model.effects.catalogue import CATALOGUE, label
 from hydro_sim.model.laws import Law, Signals
 from hydro_sim.model.tables import Table
 from tests.checks import each
@@ -228,18 +227,6 @@ def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> No
     assert [(one.effect.label, one.values) for one in back] == [(one.effect.label, one.values) for one in claims]
     assert isinstance(back[1].effect, Closure) and back[1].effect.limits == LIMITS["position"]
     assert Bench.load(path).digest == bench_digest.digest(bench_digest.read_parameters(path)) != BENCH.digest
-
-
-def test_a_law_that_has_a_name_is_an_effect_of_the_corrected_bench_and_no_closure() -> None:
-    named = NamedLaw(id="port_drag", law=replace(DRAG, sentence="Ports drag."), bounds={"coefficient": (0.0, 9e3)})
-    grown = Closure(Kind(effect_class(named), ()), law=named.law, name=named).adapted(BENCH)
-    assert grown.named and not is_closure(grown)
-    assert (grown.label, grown.family, grown.blocks) == ("port_drag", "friction", {"motion"})
-    assert grown.sentence({"coefficient": 600.0}) == "Ports drag. It is 600 N s2/m2 times v |v|."
-    (coefficient,) = grown.parameters
-    assert (coefficient.low, coefficient.high, coefficient.smallest_reported) == (0.0, 9e3, 0.01 * DRAG.typical)
-    numbers = {"coefficient": 600.0}
-    assert EffectHypothesis(grown, numbers).to_mapping() == {"id": "port_drag", "parameters": numbers}
 
 
 def test_a_table_is_constant_beyond_what_was_seen() -> None:

@@ -2,7 +2,7 @@
 """Library of the diagnosis's causes: every effect of the bench model whose parameters have fit settings.
 
 To add an effect, write its class in `hydro_sim.model.effects`; one with memory also needs its response to a whole
-record (`dynamics`). Laws that were found on several benches are added by `diagnose --grow`.
+record (`dynamics`).
 """
 
 from __future__ import annotations
@@ -10,10 +10,8 @@ from __future__ import annotations
 from typing import Any
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FitParameter
-from hydro_diagnosis.effects.closure import grown_cause
 from hydro_diagnosis.effects.dynamics import EFFECT_CLASSES, Stribeck, StribeckExponential
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.base import fit, parameter
 from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
 from hydro_sim.model.effects.friction import FrictionStribeck
@@ -23,10 +21,7 @@ NOMINAL_BENCH = Bench.nominal()
 
 
 _TABLE = [EFFECT_CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL_BENCH) for kind in CATALOGUE.values()]
-LIBRARY: tuple[Effect, ...] = (
-    *(one for one in _TABLE if one.parameters and one.id not in grown.EFFECT_IDS),
-    *map(grown_cause, grown.EFFECTS),
-)
+LIBRARY: tuple[Effect, ...] = tuple(one for one in _TABLE if one.parameters)
 """Effects that can be claimed; several may share an id (chambers, sensors, forms of one cause)."""
 _EXPONENTIAL = Kind(FrictionStribeck, (("form", "exponential"),))
 Stribeck.other_forms = (StribeckExponential(_EXPONENTIAL).adapted(NOMINAL_BENCH),)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws and tables of `hydro_sim.model.grammar` as effects: unnamed terms (closures), and grown effects (named laws).
+"""Laws and tables of `hydro_sim.model.grammar` as effects: unnamed terms (closures).
 
 They are fitted and simulated like named causes. Their terms are the model's; this module adds their memory over a
 whole record and the inversion of sensor errors.
@@ -29,8 +29,8 @@ from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.jit import njit
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects.catalogue import CATALOGUE, Kind
-from hydro_sim.model.effects.closure import NamedLaw, closure_class
+from hydro_sim.model.effects.catalogue import Kind
+from hydro_sim.model.effects.closure import closure_class
 from hydro_sim.model.laws import Law, MemoryElement, Signals, edge_losses, sensor_signals
 from hydro_sim.model.tables import KNOTS, Table
 
@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from hydro_diagnosis.effects.memory import Memory
 
 _EQUATION_CHANNELS = {"pressure": ("pressure_a", "pressure_b")}
-_FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
-"""Families of grown effects: those of the effects of the table which act in the same equation."""
 _HOOKS = {"motion": {"opposing_force"}, "load": {"load"}, "sensor": {"read_sensor"}}
 """Hooks in which terms of an equation act; terms of flows, including the valve's, act in `leaks`."""
 
@@ -92,13 +90,8 @@ class Closure(Effect):
     """Start values of a threshold, within the limits."""
     bench: Bench | None = None
     """Bench to which the term is adapted."""
-    name: NamedLaw | None = None
-    """Named law of a grown effect; None for an unnamed term."""
     stage = 2
-
-    @property
-    def named(self) -> bool:  # type: ignore[override]
-        return self.name is not None
+    named = False
 
     @property
     def blocks(self) -> frozenset[str]:
@@ -111,8 +104,6 @@ class Closure(Effect):
     @property
     def family(self) -> str:
         """Family of the term; flows and forces differ, as a term of one cannot mimic a form error of the other."""
-        if self.named:
-            return _FAMILIES.get(self.law.equation, "leak")
         flows = self.law.equation in ("actuation", "pressure", "pressure_a", "pressure_b")
         if self.law.equation == "sensor":
             flows = self.law.where.startswith("pressure")
@@ -276,8 +267,8 @@ class PositionSensorClosure(Closure):
 
 
 def is_closure(effect: Effect) -> TypeGuard[Closure]:
-    """Return whether an effect is an unnamed term, not a grown effect."""
-    return isinstance(effect, Closure) and effect.name is None
+    """Return whether an effect is an unnamed term."""
+    return isinstance(effect, Closure)
 
 
 def closure(
@@ -288,11 +279,6 @@ def closure(
     `limits`: of a table's variable or of a law's threshold, SI unit; `probes`: start values of that threshold.
     """
     return _class(law)(_kind(law), law=law, limits=limits, probes=probes).adapted(bench)
-
-
-def grown_cause(named: NamedLaw) -> Closure:
-    """Return a grown effect (a named law) as a candidate cause, adapted to the nominal bench."""
-    return _class(named.law)(CATALOGUE[named.id], law=named.law, name=named).adapted(Bench.nominal())
 
 
 def _class(law: Law | Table) -> type[Closure]:

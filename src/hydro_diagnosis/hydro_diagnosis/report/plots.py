@@ -16,7 +16,6 @@ from scipy.ndimage import uniform_filter1d
 from hydro_diagnosis.effects.base import CHANNELS, Effect, FloatArray
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import EffectReport
-from hydro_sim.model.effects import grown
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, SKY, UNITS, add_legend, figure
 
 _CHANNEL_LABELS = {
@@ -160,9 +159,6 @@ def curves_plot(found: Diagnosis) -> str:
 
 def _variable(cause: Effect, found: Diagnosis) -> str:
     have, effect = set(found.problem.models[0].channels), cause.id
-    if effect in grown.EFFECT_IDS:
-        over = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
-        return over.get(cause.equations[0], "pressure_difference")
     if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):
         return "velocity"
     if effect == "leakage_internal":

@@ -28,7 +28,7 @@ import numpy as np
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics, machine_code
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects import catalogue, grown, valve
+from hydro_sim.model.effects import catalogue, valve
 from hydro_sim.model.effects.base import HiddenState, Parameter
 from hydro_sim.model.equations import READINGS
 
@@ -182,11 +182,11 @@ def _assembled(structure: Structure) -> Functions:
 
 @lru_cache(maxsize=1)
 def _sources_digest() -> str:
-    """Digest of all sources from which a model's code is generated: those of this package, and grown effects."""
+    """Digest of all sources from which a model's code is generated: those of this package."""
     import hashlib
 
     here = Path(__file__).parent
-    files = [*sorted(here.rglob("*.py")), *sorted(here.glob("*.c")), *grown.effect_files()]
+    files = [*sorted(here.rglob("*.py")), *sorted(here.glob("*.c"))]
     others = f"{SAMPLE_PERIOD} {Bench.ranges()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 

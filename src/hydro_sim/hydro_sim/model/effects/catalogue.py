@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Catalogue of the effects of bench files, by id and options.
 
-An entry of `effects` in bench.yaml is `{id: ..., <option>: ..., parameters: {name: number}}`. Grown effects
-(`model.effects.grown`) are included.
+An entry of `effects` in bench.yaml is `{id: ..., <option>: ..., parameters: {name: number}}`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from hydro_core.signals import SAMPLE_PERIOD
-from hydro_sim.model.effects import closure, friction, grown, motion, oil, parameter_corrections, sensing, valve
+from hydro_sim.model.effects import closure, friction, motion, oil, parameter_corrections, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
 from hydro_sim.model.effects.closure import Closure
 
@@ -77,8 +76,7 @@ _TABLE: tuple[type[Effect], ...] = (
     *valve.EFFECTS, *oil.EFFECTS, *friction.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS,
     *parameter_corrections.EFFECTS,
 )  # fmt: skip
-_NAMED: tuple[type[Effect], ...] = (*_TABLE, *(closure.effect_class(one) for one in grown.EFFECTS))
-CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
+CATALOGUE: dict[str, Kind] = _kinds(_TABLE)
 """Effects by id and options, as `label` writes them."""
 KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
 """Effects and closures."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closures: laws and tables of `model.grammar` as effects, and the laws that have an id (`model.effects.grown`).
+"""Closures: laws and tables of `model.grammar` as effects.
 
 A closure's class combines the equation in which its law acts, with one base for each, and the law's memory.
 """
@@ -7,7 +7,7 @@ A closure's class combines the equation in which its law acts, with one base for
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -36,10 +36,7 @@ class Closure(Effect):
     def sentence(self, values: Mapping[str, float]) -> str:
         law = self.law
         if isinstance(law, Law):
-            if self.id == Closure.id:
-                return law.sentence
-            further = "".join(f", {one.name} {values[one.name]:.3g} {one.unit}" for one in law.shape_parameters)
-            return f"{law.sentence} It is {values['coefficient']:.3g} {law.unit} times {law.text}{further}."
+            return law.sentence
         what = f"A coefficient of the {law.factor.name} that follows" if law.factor else "A smooth function of"
         return f"{what} the {law.variable.replace('_', ' ')}, for which no law was found."
 
@@ -253,46 +250,3 @@ def closure_class(law: Law | Table) -> type[Closure]:
 
 
 EFFECTS = tuple(closure_class(law) for law in grammar.FORMS.values())
-
-
-# --- laws that have an id --------------------------------------------------------------------------------------------
-
-_SMALLEST_REPORTED_SHARE = 0.01
-"""Smallest reported coefficient, as a share of the observed one."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class NamedLaw:
-    """Law as an effect with an id, and the bounds of its parameters."""
-
-    id: str
-    law: Law
-    """Law with the observed values as its typical coefficient and as start values of its shape parameters."""
-    bounds: Mapping[str, tuple[float, float]]
-    """Lowest and highest value of each parameter, in the law's units."""
-
-    def __post_init__(self) -> None:
-        if tuple(self.bounds) != self.law.names:
-            raise ValueError(f"effect {self.id}: bounds are of {', '.join(self.law.names)}, in this order")
-
-    @property
-    def typical_parameters(self) -> dict[str, float]:
-        """Typical values of the parameters, by name."""
-        sign = 1.0 if self.bounds["coefficient"][1] > 0.0 else -1.0
-        middles = {one.name: one.start_values[len(one.start_values) // 2] for one in self.law.shape_parameters}
-        return {"coefficient": sign * self.law.typical, **middles}
-
-
-def effect_class(named: NamedLaw) -> type[Effect]:
-    """Return the effect class of a named law, derived from its closure class."""
-    acting = closure_class(named.law)
-    about = {"id": named.id, "options": {}, "__doc__": named.law.sentence}
-    effect: Any = type(named.id, (acting,), about)
-    effect.parameters = ()
-    for one in acting.parameters:  # within the bounds, and fitted from what was seen
-        (low, high), size = named.bounds[one.name], named.typical_parameters[one.name]
-        smallest = _SMALLEST_REPORTED_SHARE * abs(size) if one.fit and one.fit.smallest_reported > 0.0 else 0.0
-        changes: dict[str, Any] = {"low": low, "high": high, "start_values": (size,), "smallest_reported": smallest}
-        fitted = one.fit and replace(one.fit, **changes, systematic=0.01)
-        effect.parameters += (replace(one, low=low, high=high, fit=fitted),)
-    return effect
