@@ -26,7 +26,7 @@ KEYS = {name: f"python3-{name}" for name in (
 """rosdep's keys of modules that are no ROS packages."""
 WITHOUT_KEY = {
     "asammdf", "clarabel", "dask", "distributed", "gymnasium", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pint",
-    "pyarrow", "ruptures", "safetensors", "skrl", "stable_baselines3", "tensorboardX", "threadpoolctl",
+    "pyarrow", "safetensors", "skrl", "stable_baselines3", "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""
 DISTRIBUTIONS = {"nptdms": "npTDMS", "serial": "pyserial", "yaml": "pyyaml"}

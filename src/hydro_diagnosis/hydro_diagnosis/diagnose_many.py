@@ -1,52 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnoses each of many recordings by itself; what is found goes into tables in Parquet.
+"""Diagnoses each of many recordings by itself; the results become one table, as a page and as CSV.
 
 ros2 run hydro_diagnosis diagnose_many runs --bench mine.yaml --out study        # all recordings in a folder
 ros2 run hydro_diagnosis diagnose_many 'today/*.mf4' --columns map.yaml --bench mine.yaml --out study
 ros2 run hydro_diagnosis diagnose_many @list.txt --out study                     # one path a line
-ros2 run hydro_diagnosis diagnose_many s3://lab/day.mcap --every 3600 --out study  # hour by hour
 
-The same command does only what is missing.
+The same command continues where it was interrupted.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import glob
 import json
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime, timezone
 from hashlib import sha256
-from itertools import pairwise
+from io import StringIO
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
-import pyarrow as pa
-from pyarrow import parquet
-
-from hydro_bridge.bags.location import exists, is_bag, is_remote, list_remote_bags, split_location
-from hydro_bridge.bags.storage import BagSource
-from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.bags.location import exists, is_remote, list_remote_bags
+from hydro_bridge.pages import environment
 from hydro_core.cli import jobs
-from hydro_core.cli.console import UserError, bounded_number, command, plural, writable_folder
+from hydro_core.cli.console import UserError, command, plural, writable_folder
+from hydro_core.files.atomic import write_atomic
 from hydro_core.settings import read_yaml
 from hydro_diagnosis.bench_parameters import read_bench
+from hydro_diagnosis.effects.base import display_unit
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError
 from hydro_diagnosis.report_json import row_of
 
-_KEY_FIELDS = [pa.field("recording", pa.string(), nullable=False), pa.field("begin", pa.timestamp("us", "UTC"))]
-_TEXT, _TEXTS, _NUMBER = pa.string(), pa.list_(pa.string()), pa.float64()
-DIAGNOSES_SCHEMA = pa.schema([
-    *_KEY_FIELDS, ("verdict", _TEXT), ("refused", _TEXT), ("causes", _TEXTS), ("closures", pa.int32()),
-    ("explained", _NUMBER), ("notes", _TEXTS), ("seconds", _NUMBER),
-])  # fmt: skip
-PARAMETERS_SCHEMA = pa.schema([
-    *_KEY_FIELDS, ("cause", _TEXT), ("options", _TEXT), ("parameter", _TEXT), ("value", _NUMBER), ("low", _NUMBER),
-    ("high", _NUMBER), ("unit", _TEXT),
-])  # fmt: skip
-"""Columns of STUDY/diagnoses.parquet and of STUDY/parameters.parquet (`many_recordings.md`)."""
+COLUMNS = ("recording", "begin", "verdict", "refused", "explained", "closures", "cause", "options", "parameter",
+           "value", "low", "high", "unit")  # fmt: skip
+"""Columns of diagnoses.csv (`many_recordings.md`)."""
 
 
 def find_recordings(words: Sequence[str]) -> dict[str, Path]:
@@ -77,69 +69,50 @@ def _within(path: Path) -> Iterator[Path]:
             yield from _within(one)
 
 
-def split_bag(name: str, path: Path, every: float) -> dict[str, str]:
-    """Parts of a bag by name, `every` s each (the last 0.5 to 1.5 times that); other files are not divided.
-
-    Parts restart after a minute without a message, or where the clock was set; both are reported on stderr.
-    """
-    if not is_bag(path) or split_location(path)[1] is not None:
-        return {name: str(path)}
-    try:
-        stretches = BagSource(path).contiguous_intervals(60.0)
-    except RecordingError:  # each part would be refused for the same reason
-        stretches = [(0.0, every)]
-    for (_, before), (after, _) in pairwise(stretches):
-        print(
-            f"{name}: nothing was logged, or the clock was set, from {before:.10g} to {after:.10g} s: no part of it",
-            file=sys.stderr,
-        )
-    parts = []
-    for (begin, end), behind in zip(stretches, [*(f"{begin:.12g}" for begin, _ in stretches[1:]), ""], strict=True):
-        count = max(round((end - begin) / every), 1)
-        borders = [*(f"{begin + k * every:.12g}" for k in range(count)), behind]
-        parts += [f"#t={one},{other}" for one, other in pairwise(borders)]
-    return {f"{name}{part}": f"{path}{part}" for part in parts}
+def report_folder(name: str) -> str:
+    """Folder of a recording's report, below that of the study."""
+    return f"reports/{name.replace('#t=', '/')}"
 
 
-def diagnose_part(path: str, folder: str, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Diagnose one recording, write its report to a folder, and return its rows of both tables, without its name."""
+def diagnose_one(path: str, folder: str, options: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Diagnose one recording, write its report to a folder, and return its rows of the table, without its name."""
     from hydro_diagnosis.pipeline import diagnose
     from hydro_diagnosis.report.page import write_files
 
     try:
         found = diagnose([path], **options)
     except InputError as error:
-        return {"diagnosis": {"refused": str(error)}, "parameters": []}
+        return [{"refused": str(error)}]
     write_files(found, Path(folder))
     report = found.report
     begin = report.recordings[0]["begin"]
-    shares = [one["all"] for one in report.accounted.values()]
-    beginning = {"begin": None if begin is None else round(1e6 * begin)}
-    diagnosis = {
-        **beginning, "verdict": report.verdict, "causes": [effect.id for effect in report.effects],
-        "closures": len(report.closures), "explained": min(shares, default=None), "notes": report.data_quality,
-        "seconds": report.seconds,
-    }  # fmt: skip
-    parameters = []
-    for effect in report.effects:
-        place = ",".join(f"{key}={one}" for key, one in effect.options.items())
-        for name, number in effect.parameters.items():
-            parameters.append({"cause": effect.id, "options": place, "parameter": name, **row_of(number)})
-    parameters += [{"cause": "", "options": "", "parameter": one.name, **row_of(one)} for one in report.estimated]
-    return {"diagnosis": diagnosis, "parameters": [{**beginning, **one} for one in parameters]}
+    about = {
+        "begin": None if begin is None else datetime.fromtimestamp(begin, timezone.utc).isoformat(),
+        "verdict": report.verdict,
+        "explained": min((one["all"] for one in report.accounted.values()), default=None),
+        "closures": len(report.closures),
+    }
+    rows = [
+        {"cause": effect.id, "options": ",".join(f"{key}={one}" for key, one in effect.options.items()),
+         "parameter": name, **row_of(estimate)}
+        for effect in report.effects
+        for name, estimate in effect.parameters.items()
+    ]  # fmt: skip
+    rows += [{"parameter": one.name, **row_of(one)} for one in report.estimated]
+    return [{**about, **row} for row in rows or [{}]]
 
 
-def write_study(folder: Path, found: Mapping[str, Mapping[str, Any]]) -> None:
-    """Write both tables of a study; `found`: rows by recording, as of `diagnose_part`."""
-    diagnoses = [{"recording": name, **one["diagnosis"]} for name, one in found.items()]
-    parameters = [{"recording": name, **row} for name, one in found.items() for row in one["parameters"]]
-    for name, table, schema in (
-        ("diagnoses", diagnoses, DIAGNOSES_SCHEMA),
-        ("parameters", parameters, PARAMETERS_SCHEMA),
-    ):
-        partial = folder / f"{name}.parquet.partial"
-        parquet.write_table(pa.Table.from_pylist(table, schema), partial)
-        partial.replace(folder / f"{name}.parquet")
+def write_table(folder: Path, found: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    """Write diagnoses.csv and diagnoses.html; `found`: rows by recording, as of `diagnose_one`."""
+    text = StringIO(newline="")
+    table = csv.DictWriter(text, COLUMNS, restval="")
+    table.writeheader()
+    table.writerows({"recording": name, **row} for name, rows in found.items() for row in rows)
+    write_atomic(folder / "diagnoses.csv", text.getvalue().encode())
+    made = environment("hydro_diagnosis", "report/templates")
+    made.filters.update(display_unit=display_unit, report=lambda name: quote(f"{report_folder(name)}/report.html"))
+    page = made.get_template("diagnoses.html").render(title="Diagnoses", found=found)
+    write_atomic(folder / "diagnoses.html", page.encode())
 
 
 def parser() -> argparse.ArgumentParser:
@@ -157,10 +130,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--without", nargs="+", default=[], metavar="ID", help="as for diagnose")
     options.add_argument("--estimate", nargs="+", default=[], metavar="NAME", help="as for diagnose")
     options.add_argument("--seconds", type=float, metavar="S", help="as for diagnose, for each recording")
-    options.add_argument(
-        "--every", type=bounded_number(1.0), metavar="S", help="diagnose each S seconds of a bag alone"
-    )
-    options.add_argument("--out", required=True, type=writable_folder, metavar="STUDY", help="folder of the data set")
+    options.add_argument("--out", required=True, type=writable_folder, metavar="STUDY", help="folder of the results")
     jobs.add_arguments(options)
     return options
 
@@ -169,12 +139,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Entry point; 0 if each recording was diagnosed or refused in a sentence, 2 if one could not be."""
     chosen = parser().parse_args(sys.argv[1:])
-    named = {name: str(path) for name, path in find_recordings(chosen.recordings).items()}
-    if chosen.every:
-        named = {
-            part: at for name, path in named.items() for part, at in split_bag(name, Path(path), chosen.every).items()
-        }
-    chosen.out.mkdir(parents=True, exist_ok=True)
+    named = find_recordings(chosen.recordings)
     if chosen.bench:
         read_bench(chosen.bench, frozenset(chosen.estimate))  # refuses what cannot be read
     columns = ColumnMap.load(chosen.columns)
@@ -183,23 +148,20 @@ def main() -> int:
         "columns": None if columns is None else str(columns),
         **{name: getattr(chosen, name) for name in ("without", "estimate", "seconds")},
     }
-    folders = {name: str(chosen.out / "reports" / name.replace("#t=", "/")) for name in named}
-    arguments = {name: (path, folders[name], options) for name, path in named.items()}
-    found: dict[str, Any] = {}
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    arguments = {name: (str(path), str(chosen.out / report_folder(name)), options) for name, path in named.items()}
     digest = sha256(json.dumps(options, sort_keys=True).encode()).hexdigest()[:12]
-    told = jobs.job_options(chosen) | {
-        "results_file": chosen.out / f"found-{digest}.jsonl",
-        "label": "diagnoses",
-        "unit": "recording",
-    }
+    results = chosen.out / f"found-{digest}.jsonl"
+    found: dict[str, list[dict[str, Any]]] = {}
     try:
-        found.update(jobs.run(diagnose_part, arguments, **told))
+        found.update(
+            jobs.run(diagnose_one, arguments, results_file=results, label="diagnoses", unit="recording",
+                     **jobs.job_options(chosen))
+        )  # fmt: skip
     finally:
-        write_study(chosen.out, {name: found[name] for name in named if name in found})
-    refused = {name: one["diagnosis"]["refused"] for name, one in found.items() if "refused" in one["diagnosis"]}
+        write_table(chosen.out, {name: found[name] for name in named if name in found})
+    refused = {name: rows[0]["refused"] for name, rows in found.items() if "refused" in rows[0]}
     for name, why in refused.items():
         print(f"{name}: refused: {why}", file=sys.stderr)
-    print(
-        f"{chosen.out}/diagnoses.parquet, parameters.parquet: {plural(len(found), 'recording')}, {len(refused)} refused"
-    )
+    print(f"{chosen.out}/diagnoses.html, diagnoses.csv: {plural(len(found), 'recording')}, {len(refused)} refused")
     return 0

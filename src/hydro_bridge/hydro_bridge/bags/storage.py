@@ -187,23 +187,6 @@ class McapScan:
             statistics = self._index(stream).statistics
         return (statistics.message_start_time, statistics.message_end_time) if statistics else (0, 0)
 
-    def contiguous_intervals(self, gap: float) -> list[tuple[int, int]]:
-        """Return first and last log time [ns] of each interval without a gap longer than `gap` s.
-
-        Found by the index, in file order. Raises RecordingError, as `blocks`.
-        """
-        found: list[tuple[int, int]] = []
-        with self._opened() as (stream, _):
-            for chunk in self._indexed_chunks(stream):
-                edges = np.array([chunk.message_start_time, chunk.message_end_time])
-                if edges[1] - edges[0] > 1e9 * gap:  # a gap in it, or slow messages: read their log times
-                    for block in self._blocks_of(stream, [chunk]):
-                        edges = np.sort(np.concatenate([span.log_times for span in self._split(block).values()]))
-                ends = np.flatnonzero(np.diff(edges) > 1e9 * gap)
-                begins, ends = edges[np.r_[0, ends + 1]], edges[np.r_[ends, -1]]
-                found += zip(begins.tolist(), ends.tolist(), strict=True)
-        return found
-
     @contextmanager
     def _opened(self) -> Iterator[tuple[BinaryIO, int]]:
         try:
@@ -390,20 +373,6 @@ class BagSource:
         if topic is not None and not found:
             there = {channel.topic for scan in self.scans for channel in scan.channels.values()}
             raise self.missing_topic_error(topic, there)
-
-    def contiguous_intervals(self, gap: float) -> list[tuple[float, float]]:
-        """Return begin and end [s since the first message] of each interval without a gap longer than `gap` s.
-
-        Found by the index, in order of time; raises RecordingError.
-        """
-        first = self.scans[0].times()[0]
-        merged: list[list[int]] = []
-        for begin, end in sorted(stretch for scan in self.scans for stretch in scan.contiguous_intervals(gap)):
-            if merged and begin - merged[-1][1] <= 1e9 * gap:
-                merged[-1][1] = max(merged[-1][1], end)
-            else:
-                merged.append([begin, end])
-        return [(1e-9 * (begin - first), 1e-9 * (end - first)) for begin, end in merged]
 
     def missing_topic_error(self, topic: str, topics: Collection[str]) -> RecordingError:
         """Return the error that `topic` is not among the `topics` that were read."""
