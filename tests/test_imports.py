@@ -25,7 +25,7 @@ KEYS = {name: f"python3-{name}" for name in (
 )} | {"casadi": "python3-casadi-pip", "cobs": "python-cobs-pip", "rosbags": "python3-rosbags-pip"}  # fmt: skip
 """rosdep's keys of modules that are no ROS packages."""
 WITHOUT_KEY = {
-    "asammdf", "clarabel", "dask", "distributed", "gymnasium", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pint",
+    "asammdf", "dask", "distributed", "gymnasium", "llvmlite", "mcap", "msgspec", "nptdms", "osqp", "pint",
     "pyarrow", "safetensors", "skrl", "stable_baselines3", "tensorboardX", "threadpoolctl",
 }  # fmt: skip
 """Modules that rosdep has no key for: `pip install -r requirements.txt` (CONTRIBUTING.md)."""

@@ -21,7 +21,7 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="Contraction certificate and the QP that corrects the valve current.",
     license="Apache-2.0",
-    install_requires=["clarabel", "hydro_sim", "numba", "numpy", "osqp", "scipy", "threadpoolctl"],
+    install_requires=["hydro_sim", "numba", "numpy", "osqp", "scipy"],
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [

@@ -104,12 +104,6 @@ class CorrectionStatus(IntEnum):
     MISMATCH = 7
 
 
-OUTSIDE_REGION_BIT = 8
-"""Bit of `Correction.status`, in addition to a `CorrectionStatus`: the loop is outside of the certified region."""
-STATUS_MASK = OUTSIDE_REGION_BIT - 1
-"""Bit mask of the `CorrectionStatus` in `Correction.status`."""
-
-
 class Law(IntEnum):
     """Force laws of a box (`firmware/hydro/force_law.h`): the paper's, and the one with a compensated reference."""
 

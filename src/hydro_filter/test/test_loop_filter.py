@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hydro_core.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
-from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter, filter_record
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import without_overlap
@@ -116,20 +113,6 @@ def test_the_integral_cannot_wind_up_without_end() -> None:
     wound = sample._replace(nominal_current=sample.nominal_current + more, valve_current=sample.valve_current + more)
     change = [one.correct(wound).delta_u - one.correct(sample).delta_u for one in (made, none)]
     assert abs(change[1]) > abs(change[0])
-
-
-def test_a_region_of_another_bench_is_not_used_and_that_is_said(tmp_path: Path) -> None:
-    shipped = FilterChoice(bench=NOMINAL)
-    assert shipped.describe()["region"] == "proved for the paper's law, proved for the compensated law"
-    assert shipped.make_region_monitor(MADE) is not None
-    for file in shipped.files["metric"].parent.glob("default_metric.*"):
-        shutil.copy(file, tmp_path)
-    region = tmp_path / "default_metric.region.json"
-    region.write_text(region.read_text().replace(NOMINAL.digest, "0" * len(NOMINAL.digest)))
-    (tmp_path / "default_metric.compensated.region.json").unlink()
-    choice = FilterChoice(bench=NOMINAL, metric=str(tmp_path / "default_metric.safetensors"))
-    assert choice.describe()["region"] == "default_metric.region.json is of another model or bench: not used"
-    assert choice.make_region_monitor(MADE) is None
 
 
 WIDTH = 5e-4

@@ -46,7 +46,7 @@ from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import Mailbox, create_subscription
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.cli.console import bounded_number, command, make_parser
-from hydro_core.signals import STATUS_MASK, CorrectionStatus
+from hydro_core.signals import CorrectionStatus
 from hydro_msgs.msg import Authority, TrainingStatus
 from hydro_msgs.srv import Claim, OverrideGains
 
@@ -101,7 +101,7 @@ class SampleReceiver:
                 self.count += len(table)
                 self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
             elif topic == topics.CORRECTION:
-                self.decided.update((table["status"] & STATUS_MASK).tolist())
+                self.decided.update(table["status"].tolist())
             else:
                 self.compensated_at = now
             self.series[number].add(table["time"], series.column_values(number, table))

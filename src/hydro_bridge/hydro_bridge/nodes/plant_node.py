@@ -67,7 +67,7 @@ from hydro_bridge.ros.topics import create_publisher, create_subscription
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_bridge.safety.plant_interface import PlantInterface
 from hydro_bridge.serial.protocol import BoxLaw, LawState
-from hydro_core.signals import SAMPLES_PER_STEP, STATUS_MASK, Flag, Law, ReferenceSignal, flag_names
+from hydro_core.signals import SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, flag_names
 from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
@@ -396,8 +396,7 @@ class PlantNode(Node):
     def _on_correction(self, message: Any) -> None:
         if self.lease_server.accepts(topics.CORRECTION, message.epoch):
             with self.plant.lock:
-                status = message.status & STATUS_MASK
-                self.plant.guard.set_correction(message.delta_u, status, message.sequence, self.plant.now())
+                self.plant.guard.set_correction(message.delta_u, message.status, message.sequence, self.plant.now())
             self.plant.send(message.sequence)
         if not self.plant.real_time:
             self.plant.lock_step.on_correction(message.sequence)

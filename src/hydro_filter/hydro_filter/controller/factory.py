@@ -17,8 +17,6 @@ from hydro_core.files import site
 from hydro_core.settings import add_options
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric, shipped_metric
-from hydro_filter.region.certified_region import CertifiedRegion, region_path
-from hydro_filter.region.monitor import RegionMonitor
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
@@ -65,7 +63,7 @@ class FilterChoice:
         return tuple(path.stat().st_mtime_ns if path.is_file() else 0 for path in files)
 
     def describe(self) -> dict[str, str]:
-        """Return the files with digests, certified gains and regions as text by name, for logs and /diagnostics."""
+        """Return the files with digests and the certified gains as text by name, for logs and /diagnostics."""
         told = {}
         for name, path in self.files.items():
             try:
@@ -74,11 +72,7 @@ class FilterChoice:
                 raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None
         ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.all_metrics)
         certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
-        proved, foreign = self._regions
-        laws = {False: "the paper's law", True: "the compensated law"}
-        regions = [f"proved for {laws[compensated]}" for compensated in proved]
-        regions += [f"{name} is of another model or bench: not used" for name in foreign]
-        return {**told, "certified": ", ".join(certified), "region": ", ".join(regions) or "none is proved"}
+        return {**told, "certified": ", ".join(certified)}
 
     def pairing_error(self, box: BoxIdentity | None = None) -> str:
         """Return an error message if metric, model and bench do not belong together; empty if they do.
@@ -126,32 +120,6 @@ class FilterChoice:
         """
         metric = self.stored_metric
         return loop_filter(metric, learned_bench.load_model(self.files["model"]), self.bench, settings)
-
-    @cached_property
-    def _regions(self) -> tuple[dict[bool, CertifiedRegion], list[str]]:
-        """Regions stored with the metric, True: of the compensated law; and names of files for another bench.
-
-        Raises ValueError: a file is not of a region.
-        """
-        expected, proved, foreign = (self._model_digest, self.bench.digest), {}, []
-        for compensated in (False, True):
-            path = region_path(self.files["metric"], compensated=compensated)
-            if not path.is_file():
-                continue
-            region = CertifiedRegion.load(path)
-            if (region.facts.get("model"), region.facts.get("box")) == expected:
-                proved[compensated] = region
-            else:
-                foreign.append(path.name)
-        return proved, foreign
-
-    def make_region_monitor(self, filtering: LoopFilter) -> RegionMonitor | None:
-        """Return a monitor of the regions stored with the metric; None: none is certified for this model and bench.
-
-        Raises ValueError: a file is not of a region.
-        """
-        proved, _ = self._regions
-        return RegionMonitor(proved, float(filtering.record["closing"][0])) if proved else None
 
 
 def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:

@@ -15,9 +15,6 @@ than the filter was started for.
 New files of metric, model and bench replace the old ones while the plant is disarmed, if they match one another; until
 they are compiled the old ones answer.
 
-If a region is stored with the metric (METRIC.region.json), a correction of an armed sample outside of it carries
-OUTSIDE besides its status, judged each policy step, and the log names the quantity.
-
 While the box runs the compensated law, a state is answered with the law of the same sequence (/hydro/law_state), STALE
 without. If the metric has no certificate for the active law, every answer is BYPASSED.
 
@@ -68,11 +65,10 @@ from hydro_core.cli.console import UserError, command
 from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.process import termination
 from hydro_core.process.realtime import Latency
-from hydro_core.signals import OUTSIDE_REGION_BIT, PLANT_FIELDS, SAMPLES_PER_STEP, CorrectionStatus, Flag, Law
+from hydro_core.signals import PLANT_FIELDS, CorrectionStatus, Flag, Law
 from hydro_filter.controller.factory import FilterChoice, parse_args
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, Result
 from hydro_filter.model.sample import Sample
-from hydro_filter.region.monitor import RegionMonitor
 from hydro_msgs.msg import Authority
 from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.model.bench import Bench
@@ -103,8 +99,6 @@ class FilterStatistics:
     """Statistics since the node started."""
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)
-    outside: int = 0
-    """Samples outside of the certified region."""
     missing: int = 0
     """Missing samples, by gaps in the sequence."""
     work: Latency = field(default_factory=Latency)
@@ -114,19 +108,17 @@ class FilterStatistics:
 
 
 class LoadedFilter(NamedTuple):
-    """A choice of files, with the filter and the region monitor made from them."""
+    """A choice of files, with the filter made from them."""
 
     choice: FilterChoice
     description: dict[str, str]
     """Description of the files, for logs and /diagnostics."""
     filter: LoopFilter
-    region: RegionMonitor | None
 
     @classmethod
     def load(cls, choice: FilterChoice, settings: LoopFilterSettings) -> LoadedFilter:
         """Create the filter of a choice and compile its models at first use; raises as `FilterChoice.make`."""
-        contraction_filter = choice.make(settings)
-        return cls(choice, choice.describe(), contraction_filter, choice.make_region_monitor(contraction_filter))
+        return cls(choice, choice.describe(), choice.make(settings))
 
     def __str__(self) -> str:
         return "; ".join(f"{name}: {value}" for name, value in self.description.items())
@@ -193,9 +185,6 @@ class FilterNode(Node):
         """Why the files do not fit this bench, by the plant's description; empty: they do."""
         self._mismatch = ""
         """Why every answer is MISMATCH; empty: the model fits."""
-        self._left: set[str] = set()
-        """Names of the quantities outside of the region that were logged since the plant was armed."""
-        self._outside = False
         self._law: Any = None  # record of the last one, while another law than the paper's acts
         self._waiting: Any = None  # record of a state that waits for its law
         self._last: Any = None  # record of the last correction
@@ -351,41 +340,21 @@ class FilterNode(Node):
                     message.proportional_gain, message.valve_current, message.reference_force_rate, bool(armed),
                     None if law is None else law_state_from_message(law),
                 )  # fmt: skip
-                if message.sequence % SAMPLES_PER_STEP == 0:
-                    self._check_region(sample)
                 result = contraction_filter.correct(sample, age)
             delta_u, before, after, status = self._check_model(result)
             infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
-            outside = self._outside and status <= CorrectionStatus.INFEASIBLE and bool(armed)
             self._last = CORRECTION_CODEC.record(
                 message.stamp, message.sequence, delta_u, before, after, delta_u != 0.0, infeasible,
-                int(status) | OUTSIDE_REGION_BIT * outside, self._epoch,
+                int(status), self._epoch,
             )  # fmt: skip
             if not self._in_process:  # else the plant says when
                 self.publish()
-            self._statistics.outside += outside
             self._statistics.statuses[status] += 1
             self._statistics.work.add(time.perf_counter() - begin)
             self._statistics.age.add(self._age(message))
 
     def _age(self, state: Any) -> float:
         return 0.0 if state.flags & Flag.PACED else 1e-9 * (time.time_ns() - state.stamp)
-
-    def _check_region(self, sample: Sample) -> None:
-        """Check whether the loop is within its certified region; log each quantity outside, once while armed."""
-        region, memory = self._loaded.region, self._loaded.filter.memory[0]  # before it moves on by this sample
-        if region is None:
-            return
-        if not sample.armed or not memory["running"]:
-            region.reset()
-            self._outside = False
-            self._left.clear()
-            return
-        left = region.check(sample, float(memory["opening"]), float(memory["opening_rate"]))
-        self._outside = left is not None
-        if left is not None and left.name not in self._left:
-            self._left.add(left.name)
-            self.get_logger().info(f"outside of the region that is proved (OUTSIDE): {left}")
 
     def _check_model(self, result: Result) -> Result:
         """Return the result, or MISMATCH if the model does not fit; a change of this is reported at once."""
@@ -440,7 +409,7 @@ class FilterNode(Node):
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values: dict[str, object] = {**self._loaded.description}
         values |= {status.name.lower(): seen.statuses[status] for status in CorrectionStatus}
-        values |= {"outside": seen.outside, "missing_states": seen.missing}
+        values["missing_states"] = seen.missing
         for name, latency in (("work", seen.work), ("age", seen.age)):
             for percent, key in ((50.0, "p50"), (99.0, "p99"), (99.9, "p99_9")):
                 values[f"{name}_{key}_ms"] = 1e3 * latency.percentile(percent)

@@ -35,10 +35,6 @@ def main() -> None:
     )  # fmt: skip
     parser.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth judges")
     parser.add_argument("--seed", type=int, default=0, help="of gains, references and noise")
-    parser.add_argument(
-        "--region", action="store_true",
-        help="prove a region of states and gains over which the loop contracts, too, and write METRIC.region.json",
-    )  # fmt: skip
     add_json_argument(parser)
     options = parser.parse_args()
     if options.seed < 0:

@@ -304,10 +304,6 @@ def learn_metric(options: argparse.Namespace) -> None:
             missing.append(f"C_1 = {metric.velocity_compensation:g}: {reason}; {kept}")
     for sentence in missing:
         _say(sentence)
-    if options.region:
-        from hydro_filter.training import region_learning  # with Clarabel: not for a metric alone
-
-        region_learning.write_regions(out, model, bench, [law.compensated for law in laws])
 
 
 def _compensated(options: argparse.Namespace, bench: Bench, data: DataSettings) -> list[DataSettings]:

@@ -60,7 +60,7 @@ from hydro_core.bench_scales import BenchScales
 from hydro_core.cli.console import terminal_lines
 from hydro_core.process import termination
 from hydro_core.process.realtime import Latency, drop_realtime
-from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, STATUS_MASK, Flag, ReferenceSignal
+from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, ReferenceSignal
 from hydro_msgs.msg import BoxLaw as BoxLawMessage
 from hydro_msgs.msg import PolicyStep
 from hydro_msgs.srv import OverrideGains
@@ -465,7 +465,7 @@ class GraphNode(Node):
         for message in messages:
             self.corrected = True
             if self._session is not None:
-                self._session.on_correction(message.certificate_after, message.status & STATUS_MASK)
+                self._session.on_correction(message.certificate_after, message.status)
 
     def _on_tick(self) -> None:
         """Handle keys, companions and the session's tick; of a plant on its own clock, its samples tick the session."""

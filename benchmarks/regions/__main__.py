@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which tolerances, gains and forces have a proof: python -m benchmarks.regions --numbers valve_gain --tolerance 0.05.
+"""Prove a region: python -m benchmarks.regions --numbers valve_gain --tolerance 0.05 --out region.json.
 
-For a bench file and a law, one region: the box of a sine of --force, the gains, and a tolerance of the numbers to
-either side, in --split parts with a metric each. Says lambda, tubes, the room left and the CPU it took, and of runs at
-the same gains the share of samples inside.
+Of a bench file and a law: the box of a sine of --force, the gains, and a tolerance of the numbers to either side, in
+--split parts with a metric each. Prints lambda, tubes and the CPU it took, and of runs at the same gains the share of
+samples inside. Needs Clarabel: pip install -r requirements-bench.txt.
 """
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+from benchmarks.regions.parameters import TOLERANCED_PARAMETERS, containment_share
+from benchmarks.regions.statement import RegionTarget, certify_region, simulate_states
 from hydro_core.cli.console import command, make_parser
-from hydro_filter.region.certified_region import TOLERANCED_PARAMETERS
-from hydro_filter.region.parameters import containment_share
-from hydro_filter.training.region_learning import RegionTarget, certify_region, simulate_states
+from hydro_core.files.atomic import write_atomic
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import Bench
@@ -38,23 +39,23 @@ def main() -> None:
     options.add_argument("--out", type=Path, metavar="FILE", help="statement to write")
     asked = options.parse_args()
     model, bench = learned_bench.load_model(asked.model), Bench.nominal()
-    wanted = RegionTarget(
+    target = RegionTarget(
         law=BoxConfig().of_bench(bench).compensated if asked.law == "compensated" else None,
         gains=tuple(asked.gains), gain_rate=asked.gain_rate, rate=asked.rate, tolerance=asked.tolerance,
         toleranced_parameters=tuple(asked.numbers), tolerance_parts=asked.split, dead_time_tolerance=asked.dead_time,
-        forces=(asked.force,),
+        force=asked.force,
     )  # fmt: skip
-    statement = certify_region(model, bench, wanted)
+    statement = certify_region(model, bench, target)
     if statement is None:
         print("no proof")
         return
-    tubes = ", ".join(f"{tube:.0f}" for tube in statement.facts["tubes"])
-    print(f"proved at {asked.rate:g} 1/s in {statement.facts['seconds']:g} s of CPU; tubes {tubes} N")
+    tubes = ", ".join(f"{tube:.0f}" for tube in statement["facts"]["tubes"])
+    print(f"proved at {asked.rate:g} 1/s in {statement['facts']['seconds']:g} s of CPU; tubes {tubes} N")
     for force in (1.0 / 3.0, 2.0 / 3.0, 1.0):
-        run = simulate_states(model, bench, wanted, force * model.size.force, asked.gains[-1], seed=7)
-        print(f"{force * model.size.force:.0f} N: {100.0 * containment_share(statement.states, run):.1f} % inside")
+        run = simulate_states(model, bench, target, force * model.size.force, seed=7)
+        print(f"{force * model.size.force:.0f} N: {100.0 * containment_share(statement['states'], run):.1f} % inside")
     if asked.out:
-        statement.save(asked.out)
+        write_atomic(asked.out, json.dumps(statement, indent=1).encode())
 
 
 if __name__ == "__main__":

@@ -1,31 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certified region: the shipped statements are proved twice, points of the region agree, and lies are refused."""
+"""Certified regions: the statements are proved, points of the region agree, and lies are refused."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Mapping
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from benchmarks.regions.statement import RegionTarget, certify_region, unproved_statement
 from benchmarks.verify_region import I, sample, verify
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
-from hydro_filter.region.certified_region import CertifiedRegion
-from hydro_filter.region.enclosure import enclose_closed_loop
-from hydro_filter.region.interval import AffineSet, Interval
-from hydro_filter.region.proof import interpolate_metric, prove_cell
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.files.learned_bench import load_model
+from hydro_sim.model.bench import Bench
 
 T = SAMPLE_PERIOD
-NAMES = ("default_metric.region.json", "default_metric.compensated.region.json")
+NAMES = ("paper", "compensated")
+FOLDER = Path(__file__).parents[1] / "regions"
 
 
 def content_of(name: str) -> dict[str, Any]:
-    return json.loads((resources.files("hydro_filter") / "data" / name).read_text(encoding="utf-8"))
+    return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
 
 
 def shortened(name: str) -> dict[str, Any]:
@@ -37,14 +38,16 @@ def shortened(name: str) -> dict[str, Any]:
     return part
 
 
-def drawn(content: dict[str, Any], count: int) -> FloatArray:
-    """Growth of the worst direction in 1/s at points of the region, shape (count,): 0 or less holds.
+def drawn_loops(content: dict[str, Any], count: int, side: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """K_p and F + G K at points of the region, shapes (count,) and (count, n, n); `side`: of the spool, 0 for both.
 
-    F + G K is the exponential of the rates that the bench's equations have at the point, without intervals.
+    The exponential of the rates that the bench's equations have at the point, without intervals.
     """
     rng, b, law = np.random.default_rng(0), content["bench"], content["believed"]
     state = {name: rng.uniform(low, high, count) for name, (low, high) in content["states"].items()}
     of = {name: rng.uniform(low, high, count) for name, (low, high) in content["tolerances"].items()}
+    if side:
+        state["opening"] = side * np.abs(state["opening"])
     area, area_b = b["piston_area"], b["piston_area"] * b["area_ratio"]
     x, s, p_a, p_b = (state[name] for name in ("position", "opening", "pressure_a", "pressure_b"))
     out, nominal = s > 0.0, np.abs(s) + state["opening_error"] * np.sign(s)
@@ -80,52 +83,67 @@ def drawn(content: dict[str, Any], count: int) -> FloatArray:
     rates[:, 4, 5], rates[:, 5, 6] = k * cell**2, 1.0
     rates[:, 6, 0], rates[:, 6, 5], rates[:, 6, 6] = 1.0 / m, -k / m, -b["viscous_friction"] / m
     unit = np.array([*content["scale"][:7], content["scale"][1]])
-    moved = expm(T * rates * unit / unit[:, None])
-    feedback = np.zeros((count, 8))
+    moved, scale, n = expm(T * rates * unit / unit[:, None]), np.array(content["scale"]), len(content["scale"])
+    feedback, ways = np.zeros((count, n)), n - 8
     feedback[:, 0], feedback[:, 3], feedback[:, 7] = a * slope_law * np.abs(nominal), -a * k_p, c_1 * a * c_law
-    sample, memory = np.zeros((count, 8, 8)), b["velocity_memory"]
-    sample[:, :7, :7] = moved[:, :7, :7]
-    sample[:, :7] += moved[:, :7, 7, None] * (feedback * content["scale"] / content["scale"][1])[:, None, :]
-    sample[:, 7] = (sample[:, 5] - np.eye(8)[5]) * (1.0 - memory) / T * content["scale"][5] / content["scale"][7]
-    sample[:, 7, 7] += memory
-    sample[:, 1:3] *= (1.0 + drift)[:, None, None]
-    gains, matrices = content["cells"][0]["gains"], CertifiedRegion.from_mapping(content).cells[0].matrices
+    feedback *= scale / scale[1]
+    currents = np.stack([feedback, *(np.tile(np.eye(n)[8 + way], (count, 1)) for way in range(ways))])
+    loop, memory, pushed = np.zeros((count, n, n)), b["velocity_memory"], moved[:, :7, 7]
+    loop[:, :7, :7] = moved[:, :7, :7]
+    if ways:  # the newer current acts in the last part of the sample
+        share = ((ways * T - of["dead_time"]) / T)[:, None, None]
+        fresh = expm(share * T * rates * unit / unit[:, None])[:, :7, 7]
+        loop[:, :7] += fresh[..., None] * currents[-2][:, None]
+        pushed = pushed - fresh
+    loop[:, :7] += pushed[..., None] * currents[-1][:, None]
+    loop[:, 7] = (loop[:, 5] - np.eye(n)[5]) * (1.0 - memory) / T * scale[5] / scale[7]
+    loop[:, 7, 7] += memory
+    loop[:, 8:] = currents[:-1].transpose(1, 0, 2)
+    loop[:, [1, 2, *range(8, n)]] *= (1.0 + drift)[:, None, None]
+    return k_p, loop
+
+
+def growth(content: dict[str, Any], count: int) -> FloatArray:
+    """Growth of the worst direction in 1/s at points of the region, shape (count,): 0 or less holds."""
+    k_p, loop = drawn_loops(content, count)
+    gains, matrices = content["cells"][0]["gains"], np.array(content["cells"][0]["matrices"])
     metric = np.tensordot(np.stack([np.interp(k_p, gains, hat) for hat in np.eye(len(gains))], axis=1), matrices, 1)
     factor = np.linalg.cholesky(metric)
-    half = np.linalg.solve(factor, sample.transpose(0, 2, 1) @ factor)
+    half = np.linalg.solve(factor, loop.transpose(0, 2, 1) @ factor)
     largest = np.linalg.eigvalsh(half @ half.transpose(0, 2, 1))[:, -1]
     return (largest - math.exp(-2.0 * content["contraction_rate"] * T)) / T
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_part_of_the_shipped_statement_is_proved_by_both(name: str) -> None:
-    part = shortened(name)
-    assert verify(part) == ""
-    statement = CertifiedRegion.from_mapping(part)
-    assert prove_cell(statement, statement.cells[0], subdivisions=6) > 0.0
+def test_a_part_of_the_statement_is_proved(name: str) -> None:
+    assert verify(shortened(name)) == ""
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("name", NAMES)
-def test_the_shipped_statement_is_proved(name: str) -> None:
+def test_the_whole_statement_is_proved(name: str) -> None:
     assert verify(content_of(name)) == ""
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_point_of_the_region_violates(name: str) -> None:
-    assert drawn(content_of(name), 50_000).max() <= 0.0
+    assert growth(content_of(name), 50_000).max() <= 0.0
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.4e-3, 1.4e-3, 2.7e-3])
-def test_both_enclose_the_same_loop_whatever_the_dead_time(dead_time: float) -> None:
-    content = content_of(NAMES[0])
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_points_of_the_region_are_enclosed_whatever_the_dead_time(dead_time: float, side: int) -> None:
+    content = content_of("paper")
     content["tolerances"]["dead_time"] = [0.9 * dead_time, dead_time]
     content["scale"] += [content["scale"][1]] * math.ceil(1e3 * dead_time)
-    region, count = CertifiedRegion.from_mapping(content), len(content["scale"])
-    theirs = sample(content, content["tolerances"], 1, I(20.0, 21.0))
-    ours = enclose_closed_loop(region, region.tolerances, 1, Interval(20.0, 21.0))
-    np.testing.assert_allclose(ours.center[:, :count], theirs.s[0, :, :count], atol=1e-6)
-    np.testing.assert_allclose(ours.slopes, theirs.s[1:], atol=1e-6)
+    most = min(map(abs, content["states"]["opening"]))  # on either side
+    content["states"]["opening"] = [-most, most]
+    n, enclosed = len(content["scale"]), sample(content, content["tolerances"], side, I(*content["proportional_gain"]))
+    _, loops = drawn_loops(content, 2000, side)
+    reach = (np.abs(enclosed.s[1:]).sum(axis=0) + enclosed.r)[:, :n]
+    apart = np.abs(loops - enclosed.s[0, :, :n])
+    assert (apart <= reach + 1e-12).all()
+    assert (apart.max(axis=0)[0] > 0.01 * reach[0]).any(), "the set is of the size of what it encloses"
 
 
 def test_half_of_lambda_is_accepted_and_a_metric_for_a_part_of_the_tolerances_refused() -> None:
@@ -145,33 +163,31 @@ def test_what_a_point_violates_is_refused(lie: str) -> None:
             matrix[3][3] *= 1.3
     else:
         part["tolerances"]["valve_gain"] = cell["tolerances"]["valve_gain"] = [1.0, 1.04]
-    assert drawn(part, 2000).max() > 0.0
+    assert growth(part, 2000).max() > 0.0
     assert verify(part) != ""
 
 
-def test_intervals_and_affine_products_enclose_and_refuse_zero() -> None:
-    third = 1.0 / Interval(3.0, 3.0)
-    assert third.low < 1.0 / 3.0 < third.high
-    assert (Interval(-1.0, 2.0) * Interval(-3.0, 1.0)).low <= -6.0
-    with pytest.raises(ValueError, match="zero"):
-        Interval(1.0, 1.0) / Interval(-1.0, 1.0)
-    rng = np.random.default_rng(0)
-    sets = [
-        AffineSet(rng.normal(size=(4, 4)), 0.1 * rng.normal(size=(3, 4, 4)), 0.01 * rng.random((4, 4)))
-        for _ in range(2)
-    ]
-    product = sets[0] @ sets[1]
-    for _ in range(200):
-        signs = rng.uniform(-1.0, 1.0, 3)
-        one, other = (
-            each.center + np.tensordot(signs, each.slopes, 1) + each.radius * rng.uniform(-1.0, 1.0, (4, 4))
-            for each in sets
-        )
-        apart = np.abs(one @ other - product.center - np.tensordot(signs, product.slopes, 1))
-        assert (apart <= product.radius).all()
+def target(name: str, **changed: Any) -> RegionTarget:
+    content = content_of(name)
+    law = BoxConfig().of_bench(Bench.nominal()).compensated if name == "compensated" else None
+    asked = {"gains": tuple(content["cells"][0]["gains"]), "gain_rate": content["gain_rate"]} | changed
+    return RegionTarget(law=law, rate=content["contraction_rate"], force=content["facts"]["force"] / 300.0, **asked)
 
 
-def test_the_metric_between_gains_is_a_line() -> None:
-    cell = CertifiedRegion.from_mapping(content_of(NAMES[0])).cells[0]
-    middle = 0.5 * (cell.gains[0] + cell.gains[1])
-    assert np.allclose(interpolate_metric(cell, middle), 0.5 * (cell.matrices[0] + cell.matrices[1]))
+@pytest.mark.parametrize("name", NAMES)
+def test_the_statement_is_of_the_shipped_bench(name: str) -> None:
+    content = content_of(name)
+    made, _ = unproved_statement(load_model(), Bench.nominal(), target(name))
+    made = json.loads(json.dumps(made)) | {key: content[key] for key in ("tube", "cells", "facts", "assumed")}
+    states = made.pop("states"), content.pop("states")
+    assert made == content
+    for state, (low, high) in states[0].items():
+        np.testing.assert_allclose((low, high), states[1][state], rtol=1e-3)
+
+
+@pytest.mark.study
+def test_a_region_is_proved_anew() -> None:
+    pytest.importorskip("clarabel")
+    made = certify_region(load_model(), Bench.nominal(), target("compensated", gains=(350.0, 400.0), gain_rate=0.0))
+    assert made is not None and verify(json.loads(json.dumps(made))) == ""
+    assert made["tube"] < content_of("compensated")["tube"]

@@ -10,12 +10,18 @@ import numpy as np
 from hydro_core.signals import FloatArray
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 from hydro_filter.model.terms import LOAD_CELL_LAG, VALVE_LAG, dry_friction, parameters_of, valve_overlap
-from hydro_filter.region.certified_region import Bounds
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, parameter_corrections
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 from hydro_sim.model.sensors import Sensors
 
+Bounds = tuple[float, float]
+
+TOLERANCED_PARAMETERS = (
+    "valve_gain", "bulk_modulus", "dead_volume_a", "dead_volume_b", "spring_stiffness", "supply_pressure",
+    "spool_bandwidth",
+)  # fmt: skip
+"""Parameters of a bench with a tolerance, as ratios to those of the bench file; `dead_time` has one in s."""
 SUPPORTED_EFFECTS = (
     "valve_lag", "sensor_lag sensor=load_force", "leakage_internal", "bulk_modulus", "valve_gain", "valve_offset",
     "friction_coulomb", "friction_coulomb form=directional", "friction_stribeck", "friction_presliding",
