@@ -20,6 +20,7 @@ import numpy as np
 
 from benchmarks._report import parser
 from benchmarks._truths import truth_fleet
+from benchmarks.paper.validation import GAINS
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_core.cli.console import Table, command, progress
 from hydro_core.signals import (
@@ -37,7 +38,6 @@ from hydro_core.signals import (
 from hydro_filter.controller.loop_filter import EQUATION_NAMES, LoopFilter, default_filter
 from hydro_filter.model.loop import make_samples
 from hydro_filter.model.records import new_memories, new_monitors, run_monitor
-from hydro_filter.validation.runs import CASES
 from hydro_policy.envs.vector_env import VectorBench, vector_filter
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_policy.supervision.plant_supervisor import FALLBACK_GAIN_CHANGES
@@ -133,8 +133,8 @@ def changes(names: list[str]) -> Table:
     return table
 
 
-GAINS = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")
-"""Cases of `validate`, in turn: K_p from -40 to 300."""
+NAMES = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")
+"""Of the gains, in turn: K_p from -40 to 300."""
 WAVEFORMS = (Waveform.SINE, Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP, Waveform.HOLD)
 """Of the references, in turn: within +-350 N and 3 Hz."""
 BENCHES = 48
@@ -160,7 +160,7 @@ def run(plant: str, fleet: VectorBench, minutes: float, seed: int) -> dict[str, 
     fleet.filters = vector_filter("learned", bench, BENCHES)
     steps = max(round(60.0 * minutes / BENCHES / (SAMPLES_PER_STEP * SAMPLE_PERIOD)), 1)
     gains = np.stack(
-        [CASES[GAINS[i % len(GAINS)]].draw_gains(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)]
+        [GAINS[NAMES[i % len(NAMES)]].draw_gains(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)]
     )
     changes = gains - (fleet.config.base_kp, fleet.config.base_ki)
     for i in range(BENCHES):

@@ -15,7 +15,6 @@ from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, CorrectionStatus, Law, LawCommand, ReferenceSignal
 from hydro_filter.controller.loop_filter import Result
 from hydro_filter.model.sample import Sample
-from hydro_filter.validation.runs import Corrector
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.runner import Session
 from hydro_policy.learner_process.learner import CHUNK_UPDATES, Learner
@@ -25,6 +24,7 @@ from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
+from tests.filtered_run import Corrector
 
 PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
 """Result of a filter without a correction."""

@@ -59,7 +59,6 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--metric /nowhere.safetensors", "cannot be read as weights"),
         ("--site @", "bench.yaml is not there: `ros2 run hydro_policy commission` has not got that far"),
     ),
-    "hydro_filter validate": (("--model @other_model.yaml", "was made for model"),),
     "hydro_filter learn_metric": (
         ("--out @new/m.safetensors --bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--out @new/m.safetensors --recording @own_bag", "the box of the recording own_bag believes bench"),

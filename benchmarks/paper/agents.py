@@ -25,7 +25,6 @@ from benchmarks.paper.store import AUTHORITIES, OWN_BENCH, OWN_GAINS, PRINTED, R
 from benchmarks.paper.validation import corrector
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_core.signals import SAMPLE_PERIOD, Flag
-from hydro_filter.validation.runs import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
@@ -37,6 +36,7 @@ from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.training_plan import TrainingPlan, training
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
+from tests.filtered_run import Corrector
 from tests.offline_graph import InlineLearner, OfflineGraph
 
 EXAMS = 8

@@ -13,6 +13,7 @@ rollout, every fifth rollout of each label held out, from the second on.
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -30,10 +31,9 @@ from hydro_core.signals import CorrectionStatus, FloatArray
 from hydro_filter.controller.loop_filter import Result as Correction
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import make_loop, make_samples
-from hydro_filter.model.records import law_gradient
+from hydro_filter.model.records import law_gradient, library
 from hydro_filter.model.sample import LOAD_FORCE, STATE_SIZE, Sample
 from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
-from hydro_filter.validation.closed_form import solve_qp
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 
@@ -95,6 +95,13 @@ class ForceLaw:
         return law_gradient(self.loop, make_samples(sample.state[None], **signals))
 
 
+def closed_form(a: float, b: float, low: float, high: float) -> tuple[float, CorrectionStatus]:
+    """Return the smallest |du| with a du <= b and low <= du <= high, and its status (firmware/hydro/loop_filter.h)."""
+    status = ctypes.c_uint32()
+    change = library().hydro_c_closed_form(a, b, low, high, ctypes.byref(status))
+    return change, CorrectionStatus(status.value)
+
+
 class PaperFilter:
     """The filter as the paper has it: lambda 0.1, no dead zone for noise, one decision in `PERIOD` samples.
 
@@ -135,9 +142,9 @@ class PaperFilter:
             return Correction(0.0, nan, nan, CorrectionStatus.NAN)
         a, b = self.certificate(sample)
         limit, applied = self.law.current_max, self.law.clipped(sample.nominal_current)
-        change, status = solve_qp(a, b, -limit - applied, limit - applied)
+        change, status = closed_form(a, b, -limit - applied, limit - applied)
         delta_u = change + (applied - sample.nominal_current) if change else 0.0
-        return Correction(delta_u, -b, a * change - b, CorrectionStatus(status))
+        return Correction(delta_u, -b, a * change - b, status)
 
 
 class Samples(NamedTuple):

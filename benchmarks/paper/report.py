@@ -37,7 +37,7 @@ TABLES = {
     "meant, *printed*: as printed, *one-step*: H = 1.",
     "Table training_metric": "On rollouts of the paper's network model that were not trained on; ours is solved, on "
     "the shipped model and its rollouts.",
-    "Table val_cont": "200 N at 1 Hz, gains as `hydro_filter validate` draws them; *paper-short* after 3 epochs and "
+    "Table val_cont": "200 N at 1 Hz, gains drawn by `benchmarks.paper.validation`; *paper-short* after 3 epochs and "
     "*paper-long* after all at 100 Hz, *ours* at 1 kHz; of a run that tripped: up to there.",
     "Tables training_agent and rmse": "Force RMSE [N], sines of 300 N from rest, no filter.",
     "Chattering in training": "Of I's first two episodes, default bench, paper's authority.",

@@ -29,7 +29,6 @@ setup(
             "filtered_plant = hydro_core.process.startup:main_of.hydro_filter.nodes.filtered_plant",
             "export_c = hydro_core.process.startup:main_of.hydro_filter.controller.header",
             "learn_metric = hydro_core.process.startup:main_of.hydro_filter.training.learn_metric",
-            "validate = hydro_core.process.startup:main_of.hydro_filter.validation.validate",
         ],
     },
 )

@@ -153,6 +153,8 @@ def add_options(parser: argparse.ArgumentParser, defaults: Any, names: Sequence[
         how: dict[str, Any] = {"type": setting.kind, "metavar": words.get(setting.kind)}
         if setting.kind is bool:
             how = {"action": "store_true"}
+        elif setting.choices:
+            how = {"choices": setting.choices}
         text = f"{setting.text}; default %(default)s" if default else setting.text
         parser.add_argument("--" + name.replace("_", "-"), default=default, help=text, **how)
 

@@ -67,8 +67,10 @@ def test_numbers_may_be_written_as_yaml_reads_them():
 
 def test_options_have_type_default_and_help_of_their_settings():
     parser = argparse.ArgumentParser()
-    add_options(parser, Example(rate=0.5), ("rate", "count", "on"))
-    assert vars(parser.parse_args(["--count", "3", "--on"])) == {"rate": 0.5, "count": 3, "on": True}
+    add_options(parser, Example(rate=0.5), ("rate", "count", "on", "form"))
+    assert vars(parser.parse_args(["--count", "3", "--on", "--form", "soft"])) == {
+        "rate": 0.5, "count": 3, "on": True, "form": "soft",
+    }  # fmt: skip
     assert "How fast [1/s, -1 to 1]" in " ".join(parser.format_help().split())
 
 

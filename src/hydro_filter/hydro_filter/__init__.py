@@ -2,8 +2,8 @@
 """Contraction certificate, and the correction of the valve current that enforces it.
 
 Guarantees and limits: safety.md. The decision is computed in C, `firmware/hydro/loop_filter.h`. Stages: `model` (the
-loop's record for it), `metric` (M), `controller` (the filter), `training` (`learn_metric`),
-`validation` (`validate`), `nodes` (executables).
+loop's record for it), `metric` (M), `controller` (the filter), `training` (`learn_metric`), `nodes`
+(executables).
 """
 
 from pathlib import Path

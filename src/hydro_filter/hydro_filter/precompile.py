@@ -10,7 +10,6 @@ from typing import Any
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
 from hydro_filter.metric import ScheduledMetric
-from hydro_filter.validation.runs import CASES, FILTERS, PLANTS, Task, evaluate_task
 from hydro_sim.model.bench import Bench
 
 EXAMPLE_EFFECTS: tuple[dict[str, Any], ...] = (
@@ -28,10 +27,5 @@ def _filters() -> None:
         loop_filter(ScheduledMetric.load(), replace(Bench.nominal(), effects=effects), Bench.nominal())
 
 
-def _validation() -> None:
-    for plant, chosen in [("emulator", name) for name in FILTERS] + [(PLANTS[-1], FILTERS[0])]:
-        evaluate_task(Task(plant=plant, case=next(iter(CASES)), filter=chosen, seed=0, seconds=0.1))
-
-
-STEPS: dict[str, Callable[[], None]] = {"filter": _filters, "validation": _validation}
+STEPS: dict[str, Callable[[], None]] = {"filter": _filters}
 """Compilation steps by the message shown while each runs."""

@@ -35,8 +35,10 @@ from hydro_bridge.serial.protocol import LawState
 from hydro_core.signals import CorrectionStatus, Flag, Law, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_filter
+from hydro_filter.controller.osqp_solver import OsqpSolver
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.sample import Sample
+from hydro_filter.nodes.filter import FilterNode
 from hydro_msgs.msg import BoxInfo, Correction
 from hydro_msgs.msg import LawState as LawStateMessage
 from hydro_sim.box.box import BoxConfig
@@ -280,3 +282,39 @@ def test_two_plants_are_an_error_and_not_answered(started: Started) -> None:
     source.publish(1, UNSTABLE)
     source.wait(lambda: len(source.diagnostics) > told + 1)
     assert len(source.corrections) == heard, "which of them is the plant's?"
+
+
+def test_a_solver_that_takes_too_long_is_answered_stale(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A program that OSQP solves is corrected; one whose answer is not finite or late gets none."""
+    rclpy.init()
+    node = FilterNode(
+        FilterChoice(bench=NOMINAL), LoopFilterSettings(solver="osqp", state_age_max=0.1), in_process=True
+    )
+    try:
+        core, number = FilterChoice(bench=NOMINAL).make(LoopFilterSettings()), itertools.count()
+
+        def answer() -> tuple[int, float]:
+            values = [
+                *UNSTABLE.state.tolist(),
+                0.0,
+                0.0,
+                UNSTABLE.reference_force,
+                0.0,
+                UNSTABLE.proportional_gain,
+                0.0,
+            ]
+            found = node.correct(STATE_CODEC.record(time.time_ns(), next(number), *values, 1), None, 1)
+            return found.status, found.delta_u
+
+        expected = core.correct(UNSTABLE)
+        assert answer() == (
+            CorrectionStatus.MODIFIED,
+            pytest.approx(expected.delta_u, abs=1e-6 * NOMINAL.valve_current_max),
+        )
+        monkeypatch.setattr(OsqpSolver, "solve", lambda self, *program: math.nan)
+        assert answer() == (CorrectionStatus.NAN, 0.0)
+        monkeypatch.setattr(OsqpSolver, "solve", lambda self, *program: time.sleep(0.11) or 0.01)
+        assert answer() == (CorrectionStatus.STALE, 0.0)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()

@@ -16,7 +16,6 @@ from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, Refe
 from hydro_filter.controller.loop_filter import loop_filter
 from hydro_filter.metric import MetricDesign, ScheduledMetric
 from hydro_filter.model.loop import make_loop
-from hydro_filter.validation.runs import Trial, run
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.compensation.residual import Network, Residual
 from hydro_policy.envs import vector_runs
@@ -31,6 +30,7 @@ from hydro_sim.excitation import ExcitationRange, parse_schedule
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
+from tests.filtered_run import Trial, run
 
 FORCE, PRESSURE, LENGTH, CURRENT = 5.0, 0.3, 4.0, 1.5
 AREA, STIFFNESS = FORCE / PRESSURE, FORCE / LENGTH

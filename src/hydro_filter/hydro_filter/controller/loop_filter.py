@@ -24,7 +24,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
@@ -81,6 +81,9 @@ class LoopFilterSettings:
     ] = 1.0
     state_age_max: Annotated[float, quantity("s", 0.001, 0.1, "States older, or that far ahead, are ignored")] = 5e-3
     bypass: Annotated[bool, described("Correct nothing and say so in every correction: status BYPASSED")] = False
+    solver: Annotated[
+        Literal["closed_form", "osqp"], described("Solver of this node; a box's own filter has the closed form")
+    ] = "closed_form"
 
     def __post_init__(self) -> None:
         check(self)
@@ -119,7 +122,7 @@ class LoopFilter:
     record
         Record of `filter_record` for the metric's C_1.
     settings
-        Only age, bypass and `innovation_limit` are read here; the others are part of `record`.
+        Age, bypass, `innovation_limit` and solver are read here; the others are part of `record`.
     others
         Records for other C_1.
     """
@@ -129,6 +132,12 @@ class LoopFilter:
     ) -> None:
         self.record = record
         self.settings = settings or LoopFilterSettings()
+        self.solver = None
+        """OSQP in place of the closed form; None: the closed form."""
+        if self.settings.solver == "osqp":
+            from hydro_filter.controller.osqp_solver import OsqpSolver  # not to wait for it where it is not used
+
+            self.solver = OsqpSolver()
         self.memory, self.monitor = new_memories(), new_monitors()
         self.decision = np.zeros(1, DECISION_DTYPE)
         """Decision on the last sample, with a, b, low, high of its QP."""
@@ -196,7 +205,21 @@ class LoopFilter:
             return Result.uncorrected(CorrectionStatus.STALE)
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
+        if self.solver is not None and status == CorrectionStatus.MODIFIED:
+            return self._solve(Result(delta_u, before, after, CorrectionStatus.MODIFIED), sample.nominal_current)
         return Result(delta_u, before, after, STATUSES[status])
+
+    def _solve(self, result: Result, nominal_current: float) -> Result:
+        """Return the result with OSQP's correction; NAN if OSQP does not solve the program.
+
+        OSQP is asked where the program has a solution other than 0: a correction of status RELAXED is none of it. M_c
+        with the correction remains that of the closed form.
+        """
+        a, b, low, high = self.decision[["a", "b", "low", "high"]].item()
+        change = self.solver.solve(a, b, low, high) if self.solver is not None else math.nan
+        if not math.isfinite(change):
+            return Result.uncorrected(CorrectionStatus.NAN)
+        return result._replace(delta_u=change - (0.5 * (low + high) + nominal_current))
 
 
 _PACK_SAMPLE = struct.Struct("17d?").pack_into

@@ -341,6 +341,8 @@ class FilterNode(Node):
                     None if law is None else law_state_from_message(law),
                 )  # fmt: skip
                 result = contraction_filter.correct(sample, age)
+                if contraction_filter.solver is not None and self._age(message) > self.settings.state_age_max:
+                    result = Result.uncorrected(CorrectionStatus.STALE)  # the solver took too long
             delta_u, before, after, status = self._check_model(result)
             infeasible = status in (CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE)
             self._last = CORRECTION_CODEC.record(

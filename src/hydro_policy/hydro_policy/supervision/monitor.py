@@ -29,7 +29,7 @@ from hydro_sim.model.bench import NOMINAL
 _EVALUATED_STATUSES = frozenset(
     set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH}
 )
-_VIOLATION_TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.runs.gammas`
+_VIOLATION_TOLERANCE = 1e-6  # 1/s, of M_c
 _RECOVERY_STEPS = 20
 """Steps after one under base gains whose u' is not due to the policy: the force recovers from the larger error."""
 _STEP_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
