@@ -16,14 +16,14 @@ CORES := setup $(patsubst %/py.typed,%,$(wildcard src/hydro_*/hydro_*/py.typed))
 
 # Graphs stay on this machine, and apart from a bench that runs on the default domain (tests: tests/domains.py).
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-bench fuzz: export ROS_DOMAIN_ID ?= 77
+bench: export ROS_DOMAIN_ID ?= 77
 # Hundreds of processes start here: each would compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 # Tests and benchmarks have nodes of their own, which no keystore knows.
-test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
+test test-slow graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 
-.PHONY: help setup main-job-setup test-setup lint-setup build train prove test test-slow test-exhaustive graph-repeat check lint fast-tests colcon-test demo
-.PHONY: bench bench-peers paper fuzz fuzz-line soak firmware format reference docs coverage clean
+.PHONY: help setup main-job-setup test-setup lint-setup build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
+.PHONY: bench bench-peers paper fuzz-line soak firmware format reference docs coverage clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -52,10 +52,7 @@ test: lint test-setup  ## all checks and all tests but the studies
 	@$(SOURCED) .venv/bin/python -m pytest -m "not study" $(SHARED_OUT) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
 test-slow: test-setup  ## before a release: the studies among the tests, and the tests of the benchmarks
-	@$(SOURCED) .venv/bin/python -m pytest -m "study and not exhaustive" $(SHARED_OUT) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
-
-test-exhaustive: test-setup  ## every effect of the table: hours, not in CI
-	@$(SOURCED) .venv/bin/python -m pytest -m exhaustive $(SHARED_OUT) $(ARGS)
+	@$(SOURCED) .venv/bin/python -m pytest -m study $(SHARED_OUT) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
 graph-repeat: test-setup  ## the graph tests N times beside a busy process, until one fails (N=100 ARGS="-k recorder")
 	@$(SOURCED) { yes > /dev/null & trap "kill $$!" EXIT; for n in $$(seq $(N)); do echo "repetition $$n"; \
@@ -91,9 +88,6 @@ bench-peers: test-setup  ## peers of the learner in an environment of their own 
 
 paper: setup  ## the paper's method, row by row, beside its numbers: hours, goes on where it was (ARGS=--quick: minutes)
 	@$(SOURCED) .venv/bin/python -m benchmarks.paper --report docs/reports/paper.md $(ARGS)
-
-fuzz: setup  ## a million hostile frames to the decoder
-	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)
 
 fuzz-line: setup  ## ten million hostile bytes each way of an armed plant's serial line
 	@$(SOURCED) .venv/bin/python -m benchmarks.soak --causes "corrupt bytes" "corrupt bytes alone" --lasts 100 $(ARGS)

@@ -162,8 +162,8 @@ class LeaseServer:
             trouble = f"{lease.holder or 'nobody'} commands this plant now"
             if lease.held_by(request.claim):
                 trouble = self._disarm(request.claim)
-                lease.release(request.claim, self._plant.now(), request.whom)
-            done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
+                lease.release(request.claim, self._plant.now())
+            done = "disarmed, given back"
         else:
             trouble, done = f"act {request.act} is not known", ""
         if lease.claim != held:

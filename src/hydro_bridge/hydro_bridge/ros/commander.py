@@ -181,28 +181,25 @@ class Commander:
             return None
         return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM, callback=callback)
 
-    def release(self, heir: str = "") -> Future | None:
-        """Release the lease, which disarms; return the plant's answer, or None without the lease.
-
-        `heir`: name of the only node that may take it next, for 10 s; empty: any node.
-        """
+    def release(self) -> Future | None:
+        """Release the lease, which disarms; return the plant's answer, or None without the lease."""
         if not (self.holds_lease and self._claims.service_is_ready()):
             return None
         self._collected = {}  # of a session that has ended
-        answer = self._ask(Claim.Request.GIVE, whom=heir)
+        answer = self._ask(Claim.Request.GIVE)
         self._lose("")
         return answer
 
-    def release_and_wait(self, heir: str = "") -> str:
+    def release_and_wait(self) -> str:
         """Release the lease, and spin the node until the answer; return a warning unless disarming is confirmed."""
         if not self.holds_lease:
             return ""
-        answer = self.release(heir)
+        answer = self.release()
         if answer is not None:
             node_executor(self._node).spin_until_future_complete(answer, timeout_sec=_DISARM_TIMEOUT)
         return "" if answer is not None and answer.done() and answer.result().success else DISARM_UNCONFIRMED_MESSAGE
 
-    def _ask(self, act: int, *, whom: str = "", callback: Callable[[Future], None] = lambda answer: None) -> Future:
+    def _ask(self, act: int, *, callback: Callable[[Future], None] = lambda answer: None) -> Future:
         self.flush()  # commands decided earlier go out first
 
         def answered(answer: Future) -> None:
@@ -210,7 +207,7 @@ class Commander:
             callback(answer)
             self.on_answer()
 
-        request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim, whom=whom)
+        request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim)
         answer = self._claims.call_async(request)
         self.pending_requests += 1
         answer.add_done_callback(answered)

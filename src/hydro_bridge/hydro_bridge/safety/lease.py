@@ -7,7 +7,7 @@
              without either it has lapsed, and the next node to request it gets it, with a disarmed plant
     epoch    drawn anew at each disarming, trip and change of holder: a command that carries another one is refused
     disarm   open to anybody. After a person's disarming the holder may not arm until a person has armed the plant
-    give     the holder releases the lease; if an heir is named, only the heir may take it for `HANDOVER_TIME`
+    give     the holder releases the lease, with a disarmed plant
 
 All times are the plant's. The epoch of the next arming is issued in advance, so that the reference can be set before
 the plant is armed. The epoch separates current commands from old and foreign ones, but is no secret: any reader of the
@@ -23,9 +23,6 @@ from math import inf
 
 LEASE_TIMEOUT = 3.0
 """Silence of the holder [s] after which its lease has lapsed."""
-
-HANDOVER_TIME = 10.0
-"""Time [s] for which a released plant is reserved for the named heir."""
 
 DISARMED_BY_PERSON = "a person disarmed the plant: arm it on the live page, or by `ros2 run hydro_bridge arm`"
 """Refusal of a holder's request to arm a plant that a person has disarmed."""
@@ -50,7 +47,6 @@ class Lease:
         self.refused: Counter[str] = Counter()
         """Number of refused commands by topic."""
         self._renewed, self._before, self._ended = -inf, 0, -inf
-        self._heir, self._kept_until = "", -inf
         self._barred = 0  # claim under which a person disarmed; 0: no person has
 
     def held_by(self, claim: int) -> bool:
@@ -63,21 +59,17 @@ class Lease:
         kept = self.held_by(claim)
         if self.holder and not kept and now - self._renewed <= LEASE_TIMEOUT:
             return f"{self.holder} commands this plant: end it, or wait until it gives the lease back"
-        if not self.holder and self._heir not in ("", name) and now < self._kept_until:
-            return f"this plant is handed over to {self._heir}, which may take it within {HANDOVER_TIME:g} s"
         if not kept:
-            self._heir = ""
             self.holder, self.claim = name, self._draw()
             self.end_session(now)
         self._renewed = now
         return ""
 
-    def release(self, claim: int, now: float, heir: str = "") -> bool:
-        """Release the lease of `claim`, and reserve it for `heir` if named; returns whether `claim` held it."""
+    def release(self, claim: int, now: float) -> bool:
+        """Release the lease of `claim`; returns whether `claim` held it."""
         if not self.held_by(claim):
             return False
         self.holder, self.claim = "", 0
-        self._heir, self._kept_until = heir, now + HANDOVER_TIME
         self.end_session(now)
         return True
 
@@ -92,7 +84,6 @@ class Lease:
         A lease granted before would else never lapse, and a holder that missed its grant would wait for itself.
         """
         self._renewed, self._ended = min(self._renewed, now), min(self._ended, now)
-        self._kept_until = min(self._kept_until, now + HANDOVER_TIME)
 
     def end_session(self, now: float) -> None:
         """End the session, after a disarming, a trip or a change of holder: its commands are refused from now on."""

@@ -86,7 +86,6 @@ def parser() -> argparse.ArgumentParser:
     )
     files.add_argument("--name", help="of this one's folder: figures, plot, page, recording (default: date and time)")
     files.add_argument("--json", type=writable_file, metavar="FILE", help="write every run's figures to FILE, too")
-    files.add_argument("--record", type=writable_folder, metavar="DIR", help="record there instead (companions only)")
     files.add_argument("--no-record", dest="keeps_bag", action="store_false", help="make no recording")
     return result
 

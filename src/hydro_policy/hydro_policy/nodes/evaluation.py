@@ -163,9 +163,6 @@ def evaluate(options: argparse.Namespace) -> int:
         )
     if options.law == "paper" and options.learned_residual:
         raise UserError("--learned-residual is part of the compensated law: leave out --law paper")
-    if options.record and options.plant == "external":
-        record = f"ros2 run hydro_bridge recorder --out {options.record}"
-        raise UserError(f"--record is of no use where the plant runs already: start `{record}` beside it")
     filtered = options.law != "compensated" or options.fixed or options.policy or options.grid
     if options.filter.split() == list(NO_FILTER_WORDS) and filtered:
         raise UserError(
@@ -188,7 +185,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
         stack.enter_context(remove_rejected(run, node, made=not options.resume))
         node.box_fault = partial(box_mismatch, box)
         if options.plant != "external":
-            recording = Path(options.record) if options.record else run.next_recording if options.keeps_bag else None
+            recording = run.next_recording if options.keeps_bag else None
             plant = plant_options(
                 options, recording=recording, seed=options.seed, policies=tuple(map(policy_file, options.policy)),
                 controller="evaluate",
@@ -230,8 +227,6 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
         if results is None:
             return 130
         record.add("end", complete=results.finished)
-        if results.finished:  # a stopped session hands nothing over
-            node.successor = options.hand_over or ""
     record.flush()
     notes = conditions(options, box=box.description, integral=box.integral or "not told")
     if options.plant in ("sim", "emulator"):

@@ -147,7 +147,6 @@ class GraphNode(Node):
         """Estimator that follows the box's compensated law; see `compensate`."""
         self.load_force_file: Path | None = None
         """File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one."""
-        self.successor = ""  # name of the node that receives the plant at the end; empty: the first to ask
         self._session: Session | None = None
         self._meeting: Readiness | None = None  # while waiting for a plant to describe its box
         self._readiness = Readiness([], self.warn)  # of what a session awaits by the wall clock
@@ -288,15 +287,12 @@ class GraphNode(Node):
         return 1e-9 * float(self._heard.stamp) + max(0.0, time.monotonic() - self._arrived - SILENCE_MAX)
 
     def disarm(self, *, still: bool = False) -> None:
-        """Release the lease, which disarms the plant, and wait at most 2 s for the answer.
-
-        `still`: leave a reference of 0 N. With a `successor` set, the plant is kept for that node.
-        """
+        """Release the lease, which disarms the plant, and wait at most 2 s; `still`: leave a reference of 0 N."""
         self._session = None
         if still:
             self._commander.publish_reference(ReferenceSignal())
             self._commander.flush()
-        if unconfirmed := self._commander.release_and_wait(self.successor):
+        if unconfirmed := self._commander.release_and_wait():
             self.warn(unconfirmed)
 
     def listen_to_corrections(self) -> None:

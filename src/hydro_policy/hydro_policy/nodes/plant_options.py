@@ -70,9 +70,6 @@ class PlantOptions:
         "filter, for the compensated law")] = ()
     rearm: Annotated[str | None, _option(choices=("auto", "ask"),
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`")] = None
-    hand_over: Annotated[str | None, _option("external", metavar="NODE",
-        help="when all is done hand an external plant to this node, which waits for it; a run that is stopped "
-        "does not")] = None
     # fmt: on
 
     recording: Path | None = None  # folder for the recording; None: none
@@ -94,7 +91,6 @@ _OPTIONS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     for name, hint in get_type_hints(PlantOptions, include_extras=True).items()
     if get_origin(hint) is Annotated
 }
-_RETAINED_OPTIONS = _OPTIONS.keys() - {"hand_over"}  # options that a resumed run keeps
 
 
 def add_plant_options(parser: argparse.ArgumentParser) -> None:
@@ -114,7 +110,7 @@ def add_option(parser: argparse._ActionsContainer, name: str) -> None:
 
 def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
     """Return the plant options as stored in YAML, with absolute paths."""
-    words = {name: value for name in _OPTIONS if name in _RETAINED_OPTIONS and (value := getattr(options, name))}
+    words = {name: value for name in _OPTIONS if (value := getattr(options, name))}
     return {
         name: value if isinstance(value, list) else str(Path(value).absolute() if os.path.exists(value) else value)
         for name, value in words.items()
@@ -127,7 +123,7 @@ def restore_plant_options(result: argparse.ArgumentParser, run: RunDirectory, sa
     plant = plant if isinstance(plant, dict) else {}
     if said.get("plant", plant.get("plant")) == plant.get("plant"):
         files = {name for name, (_, option) in _OPTIONS.items() if option.get("type") is Path}
-        retained = {name: value for name, value in plant.items() if name in _RETAINED_OPTIONS}
+        retained = {name: value for name, value in plant.items() if name in _OPTIONS}
         words = {name: Path(value) if name in files else value for name, value in retained.items()}
         result.set_defaults(**words)
 

@@ -263,8 +263,6 @@ def train(options: argparse.Namespace) -> int:
         stack.callback(lambda: learner.stop(plan.state()))
         stack.callback(node.disarm)
         finished, results = train_and_evaluate(options, node, session, start)
-        if finished:  # a stopped run hands nothing over
-            node.successor = options.hand_over or ""
         timings = {"jitter": node.timing.jitter, "inference": plan.explorer.inference, "response": node.timing.response}
         timing = {f"{name}_p99": latency.percentile(99) for name, latency in timings.items()}
         record.add("end", plan.abort_reason, **timing, complete=finished)
@@ -326,8 +324,6 @@ def train_and_evaluate(
     )  # fmt: skip
     if results is None:
         return False, None
-    if results.finished:
-        node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots
     bar.phase = lambda: Phase.FINISHED
     bar.publish()
