@@ -238,7 +238,7 @@ def test_a_plant_node_that_is_killed_ends_the_training(training: Training) -> No
         process = training.resumed(stack)
         os.kill(process.child("/filtered_plant "), signal.SIGKILL)
         assert process.process.wait(40.0) == 2
-    said = "filtered_plant ended by itself (killed by SIGKILL): no samples come from then on, and the box disarms"
+    said = "filtered_plant ended by itself (killed by SIGKILL): no samples come, and the box disarms"
     assert f"error: {said}" in process.text
     assert "Traceback" not in process.text and 'File "' not in process.text
     assert training.checkpoint().produced > before

@@ -89,7 +89,7 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
     "hydro_policy trainer": (
         ("--runs @new --resume /nowhere", "holds no run to resume"),
         ("--runs @new --ros-args -p sac.gama:=0.9", "no parameter sac.gama; is sac.gamma meant?"),
-        ("--runs @new --plant sim --truth t.yaml", "--truth is of no use with --plant sim; it goes with emulator"),
+        ("--runs @new --plant sim --truth t.yaml", "--truth goes with --plant emulator, not with sim"),
         ("--runs @new --plant emulator --bench @own.yaml --configuration wide", FOREIGN),
         (f"--runs @new --plant sim --bench @own.yaml --filter='{OWN}'", f"the agent pretrained_paper {FOREIGN}"),
         ("--runs @new --plant sim --from @unmarked", UNMARKED),

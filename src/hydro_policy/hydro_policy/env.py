@@ -160,9 +160,7 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Float32Array, Float32Array, 
         Raises ValueError: the policy cannot be deployed (`sac.peers.policy_of`), or the law is `compensated`.
         """
         if self.law == "compensated":
-            raise ValueError(
-                "a policy acts under the paper's law where it is deployed: train it with law paper or wide"
-            )
+            raise ValueError("a policy is deployed under the paper's law: train it with law paper or wide")
         policy = policy_of(learner, self.task.size)
         notes: dict[str, object] = {"learner": type(learner).__module__, "law": self.law}
         policy.save(Path(path), self.task.gains, notes, self.simulation.provenance())

@@ -66,7 +66,6 @@ class Progress:
     """Force RMSE [N] of the fixed reference gains at each sine, for relative scores; empty before their examination."""
     best_score: float = math.inf
     """Score of the best policy so far: mean over the sines of its RMSE relative to that of the fixed gains."""
-    passed_at: int = -1  # finished episodes when a policy first beat the reference at every sine; -1: not yet
     exams: list[dict[str, Any]] = field(default_factory=list)
     history: list[dict[str, float]] = field(default_factory=list)
 
@@ -220,8 +219,6 @@ class TrainingPlan(Plan):
         best = not disturbed and significantly_better(score, progress.best_score, errors, best_error)
         self._accept(best)
         progress.examined, progress.best_score = progress.episode, score if best else progress.best_score
-        if progress.passed_at < 0 and beaten == len(rmse) and not disturbed:
-            progress.passed_at = progress.episode
         result = {"episode": progress.episode, "policy": digest, "rmse": rmse, "beaten": beaten}
         progress.exams.append({**result, "score": score, "error": error, "best": best, "spoilt": disturbed})
         self.record.add("exam", **progress.exams[-1], reference_rmse=reference)
@@ -245,7 +242,7 @@ class TrainingPlan(Plan):
             sentence += f" ({self.policy.digest()})"
         if self.rollbacks_in_a_row > most:
             self.abort_reason = f"{self.rollbacks_in_a_row} rollbacks in a row, the last: {reason}"
-            sentence += f"; that was once too often ({most} in a row): the run ends"
+            sentence += ": the run ends"
         self.record.add("stop", sentence, reason=reason, rollbacks=self.progress.rollbacks)
         self.set_trials(self._in_turn())
         return sentence

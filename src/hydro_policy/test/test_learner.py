@@ -94,7 +94,7 @@ def test_a_learner_that_cannot_begin_says_why_at_once(run: RunDirectory) -> None
     object.__setattr__(settings, "sac", SacSettings(batch_size=1024))  # as a setting that only the learner refuses
     learner = LearnerSupervisor(settings, run)
     wait(lambda: not learner.alive)
-    with pytest.raises(LearnerError, match="the learner cannot begin: a batch of 1024"):
+    with pytest.raises(LearnerError, match="the learner cannot begin: batch_size 1024"):
         learner.restart_if_dead()
     learner.stop({})
     assert not run.policy.exists(), "there was nothing to write"

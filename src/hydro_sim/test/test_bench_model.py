@@ -237,14 +237,6 @@ def test_what_is_not_finite_stays_so_whatever_the_equations_limit(spoil: str) ->
     assert np.isnan(model.sample(k, y, np.nan if spoil == "current" else 1e-3)).all() and np.isnan(y).all()
 
 
-def test_a_dead_time_beyond_the_files_is_refused() -> None:
-    model = BenchModel(replace(Bench.nominal(), effects=(effect("transport_delay", time=3e-3),)))
-    theta = model.values.copy()
-    theta[[one.name.endswith(".time") for one in model.parameters]] = 0.02
-    with pytest.raises(ValueError, match="a dead time is above the bench file's"):
-        model.begin(theta)
-
-
 NOISE: FloatArray = np.array([0.6, 0.6, 6e3, 6e3, 3e-7])
 
 

@@ -137,9 +137,7 @@ class LoadCell:
             if effect["id"] == "sensor_lag" and effect["sensor"] == "load_force":
                 return cls(**effect["parameters"])
         if bench.load_cell_bandwidth is None:
-            raise SettingsError(
-                f"{path} has no load cell with an amplifier, neither load_cell_bandwidth nor sensor_lag"
-            )
+            raise SettingsError(f"{path} has no load cell with an amplifier: give it load_cell_bandwidth")
         return cls(bandwidth=bench.load_cell_bandwidth)
 
 

@@ -20,16 +20,12 @@ from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.task.cases import DISTURBED_SHARE_MAX, EvaluationSettings, Score, relative_scores
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
-DISTURBED_MARK = (
-    f"*: in more than {DISTURBED_SHARE_MAX:.0%} of the samples of a run base gains acted, or they did not arrive, "
-    "since the machine was held up: no figure of this controller"
-)
-
 
 def table(session: TrialRunner[Comparison]) -> Table:
     """Return the table of force RMSE, controllers by cases, with mean and, for repeated runs, spread."""
     cases = [case.name for case in session.plan.settings.cases]
-    disturbed = DISTURBED_MARK if any(score.disturbed for score in session.scores) else ""
+    mark = f"*: the machine was held up in more than {DISTURBED_SHARE_MAX:.0%} of a run: no figure of this controller"
+    disturbed = mark if any(score.disturbed for score in session.scores) else ""
     columns = {"controller": disturbed, "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.plan.settings.repeats > 1 else ""
     brackets = (

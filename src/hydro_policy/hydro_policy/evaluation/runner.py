@@ -40,17 +40,7 @@ from hydro_sim.files import load_force
 REPEATS_MAX = 2  # largest number of restarts of a disturbed trial
 
 WATCHDOG_TRIP_MESSAGE = "the box heard nothing for too long and tripped: the machine was held up"
-
-BUSY_HINT = "if the machine is busy, close other programs"
 BASE_GAINS_SHARE_MAX = 0.5  # share of samples under base gains above which a run is no measurement of its controller
-
-UNFILTERED_MESSAGE = "no filter of this bench decides, or it comes late (`ros2 topic echo /diagnostics` tells)"
-
-LAW_ARMINGS_MAX = 3
-"""Largest number of armings under another law than the commanded one; after more, its trials count as stopped."""
-LAW_NOT_ADOPTED_MESSAGE = "the plant does not take up the force law that is commanded"
-FROZEN_MESSAGE = "A person had frozen the coefficients of the compensated law."
-LAW_CHANGE_MESSAGE = "the next controller needs another force law: the plant is disarmed, and armed again with that"
 
 
 @dataclass
@@ -255,11 +245,11 @@ class TrialRunner(Generic[P]):
         self._law_armings += wrong and not self._wrong_law
         self._law_armings *= wrong or not flags & Flag.ARMED
         self._wrong_law = wrong
-        if self._law_armings > LAW_ARMINGS_MAX:
-            self._give_up_law(law.law, LAW_NOT_ADOPTED_MESSAGE)
+        if self._law_armings > 3:
+            self._give_up_law(law.law, "the plant does not take up the force law that is commanded")
         elif wrong and self.override.gains(now) is None:
             self._run = None
-            self.supervisor.block_runs(LAW_CHANGE_MESSAGE)
+            self.supervisor.block_runs("the next controller needs another force law: it is armed with that")
         elif not wrong and sequence % SAMPLES_PER_STEP == 0:
             self._outputs.publish_law(law, self._steps)
 
@@ -289,9 +279,9 @@ class TrialRunner(Generic[P]):
         self._phase = Phase.TRAINING if isinstance(trial.controller, Explorer) else Phase.EVALUATING
         trial.controller.reset()
         compensated = trial.controller.law.law is not Law.PAPER
-        frozen = self.compensation is not None and self.compensation.frozen and compensated
-        if frozen and FROZEN_MESSAGE not in self.warnings:
-            self.warnings.append(FROZEN_MESSAGE)
+        frozen = "A person had frozen the coefficients of the compensated law."
+        if compensated and self.compensation and self.compensation.frozen and frozen not in self.warnings:
+            self.warnings.append(frozen)
         if self.monitor is not None:
             self.monitor.reset()
         self._outputs.publish_reference(trial.case.signal)
@@ -336,15 +326,17 @@ class TrialRunner(Generic[P]):
         missed, late = run.missed / (run.last - run.first + 1), ""
         if share > DISTURBED_SHARE_MAX:
             what = "corrections" if controller.law.law is Law.PAPER else "commands of the law"
-            late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: {BUSY_HINT}"
+            late = f"base gains in {100 * share:.0f} % of the samples, {what} came late: close other programs"
         elif missed > DISTURBED_SHARE_MAX:  # the estimator of an adapted law excludes these
-            late = f"{100 * missed:.0f} % of the samples did not arrive: {BUSY_HINT}"
+            late = f"{100 * missed:.0f} % of the samples did not arrive: close other programs"
         if late and share <= BASE_GAINS_SHARE_MAX and self._again(trial, late):
             return
         acted = float(np.median(k_p)), float(np.median(k_i))
         if asked is None or not np.allclose(acted, np.array(asked, float), rtol=1e-3, atol=1e-3):
             if share > BASE_GAINS_SHARE_MAX:
-                self._leave_out(trial, f"base gains acted in {100 * share:.0f} % of the samples: {UNFILTERED_MESSAGE}")
+                self._leave_out(
+                    trial, f"base gains acted in {100 * share:.0f} % of the samples: see the filter on /diagnostics"
+                )
                 return
             if asked is not None:
                 gains = "K_p = {:g} and K_i = {:g} acted".format(*acted)

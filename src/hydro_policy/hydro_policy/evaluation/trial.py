@@ -93,8 +93,6 @@ class Comparison(Plan):
     def __init__(
         self, settings: EvaluationSettings, controllers: Sequence[Controller], extra_settling_time: float = 0.0
     ) -> None:
-        if not controllers:
-            raise ValueError("an evaluation needs a controller")
         self.settings, self.controllers = settings, controllers
         order = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
         if extra_settling_time:

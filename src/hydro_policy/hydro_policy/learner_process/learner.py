@@ -36,7 +36,6 @@ from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from hydro_sim.files.pairing import with_provenance
 
 CHUNK_UPDATES = 8  # updates between two publications and polls of the pipe, some 1 to 2 ms
-_IDLE_POLL_PERIOD = 0.05  # s between two polls of an idle learner without a wake
 
 SPAWN_CONTEXT = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
 
@@ -83,8 +82,8 @@ class LatestValue:
         return bool(self._version[0] > self._seen)
 
 
-_COUNTER_FIELDS = ("updates", "alpha", "ready", "checkpoints", "rollbacks", "rollbacks_asked")
-STATUS_DTYPE = np.dtype([(name, np.float64) for name in (*_COUNTER_FIELDS, *Losses._fields)])
+_STATUS_FIELDS = ("updates", "alpha", "ready", "checkpoints", "rollbacks", "rollbacks_asked", *Losses._fields)
+STATUS_DTYPE = np.dtype([(name, np.float64) for name in _STATUS_FIELDS])
 """Record of a learner's status: updates, alpha, 1 once weights are published, checkpoints written, rollbacks done and
 requested (the latter written by the acting process), losses."""
 
@@ -260,7 +259,7 @@ def run_learner(
         learner = Learner(memory, settings, run)  # ready from here on
         while True:
             worked = learner.work()
-            while requests.poll(0.0 if worked else _IDLE_POLL_PERIOD):
+            while requests.poll(0.0 if worked else 0.05):
                 request = requests.recv()
                 if request == END:
                     return

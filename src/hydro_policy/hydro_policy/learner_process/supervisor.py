@@ -200,7 +200,7 @@ class LearnerSupervisor:
         self.restarts += 1
         self._requests.close()
         self._start()
-        return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
+        return f"learner lost ({how}): it restarts from update {self.updates}"
 
     def stop(self, trainer: dict[str, Any]) -> None:
         """Write the last checkpoint and end the process; for a dead or hanging learner this process writes it.
@@ -233,10 +233,7 @@ class LearnerSupervisor:
         return False
 
     def _unwritten(self, why: str) -> LearnerError:
-        return LearnerError(
-            f"no checkpoint can be written ({why}): the training ends here; make room, and go on from the one before "
-            f"with --resume {self._run.path}"
-        )
+        return LearnerError(f"no checkpoint can be written ({why}): make room and use --resume {self._run.path}")
 
     def _start(self) -> None:
         self._status["ready"] = 0.0

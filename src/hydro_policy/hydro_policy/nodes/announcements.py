@@ -68,25 +68,16 @@ class Announcer:
             print_above_progress(f"! the log ends here: {error.strerror}")
 
 
-_WARNING_WORDS = ("warn", "error", "fatal", "traceback", "bypass")
-
-
 def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
     """Return a handler of a companion's output lines: passes each to `keep`, and prints warnings and errors."""
-    repeat_filter = RepeatFilter(1)
+    repeat_filter, warnings = RepeatFilter(1), ("warn", "error", "fatal", "traceback", "bypass")
 
     def take(text: str) -> None:
         keep(text)
-        if any(word in text.lower() for word in _WARNING_WORDS) and (line := repeat_filter.filter(text.rstrip("\n"))):
+        if any(word in text.lower() for word in warnings) and (line := repeat_filter.filter(text.rstrip("\n"))):
             print_above_progress(line)
 
     return take
-
-
-_REFUSAL_STATUS = 2  # exit status of all our commands for invalid input
-
-
-UNRECORDED_MESSAGE = "acting goes on unrecorded"
 
 
 @dataclass
@@ -94,7 +85,7 @@ class CompanionWatch:
     """Watch over companion processes: reports each unexpected end once."""
 
     running: list[Companion]
-    unrecorded: str = UNRECORDED_MESSAGE  # consequence of the recorder's end, for the message
+    unrecorded: str = "acting goes on unrecorded"  # consequence of the recorder's end, for the message
     refused: str = ""
     """Message of a companion that rejected its input, and will not return; empty: none."""
     lost: str = ""  # message about an essential companion that ended, and its consequence
@@ -105,12 +96,12 @@ class CompanionWatch:
         self.running = [companion for companion in self.running if companion not in gone]
         told = []
         for companion in gone:
-            code, outcome = companion.process.returncode, "no samples come from then on, and the box disarms itself"
+            code, outcome = companion.process.returncode, "no samples come, and the box disarms itself"
             if companion.name == "recorder":
-                outcome = f"what it had written stays readable, {self.unrecorded}"
+                outcome = self.unrecorded
             status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
             told.append(f"{companion.name} ended by itself ({status}): {outcome}")
-            if code == _REFUSAL_STATUS:
+            if code == 2:  # invalid input
                 said = companion.last_line.removeprefix("error: ").removeprefix(f"{companion.name}: ")
                 self.refused = self.refused or f"{companion.name}: {said}"
             elif companion.name != "recorder":

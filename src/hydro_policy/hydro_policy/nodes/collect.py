@@ -167,7 +167,8 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         words += ["--attach", str(scratch / "schedule.yaml"), str(scratch / "bench.yaml")]
         behind = stack.enter_context(ExitStack())  # what is undone once the recorder has ended
         recorder = stack.enter_context(Companion("hydro_bridge", "recorder", words))
-        node.watch_companions([recorder], options.out, "the plant is disarmed")
+        node.watch_companions([recorder], options.out)
+        node.companions.unrecorded = "the plant is disarmed"
         stack.callback(node.disarm, still=True)
         runner = TrialRunner(plan, node.supervisor(rest_recorded_requirement(node), rearm=rearm, filtered=False))
         bar = TrialProgress(runner, "collecting")
@@ -176,9 +177,7 @@ def collect(options: argparse.Namespace, schedule: Sequence[Segment], bench: Ben
         def tick() -> None:
             bar.tick()
             if not recorder.running:  # nothing moves unrecorded
-                status, why = recorder.process.returncode, recorder.last_line.removeprefix("error: ")
-                if status != 2:  # else it could not use `out`
-                    why = f"the recorder ended (exit status {status}); {options.out} holds what came before"
+                why = recorder.last_line.removeprefix("error: ")
                 node.fail(UserError(f"the recorder has ended, so the plant was disarmed: {why}"))
 
         if not rearm:
@@ -211,5 +210,5 @@ def rest_recorded_requirement(node: GraphNode) -> Requirement:
         return since == -inf
 
     name = "a second of the still bench"
-    missing = f"{name} was not recorded: somebody arms it again and again"
+    missing = f"{name} was not recorded: leave it disarmed"
     return Requirement(name=name, ready=recorded, hint="it is recorded first", timeout=600.0, timeout_message=missing)

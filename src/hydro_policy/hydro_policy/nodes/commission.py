@@ -52,25 +52,12 @@ from hydro_sim.model.bench import Bench
 
 FIRST_REPEATED_GATE = "gains"
 """Gate from which `--again` repeats: a bench that has changed moves by half of the amplitude first."""
-LOG_FILE = "commission.log"
 REST_RECORDING = "rest"
 REST_TIME = 10.0  # s recorded at rest
 AMPLITUDE_SHARE_MAX = 0.8
 """Largest amplitude over the force at which the compensated law cuts off: its a_0 is up to 1.25."""
 ATTEMPTS_MAX = 3
-TRAINING_REFERENCES = EvaluationSettings(frequencies=(0.5, 1.0, 2.0), multisine=True, steps=True)
-HELD_OUT_REFERENCES = EvaluationSettings(frequencies=(0.7, 1.5))
-COMPARISON_REFERENCES = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0))
 POLICY_FOLDER = "policy"  # folder of the pretrained policy
-OPERATION_NOTES = (
-    f"The filter says MISMATCH where the bench is no longer the one that was diagnosed: {RECOMMISSION_HINT}.",
-    "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
-)
-PAPER_ONLY_MESSAGE = (
-    "the box runs the paper's force law only, and a bench that is not known yet moves under the compensated law: add "
-    "that to the box (protocol.md), or go on by hand (your_own_bench.md, section 6)"
-)
-FIXED_GAIN_SHARES = (0.5, 0.9)  # K_p of the fixed gains that are compared, over the largest certified
 
 
 # Until this bench has a filter, all motions are under the compensated law without one: it tracks with 0.3 to 2.5 times
@@ -118,7 +105,7 @@ def link(at: Site) -> str:
     if status.get("box differs", "no") != "no":
         raise GateError(f"the box is not what its bench file says: {status['box differs']}")
     if not next(read_messages(folder, BOX_LAW))[1].offered:
-        raise GateError(PAPER_ONLY_MESSAGE)
+        raise GateError("the box has no compensated law: add it (protocol.md), or go on by hand (your_own_bench.md)")
     rate, lost = checks.sample_loss(states, REST_TIME)
     told = status.get("command out to confirmation in", "not told")
     return f"{rate:.0f} samples/s, {100 * lost:.2g} % lost; command and its answer: {told}"
@@ -167,7 +154,8 @@ def gains(at: Site) -> str:
 def excitation(at: Site) -> str:
     """Gate of the excitation: training and held-out recordings, repeated for lost samples or late commands."""
     told = []
-    for name, settings in (("training", TRAINING_REFERENCES), ("held_out", HELD_OUT_REFERENCES)):
+    training = EvaluationSettings(frequencies=(0.5, 1.0, 2.0), multisine=True, steps=True)
+    for name, settings in (("training", training), ("held_out", EvaluationSettings(frequencies=(0.7, 1.5)))):
         for _ in range(ATTEMPTS_MAX):
             _tracking_rmse(at, name, settings)
             worst = checks.unusable_share(_armed(at.recording(name)))
@@ -229,7 +217,7 @@ def controllers(at: Site) -> str:
     """Gate of the controllers: evaluation behind the filter, of fixed gains, compensated law, residual, policy."""
     kp, ki = at.record.base_gains
     top = at.record.certified_gains.get("paper", (kp, kp))[1]
-    fixed = [(kp, ki), *((round(share * top), 3.0 * ki) for share in FIXED_GAIN_SHARES if share * top > kp)]
+    fixed = [(kp, ki), *((round(share * top), 3.0 * ki) for share in (0.5, 0.9) if share * top > kp)]
     chosen: list[Controller] = [FixedGains(*pair, (kp, ki)) for pair in fixed]
     trained, policies = at.folder / POLICY_FOLDER, list[Path]()
     if trained.is_dir():
@@ -237,7 +225,7 @@ def controllers(at: Site) -> str:
         chosen.insert(0, policy_controller(trained))
         policies.append(policy_file(trained))
     words = ("--model", str(at.folder / site.MODEL_FILE), "--metric", str(at.folder / site.METRIC_FILE))
-    settings = replace(COMPARISON_REFERENCES, amplitude=at.record.amplitude)
+    settings = EvaluationSettings(frequencies=(0.5, 1.0, 1.5, 2.0), amplitude=at.record.amplitude)
     results = at.compare("controllers", settings, chosen, words=words, learned=True, policies=policies)
     worst = checks.disturbed_share(results.scores)
     if worst > checks.LOST_SHARE_MAX:
@@ -279,7 +267,11 @@ def comparison(at: Site) -> str:
     told = [f"At rest, {at.record.drift}."] if at.record.drift else []
     if max(adopted["rmse"].values()) < 1.5 * noise:
         told.append(f"The best errors are mainly the load cell's noise, {noise:.2g} N: less than that tells nothing.")
-    at.record.watch = list(dict.fromkeys([*at.record.watch, *told, *OPERATION_NOTES]))
+    notes = (
+        f"MISMATCH says that the bench is no longer the one that was diagnosed: {RECOMMISSION_HINT}.",
+        "Errors are of the load cell's reading: where its amplifier lags, the specimen feels more.",
+    )
+    at.record.watch = list(dict.fromkeys([*at.record.watch, *told, *notes]))
     return " ".join([f"{adopted['name']} is the best{left_out}.", *told]).rstrip(".")
 
 
@@ -371,7 +363,7 @@ def main() -> int:
     for gate in GATES[:first]:
         print(f"{gate.name}: passed before")
     with ExitStack() as stack:
-        log = stack.enter_context((folder / LOG_FILE).open("a", buffering=1, encoding="utf-8"))
+        log = stack.enter_context((folder / "commission.log").open("a", buffering=1, encoding="utf-8"))
         stack.enter_context(running_ros())
         rearm = options.arm == "auto" if options.arm else record.plant == EMULATED_PLANT
         at = Site(folder, record, rearm=rearm, policy=options.policy, log=log)

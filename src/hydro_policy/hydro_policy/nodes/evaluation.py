@@ -158,16 +158,12 @@ def evaluate(options: argparse.Namespace) -> int:
     given["frequencies"] = options.frequencies and tuple(options.frequencies)
     settings = EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
     if load_cell(options) and options.learned_residual:
-        raise UserError(
-            "--learned-residual makes the measured force follow, --load-cell the force in front of it: one of them"
-        )
+        raise UserError("--learned-residual does not know --load-cell: give one of them")
     if options.law == "paper" and options.learned_residual:
         raise UserError("--learned-residual is part of the compensated law: leave out --law paper")
     filtered = options.law != "compensated" or options.fixed or options.policy or options.grid
     if options.filter.split() == list(NO_FILTER_WORDS) and filtered:
-        raise UserError(
-            "--filter none leaves the compensated law: say --law compensated, without --fixed, --policy, --grid"
-        )
+        raise UserError("--filter none leaves the compensated law: say --law compensated and no other controller")
     with evaluation_folder(options) as run:
         return evaluate_in(run, options, settings)
 
@@ -244,7 +240,7 @@ def start_record(run: RunDirectory, about: Mapping[str, Any]) -> RunRecord:
     record = RunRecord(run.record)
     known = json.loads(encode_json(about))
     if record.events and any(record.events[0].get(key) != value for key, value in known.items()):
-        raise UserError(f"{run.path} compared something else: resume it with the options that it was started with")
+        raise UserError(f"{run.path} compared something else: resume it with its own options")
     record.add("start", **known)
     return record
 
@@ -308,7 +304,7 @@ def search_on(
         node.run_session(runner, tick)
         tick()
     if runner.finished and not plan.search.any_completed:
-        node.report("the grid found no gains: even the lowest were stopped (see above)", warning=True)
+        node.report("the grid found no gains: even the lowest were stopped", warning=True)
     if plan.search.results:
         print(f"\n{report.grid_table(plan.search, short).text()}")
     return plan

@@ -66,7 +66,7 @@ from hydro_msgs.msg import PolicyStep
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.runner import Session
-from hydro_policy.nodes.announcements import UNRECORDED_MESSAGE, Announcer, CompanionWatch
+from hydro_policy.nodes.announcements import Announcer, CompanionWatch
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
@@ -190,14 +190,9 @@ class GraphNode(Node):
             made.continue_from(after)
         return made
 
-    def watch_companions(
-        self, companions: list[Companion], recording: Path | None, unrecorded: str = UNRECORDED_MESSAGE
-    ) -> None:
-        """Watch these companions; arming requires that the recorder of `recording` receives samples.
-
-        `unrecorded`: consequence of the recorder's end, for the message about it.
-        """
-        self.companions = CompanionWatch(companions, unrecorded)
+    def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
+        """Watch these companions; arming requires that the recorder of `recording` receives samples."""
+        self.companions = CompanionWatch(companions)
         for companion in companions:
             if recording is not None and companion.name == "recorder":
                 self.requirements.append(RecorderMonitor(self, recording, companion).requirement)
@@ -494,7 +489,7 @@ class GraphNode(Node):
         self._commander.renew_lease(now)
         crowd = publisher_conflicts(self, STATE) if self._two_plants else ""
         if crowd and not self._crowd:
-            self.warn(f"{crowd}; until then no sample is believed")
+            self.warn(crowd)
         self._two_plants, self._crowd = False, crowd
         if self._sampled < math.inf:
             self._commander.check_timeout(now)
@@ -505,7 +500,7 @@ class GraphNode(Node):
 
     def _on_lease(self, lost: str) -> None:
         if lost:
-            self.warn(f"the lease on the plant was lost; nothing is sent until it is regained: {lost}")
+            self.warn(f"the lease on the plant was lost: {lost}")
             if self._override_service is not None:
                 self.destroy_service(self._override_service)
             self._override_service = None
@@ -526,11 +521,9 @@ class GraphNode(Node):
                 self.warn(f"override refused: {error}")
             else:  # the run's record cannot be written, which ends the run
                 self.fail(error)
-        wanted = "hold ({:g}, {:g}) for {:g} s".format(*gains, request.seconds)
+        wanted = "hold ({:g}, {:g}) for {:g} s".format(*gains, request.seconds) if request.active else "give back"
         told = answer.message if answer.success else f"refused: {answer.message}"
-        self._log_call(
-            f"{request.name or 'somebody'}: override, {wanted if request.active else 'give the gains back'}: {told}"
-        )
+        self._log_call(f"{request.name or 'somebody'}: override, {wanted}: {told}")
         return answer
 
     def _on_arm_answer(self, answer: Future) -> None:

@@ -156,7 +156,7 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
         plants, _ = _OPTIONS[name]
         if plants and options.plant not in plants:
             word = "--" + name.replace("_", "-")
-            raise UserError(f"{word} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
+            raise UserError(f"{word} goes with --plant {' or '.join(plants)}, not with {options.plant}")
     made = PlantOptions(**{**given, "filter": tuple(shlex.split(options.filter))}, **more)
     parse_pace(made.pace)
     return made
@@ -184,14 +184,12 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
 def box_mismatch(plan: BoxIdentity, box: BoxDescription) -> str:
     """Return the reason why the box is not the expected one, with the options that fit it; empty if it is."""
     if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
-        told = BoxIdentity.of_box(box).description
-        planned = f"the box believes {told}, this run was planned for bench {plan.description}"
-        return f"{planned}: name the bench.yaml of this box by --bench"
+        told = f"the box believes {BoxIdentity.of_box(box).description}, this run is for bench {plan.description}"
+        return f"{told}: name the bench.yaml of this box by --bench"
     expected, (kp, ki) = plan.base_gains or box.base_gains, box.base_gains
     if isclose(expected[0], kp, rel_tol=1e-6) and isclose(expected[1], ki, rel_tol=1e-6):
         return ""
-    told = f"the box adds changes to base gains ({kp:g}, {ki:g}), this run was planned for "
-    return told + "({:g}, {:g})".format(*expected) + f": say --base-gains {kp:g} {ki:g}"
+    return "this run was planned for base gains ({:g}, {:g}): ".format(*expected) + f"say --base-gains {kp:g} {ki:g}"
 
 
 def require_matching_agent(start: InitialAgent | None, box: BoxIdentity) -> None:

@@ -20,7 +20,6 @@ from hydro_policy.nodes.graph_node import GraphNode
 if TYPE_CHECKING:  # evaluate does without
     from hydro_policy.training_plan import TrainingPlan
 
-_REDRAW_TICKS = 4  # ticks of 50 ms
 _BAR_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
 """Without a rate: waiting and examinations take their time too."""
 
@@ -91,7 +90,7 @@ class TrainingProgress(TrialProgress):
             self._node.report(_exam_line(progress.exams[self._examined], self._plan))
             self._examined += 1
         self._ticks += 1
-        if self._ticks % _REDRAW_TICKS == 0:
+        if self._ticks % 4 == 0:  # ticks of 50 ms
             self._redraw()
 
     def publish(self) -> None:
@@ -163,13 +162,10 @@ def _exam_line(result: dict[str, Any], plan: TrainingPlan) -> str:
     """Return an examination's result: RMSE at each sine, and relative to the fixed gains."""
     settings = plan.settings.exam
     rmse = " ".join(f"{value:.1f}" for value in result["rmse"])
-    fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
+    fixed = f"fixed ({settings.reference_kp:g}, {settings.reference_ki:g})"
     error = f" +- {result['error']:.3f}" if result.get("error") else ""
     of = f", policy {result['policy']}" if result.get("policy") else ""
-    ends = "; the best so far" if result["best"] else ""
-    ends += "; the machine was held up, and nothing is concluded" if result.get("spoilt") else ""
-    return (
-        f"examined after episode {result['episode']}{of}: "
-        f"RMSE {rmse} N, {result['score']:.3f}{error} of fixed {fixed}, "
-        f"better at {result['beaten']} of {len(result['rmse'])} sines{ends}"
-    )
+    ends = ", the best so far" if result["best"] else ""
+    ends += ", the machine was held up" if result.get("spoilt") else ""
+    told = f"RMSE {rmse} N, {result['score']:.3f}{error} of {fixed}{ends}"
+    return f"examined after episode {result['episode']}{of}: {told}"

@@ -42,7 +42,6 @@ from hydro_sim.files.pairing import BoxIdentity
 
 TRUTH_FILE = "truth.yaml"  # truth of a site's emulated bench; without the file the emulator's default
 EMULATED_PLANT = "emulator"
-PORT_TIMEOUT = 60.0  # s, for the emulator's port
 RECORDER_TIMEOUT = 30.0  # s, for a recorder to complete its recording
 
 
@@ -104,7 +103,7 @@ class Site:
         words = ["--link", self._port, "--bench", str(self.bench)]
         words += ["--truth", str(truth)] if truth.is_file() else []
         self._emulator = self._stack.enter_context(Companion("hydro_sim", "emulator", words, output=self._log.write))
-        end = time.monotonic() + PORT_TIMEOUT
+        end = time.monotonic() + 60.0
         while not port.exists():
             if not self._emulator.running or time.monotonic() > end:
                 reason = self._emulator.last_line.removeprefix("error: ")

@@ -55,10 +55,6 @@ from hydro_policy.training_plan import Progress, TrainingPlan, training
 from hydro_sim.files.pairing import BoxIdentity, Provenance, mismatch, raise_if_mismatched
 from hydro_sim.model.bench import NOMINAL
 
-UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
-"""Gradient updates per policy step: from scratch more than the paper's 1, since bench time is costly; with an agent 1,
-since more would degrade it."""
-
 
 def prepare(
     options: argparse.Namespace, node: GraphNode
@@ -71,7 +67,7 @@ def prepare(
     start, checkpoint, box = None, None, expected_box(options)
     if options.plant != "external":
         if (words := plant_options(options).filter) == NO_FILTER_WORDS:
-            raise UserError("--filter none is for the compensated law of `evaluate`: a policy trains behind the filter")
+            raise UserError("--filter none is for the compensated law alone: a policy trains behind the filter")
         requested_filter(words, options.bench)
     node.box_fault = partial(box_mismatch, box)
     load_cell(options)
@@ -85,7 +81,7 @@ def prepare(
         elif str(options.start) != SCRATCH:
             start = load_initial_agent(options.start)
         require_matching_agent(start, box)
-        updates = UPDATES_PER_STEP["agent" if start else "scratch"]
+        updates = 1.0 if start else 8.0  # from scratch more than the paper's 1: bench time is costly
         settings = configuration(options.configuration, base=box.base_gains or BASE_GAINS, size=box.size or NOMINAL)
         settings = replace(settings, updates_per_step=updates)
         settings = start.adapt_settings(settings) if start else settings
@@ -156,9 +152,6 @@ def write_initial_checkpoint(run: RunDirectory, settings: TrainingSettings, star
     write_run(run, settings, agent, nothing, {})
 
 
-SEARCH_REFERENCES = EvaluationSettings(frequencies=(1.0, 2.0))  # references of the search for the best fixed gains
-
-
 def paper_controllers(plan: TrainingPlan, start: InitialAgent | None) -> list[Controller]:
     """Return the paper's controllers: I trained on the bench, II pretrained, III fixed; without II the base gains.
 
@@ -198,18 +191,8 @@ def print_files(
     for name, path in listed:
         if path is not None and path.exists():
             print(f"  {name:22s} {path}")
-    plant = f"--plant {options.plant}" + (f" --port {options.port}" if options.port else "")
-    print("Next:")
-    if not finished and run.latest.exists():
-        print(f"  go on            ros2 run hydro_policy trainer {plant} --resume {run.path}")
-    print(f"  full training    ros2 run hydro_policy trainer {plant} --resume {run.path} --episodes 160 --evaluate")
-    print(f"  compare again    ros2 run hydro_policy evaluate {plant} --policy {run.path} --fixed 90 15 --fixed 15 5")
-
-
-LEFT_OUT_MESSAGE = (
-    "best fixed gains and compensated law are not compared, since a person would have to arm the plant for them: "
-    "`evaluate --grid` does that"
-)
+    more = " --episodes 160 --evaluate" if finished else ""
+    print(f"Next: ros2 run hydro_policy trainer --resume {run.path}{more}")
 
 
 def train(options: argparse.Namespace) -> int:
@@ -231,8 +214,7 @@ def train(options: argparse.Namespace) -> int:
             try:
                 node.report(("the best so far: " if checkpoint else "") + describe_policy(run.policy))
             except ValueError as error:  # checkpoints hold the agent
-                again = "the run goes on from its checkpoint, and the file is rewritten with the next best policy"
-                node.warn(f"{error}; {again}")
+                node.warn(f"{error}: the next best policy replaces it")
         record = RunRecord(run.record)
 
         def tell(sentence: str) -> None:
@@ -315,12 +297,13 @@ def train_and_evaluate(
     bar.phase = lambda: Phase.EVALUATING
     grid = coarse_grid(plan.settings.task.gains, plan.settings.base_gains) if rearm else None
     if not rearm:
-        node.report(LEFT_OUT_MESSAGE)
+        node.report("best fixed gains and compensated law need further armings: compare them by `evaluate --grid`")
     force = node.size.force
     results = compare_on(
         node, paper_controllers(plan, start), node.supervisor(rearm=rearm, after=session.supervisor), rearm=rearm,
-        settings=EvaluationSettings(amplitude=force), grid=grid, searched=replace(SEARCH_REFERENCES, amplitude=force),
-        compensated=rearm, cell=cell, learned=cell is None, record=plan.record,
+        settings=EvaluationSettings(amplitude=force), grid=grid, cell=cell,
+        searched=EvaluationSettings(frequencies=(1.0, 2.0), amplitude=force),
+        compensated=rearm, learned=cell is None, record=plan.record,
     )  # fmt: skip
     if results is None:
         return False, None

@@ -44,7 +44,6 @@ from hydro_sim.plotting import BLUE, add_legend, figure
 SETUP_FILE = "pretrain.yaml"  # file name in a run's folder, beside config.yaml
 CURVE_FILE = "curve.png"  # file name of the learning curve, too
 CHECKPOINT_INTERVAL = 20.0  # minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk
-REPLAY_MAX = 1_152_000  # maximum number of transitions in a pretraining's replay buffer, 138 MB: 640 episodes
 
 
 def pretrain(options: argparse.Namespace) -> int:
@@ -106,7 +105,7 @@ def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, S
         settings, made=source.provenance(), sac=replace(settings.sac, **sac), task=replace(settings.task, **task),
         **numbers,
     )  # fmt: skip
-    rows = min(settings.episodes * settings.task.steps_per_episode, REPLAY_MAX)
+    rows = min(settings.episodes * settings.task.steps_per_episode, 1_152_000)  # 138 MB: 640 episodes
     return replace(settings, replay_capacity=max(settings.replay_capacity, rows)), source
 
 

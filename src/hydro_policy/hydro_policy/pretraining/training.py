@@ -177,10 +177,7 @@ class Pretraining:
             if len(self._examined) > wanted:
                 return
         if wanted:
-            tries = round(wanted / COMPLETION_SHARE_MIN)
-            raise ValueError(
-                f"of {tries} drawn benches too few bear the fixed gains {REFERENCE_GAINS} to be examined on"
-            )
+            raise ValueError(f"too few drawn benches bear the fixed gains {REFERENCE_GAINS}: draw without --randomise")
 
     def _rmse(self, controller: VectorController, benches: Sequence[RandomisedBench | None]) -> FloatArray:
         """Return the RMSE [N] on each bench and case, NaN where the box tripped; None: the known bench."""

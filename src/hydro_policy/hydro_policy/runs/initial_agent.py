@@ -19,8 +19,6 @@ from hydro_sim.model.bench import NOMINAL
 
 AGENT_FILE = "learner.safetensors"
 
-ACTOR_LEARNING_RATE_SCALE = 0.1  # factor on the actor's learning rate on the bench
-
 REWARD_FIELDS = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
 """Fields of `TaskSettings` that define the reward."""
 
@@ -44,7 +42,7 @@ class InitialAgent:
         The agent is changed slowly: learning starts once the replay buffer holds an episode of the bench, and the
         actor's learning rate is a tenth of the original.
         """
-        rate = ACTOR_LEARNING_RATE_SCALE * settings.sac.actor_learning_rate
+        rate = 0.1 * settings.sac.actor_learning_rate
         kept = {name: getattr(self.sac, name) for name in ("hidden_size", "log_std_min", "log_std_max", "reward_scale")}
         sac = replace(settings.sac, actor_learning_rate=rate, **kept)
         reward = rescale(replace(settings.task, **self.reward), self.size, settings.task.size)
@@ -68,9 +66,7 @@ def load_initial_agent(path: Path) -> InitialAgent:
     folders = (path, run.best, run.latest)
     found = next((folder / AGENT_FILE for folder in folders if (folder / AGENT_FILE).is_file()), None)
     if found is None:
-        raise ValueError(
-            f"{path} holds no {AGENT_FILE}: an agent to start from is a run's folder, or one made by pretrain"
-        )
+        raise ValueError(f"{path} holds no {AGENT_FILE}: name the folder of a run or of `pretrain`")
     try:
         content = found.read_bytes()
         sac = settings_of(content)

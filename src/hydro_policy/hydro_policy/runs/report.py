@@ -16,11 +16,8 @@ from hydro_core.files.atomic import write_atomic
 from hydro_policy.runs.run_directory import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
-NONE_BETTER_MESSAGE = (
-    "no policy trained here was better, by more than noise, than the one it started from: that is kept"
-)
+NONE_BETTER_MESSAGE = "no policy trained here was significantly better than the one it started from: that is kept"
 _LOSSES = ("critics_loss", "actor_loss")
-_LISTED_EVENTS = ("start", "uncovered", "stop", "override", "end")
 
 
 def sections(record: RunRecord, curve: Path) -> list[Section]:
@@ -46,7 +43,7 @@ def sections(record: RunRecord, curve: Path) -> list[Section]:
         found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=table))
     happened = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
     for event in record.events:
-        if event["kind"] in _LISTED_EVENTS:
+        if event["kind"] in ("start", "uncovered", "stop", "override", "end"):
             when = str(event.get("time", ""))
             with suppress(ValueError):
                 when = datetime.fromisoformat(when).astimezone(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")

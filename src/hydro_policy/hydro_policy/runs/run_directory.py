@@ -124,9 +124,7 @@ class RunDirectory:
     def refuse_existing(self) -> None:
         """Raise FileExistsError if the folder already holds a run."""
         if self.config.exists():
-            raise FileExistsError(
-                f"{self.path} holds a run already: continue it with --resume {self.path}, or name another"
-            )
+            raise FileExistsError(f"{self.path} holds a run already: name another, or --resume {self.path}")
 
     def save_settings(self, settings: TrainingSettings, plant: Mapping[str, Any] | None = None) -> None:
         """Write config.yaml; `plant`: the run's original plant options, if known."""
@@ -174,9 +172,6 @@ class Scalars:
         self._writer.flush()
 
 
-_POLICY_CHANGE_EVENTS = ("episode", "exam", "stop")  # kinds of events after which the policy has changed
-
-
 class RunRecord:
     """Record of a run's events, saved after each to run.json.
 
@@ -220,8 +215,8 @@ class RunRecord:
 
     def events_of_interrupted(self, kind: str) -> list[dict[str, Any]]:
         """Return the events of a kind of an interrupted comparison: those since the last training or complete end."""
-        events = self.events
-        over = (n + 1 for n, one in enumerate(events) if one["kind"] in _POLICY_CHANGE_EVENTS or one.get("complete"))
+        events, trained = self.events, ("episode", "exam", "stop")
+        over = (n + 1 for n, one in enumerate(events) if one["kind"] in trained or one.get("complete"))
         return [event for event in events[max(over, default=0) :] if event["kind"] == kind]
 
     def flush(self) -> None:
@@ -281,9 +276,7 @@ def load_checkpoint(folder: Path) -> Checkpoint:
         state = json.loads((source / "trainer.json").read_text())
         rows = np.load(source / "replay.npy", allow_pickle=False)
         if rows.ndim != 2 or not len(rows) <= int(state["produced"]) or not isinstance(state["trainer"], dict):
-            raise InvalidTensorError(
-                f"{rows.shape} transitions of {state['produced']} and the state beside them do not fit"
-            )
+            raise InvalidTensorError(f"its {len(rows)} transitions do not fit its state")
         check_finite({"replay.npy": rows})
         return Checkpoint((source / "learner.safetensors").read_bytes(), rows, int(state["produced"]), state["trainer"])
     except (OSError, EOFError, ValueError, KeyError, TypeError) as error:

@@ -47,10 +47,7 @@ def policy_of(learner: Any, size: BenchScales) -> Policy:
     hidden = shapes[0][1]
     if shapes != [(OBSERVATION_SIZE, hidden), (hidden, hidden), (hidden, 2 * ACTION_SIZE)]:
         sizes = " to ".join(str(count) for count in (shapes[0][0], *(shape[1] for shape in shapes)))
-        raise ValueError(
-            f"an actor of {sizes} units cannot be deployed: it needs {OBSERVATION_SIZE} observations and two equal "
-            f"hidden layers, as by net_arch=[64, 64]"
-        )
+        raise ValueError(f"an actor of {sizes} units cannot be deployed: give it two equal hidden layers")
     (weight, bias), *rest = layers
     layers = [(weight / scale[:, np.newaxis], bias - (center / scale) @ weight), *rest]
     policy = Policy(SacSettings(hidden_size=hidden, log_std_min=bounds[0], log_std_max=bounds[1]), size)
@@ -58,11 +55,7 @@ def policy_of(learner: Any, size: BenchScales) -> Policy:
     observations = center + scale * np.random.default_rng(0).standard_normal((256, OBSERVATION_SIZE))
     difference = float(np.abs(policy.act(observations) - act(observations)).max())
     if not difference < ACTION_TOLERANCE:
-        kinds = sorted({type(part).__name__ for part in actor.modules() if not list(part.children())})
-        raise ValueError(
-            f"the mean action is not tanh of a perceptron of ReLU (it differs by {difference:.2g}; the actor has "
-            f"{', '.join(kinds)}): give its hidden layers ReLU, and let tanh end it"
-        )
+        raise ValueError("the mean action is not tanh of a perceptron: give its hidden layers ReLU, its end tanh")
     return policy
 
 

@@ -55,8 +55,6 @@ class ReplayBuffer:
     """
 
     def __init__(self, observations: int, actions: int, capacity: int, memory: object | None = None) -> None:
-        if capacity <= _MARGIN_ROWS:
-            raise ValueError(f"a replay buffer holds more than {_MARGIN_ROWS} transitions, not {capacity}")
         self.widths = (observations, observations, actions, 1, 1)
         if memory is None:
             memory = bytearray(self.nbytes(observations, actions, capacity))
@@ -499,7 +497,7 @@ class Sac:
     def learn(self, replay: ReplayBuffer, updates: int) -> None:
         """Update critics, actor, temperature and targets, `updates` times, in one compiled call."""
         if self.settings.batch_size > BATCH_MAX:  # compiled code does not look
-            raise ValueError(f"a batch of {self.settings.batch_size} transitions does not fit arrays for {BATCH_MAX}")
+            raise ValueError(f"batch_size {self.settings.batch_size} is above {BATCH_MAX}")
         losses = np.empty((updates, 3))
         learn(self.agent, self._constants, self.steps, replay.rows, *self.draw(replay, updates), losses)
         self.losses = Losses(*losses.mean(axis=0).tolist())

@@ -27,38 +27,31 @@ from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import FAULT_FLAGS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
-COMPILE_HINT = "loading takes some seconds, and a minute more after a change without `make setup`"
-FILTER_HINT = f"{COMPILE_HINT}; if none runs, start one with `ros2 run hydro_filter filter`"
-PLANT_HINT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
-NO_FILTER_MESSAGE = (
-    "the filter does not answer: base gains are in force where the plant's guard requires it, the default"
-)
+NO_FILTER_MESSAGE = "the filter does not answer, and base gains are in force: start `ros2 run hydro_filter filter`"
 
 
 def plant_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that samples arrive."""
-    missing = "no samples on /hydro/state for 600 s: there is nothing to act on"
-    return Requirement(name="the plant", ready=ready, hint=PLANT_HINT, timeout=600.0, timeout_message=missing)
+    return Requirement(
+        name="the plant", ready=ready, hint="start a plant, or use --plant sim, emulator or bench", timeout=600.0,
+        timeout_message="no samples on /hydro/state for 600 s: start a plant",
+    )  # fmt: skip
 
 
 def corrections_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the filter's corrections reach the plant, which else continues at base gains."""
     return Requirement(
-        name="the filter",
-        ready=ready,
-        hint=FILTER_HINT,
-        timeout=90.0,
-        timeout_message=NO_FILTER_MESSAGE,
-        essential=False,
-    )
+        name="the filter", ready=ready, hint="it loads, or start `ros2 run hydro_filter filter`", timeout=90.0,
+        timeout_message=NO_FILTER_MESSAGE, essential=False,
+    )  # fmt: skip
 
 
 def learner_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the learner is compiled and has published weights."""
-    missing = "the learner is not ready after 300 s: nothing would learn, and nothing was armed for it"
     return Requirement(
-        name="the learner", ready=ready, hint=COMPILE_HINT, timeout=300.0, timeout_message=missing, by_wall_clock=True
-    )
+        name="the learner", ready=ready, hint="it loads", timeout=300.0, by_wall_clock=True,
+        timeout_message="the learner is not ready after 300 s: end other work, and begin again",
+    )  # fmt: skip
 
 
 FALLBACK_GAIN_CHANGES = (UNFILTERED_LIMITS.delta_kp_max, UNFILTERED_LIMITS.delta_ki_max)
@@ -69,33 +62,14 @@ RECOVERY_TIME = 1.0  # s, armed, between a stop and the next run
 
 TRIPS_MAX = 3
 """Trips in a row within `RECOVERY_TIME` of arming that end the trials under a force law; more end the session."""
-BASE_GAINS_UNSTABLE_MESSAGE = (
-    f"the box tripped {TRIPS_MAX} times within {RECOVERY_TIME:g} s of arming: its base gains do not hold this bench"
-)
-
+BASE_GAINS_UNSTABLE_MESSAGE = f"the box's base gains do not hold this bench: it tripped {TRIPS_MAX} times when armed"
 IDLE_TIME_MAX = 2.0  # longest time armed without a controller before one starts, s (measurements in decision 0056)
-
-SAMPLE_TIMEOUT = 0.1  # s without a sample
-
-SAMPLES_LOST_MESSAGE = "no samples came while it was armed: it is disarmed, so that the force law starts again"
-MISMATCH_MESSAGE = (
-    "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
-    f"range, under the compensated law its base gains; nothing is learned or begun; {RECOMMISSION_HINT}"
-)
+MISMATCH_MESSAGE = f"the filter's model is not this bench's, and nothing begins: {RECOMMISSION_HINT}"
 MODEL_FITS_MESSAGE = "the filter's model fits again: going on"
-MODEL_UNCHECKED_MESSAGE = (
-    "the filter decides nothing now (BYPASSED), and whether its model is this bench's is not known: going on"
-)
-CORRECTION_TIMEOUT = 1.0
-"""Timeout [s] for corrections of a bypassed filter, all of which the plant flags as stale."""
-RECOVERED_MESSAGE = "calm again: disarmed and armed again, so that the force law starts again"
-
-
-REARM_DELAY = 0.1  # s between disarming and arming, a hundred commands of the bridge
 RETRY_INTERVAL = 1.0  # s between arming or disarming requests
 REMINDER_INTERVAL = 30.0  # s between requests to arm a plant that a person disarmed
 ARM_HINT = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
-EARLY_ARMING_MESSAGE = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
+EARLY_ARMING_MESSAGE = "the plant was armed before all was ready here: it is disarmed"
 
 
 class Outputs(Protocol):
@@ -145,9 +119,10 @@ class PlantSupervisor:
         self.outputs, self.override = outputs, override or GainOverride()
         self._alone = rearm
         samples = plant_requirement(lambda: not self.lost)
+        # corrections of a bypassed filter all count as stale
         answers = corrections_requirement(
             lambda: self.mismatched or not self._flags & Flag.FILTER_STALE
-            or (self._status == CorrectionStatus.BYPASSED and self._silent < CORRECTION_TIMEOUT)
+            or (self._status == CorrectionStatus.BYPASSED and self._silent < 1.0)
         )  # fmt: skip
         unfit = f"its model is not this bench's: {RECOMMISSION_HINT}"
         fitting = Requirement(
@@ -216,13 +191,15 @@ class PlantSupervisor:
             self._recovery_until = min(self._recovery_until, now + RECOVERY_TIME) if flags & Flag.ARMED else math.inf
             if now >= self._recovery_until:
                 self._recovery_until = None
-                self._block_reason = RECOVERED_MESSAGE if self._alone else self._block_reason
+                if self._alone:
+                    self._block_reason = "calm again: it is disarmed and armed again"
 
     def on_correction(self, status: int) -> None:
         """Process the status of the filter's correction; reports a change of MISMATCH."""
         before, self._status, self._heard = self._status, status, True
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
-            after = MODEL_UNCHECKED_MESSAGE if status == CorrectionStatus.BYPASSED else MODEL_FITS_MESSAGE
+            bypassed = "the filter is bypassed, and whether its model fits is not known: going on"
+            after = bypassed if status == CorrectionStatus.BYPASSED else MODEL_FITS_MESSAGE
             self.outputs.report(MISMATCH_MESSAGE if self.mismatched else after, warning=self.mismatched)
 
     def may_start(self, now: float) -> bool:
@@ -236,8 +213,7 @@ class PlantSupervisor:
     def blocking_reason(self, now: float) -> str:
         """Return the reason why no controller may act on the armed plant; empty if one may."""
         if not self._block_reason and now - self._last_action > IDLE_TIME_MAX:
-            waited = f"armed for {now - self._last_action:.1f} s while no controller acted"
-            return f"{waited}: it is disarmed, so that the force law starts again"
+            return f"armed for {now - self._last_action:.1f} s while no controller acted: it is disarmed"
         return self._block_reason
 
     def block_runs(self, why: str) -> None:
@@ -266,11 +242,11 @@ class PlantSupervisor:
         Raises NotReadyError: a requirement for arming was not met in time, or the bench is unstable under base gains.
         """
         if self.trips > TRIPS_MAX:
-            raise NotReadyError(f"{BASE_GAINS_UNSTABLE_MESSAGE}; nothing is armed again")
+            raise NotReadyError(BASE_GAINS_UNSTABLE_MESSAGE)
         self._silent = 0.0 if self._heard else self._silent + max(now - self._ticked, 0.0)
         self._heard, self._ticked = False, now
-        if not self.lost and now - self._seen > SAMPLE_TIMEOUT:
-            self._seen, self._block_reason = -math.inf, SAMPLES_LOST_MESSAGE
+        if not self.lost and now - self._seen > 0.1:
+            self._seen, self._block_reason = -math.inf, "no samples came while it was armed: it is disarmed"
             self._flags = int(Flag.FILTER_STALE)
             self.outputs.arm(False)
         self.readiness.check(now)
@@ -306,7 +282,7 @@ class PlantSupervisor:
     def _arm_anew(self, now: float) -> None:
         """Disarm, then arm: this resets a trip, clears the law's integral, and fades the reference in."""
         self.outputs.arm(False)
-        self._arm_after, self._asked, self._prompted = now + REARM_DELAY, now, ""
+        self._arm_after, self._asked, self._prompted = now + 0.1, now, ""  # a hundred commands of the bridge later
 
     def defer_to_person(self, now: float) -> None:
         """Postpone the next arming request by `REMINDER_INTERVAL`: the plant refused it, since a person disarmed it."""
@@ -316,10 +292,9 @@ class PlantSupervisor:
     def arm_now(self, now: float) -> None:
         """Arm at a person's request if all is ready; otherwise report what is missing."""
         if self.armed and not self.blocking_reason(now):
-            self.outputs.report("the plant is already armed: nothing was done", warning=True)
+            self.outputs.report("the plant is already armed", warning=True)
         elif self.readiness.complete:
             self._arm_anew(now)
         else:
             self._prompted = ""
-            sentence = f"not armed, still waiting for {self.readiness.missing_names}: you are asked once all is ready"
-            self.outputs.report(sentence, warning=True)
+            self.outputs.report(f"not armed, still waiting for {self.readiness.missing_names}", warning=True)

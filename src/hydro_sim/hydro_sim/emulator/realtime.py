@@ -61,7 +61,7 @@ def execute_command(order: str, machine: Machine, link: BoxLink, now: float) -> 
     word, *rest = order.split() or [""]
     if word not in CONTROL_COMMANDS or len(rest) != (0 if word in ("clear", "reboot") else 1):
         raise SettingsError(
-            f"order {order!r} is none of: {', '.join(CONTROL_COMMANDS)}; all but clear and reboot take a number"
+            f"order {order!r} is none of: {', '.join(CONTROL_COMMANDS)}; clear and reboot take no number"
         )
     try:
         number = float(rest[0]) if rest else 0.0
@@ -179,9 +179,7 @@ class RealtimeEmulator:
                 return True
             if time.monotonic() - max(began, host.last_frame_time) > SILENCE_MAX:
                 self._deserted = True
-                print(
-                    f"no answer of the host for {SILENCE_MAX:g} s: going on in real time until it is back", flush=True
-                )
+                print(f"no answer of the host for {SILENCE_MAX:g} s: going on in real time", flush=True)
             link.receive(now, _CONTROL_POLL_PERIOD if not link.faulty else _ANSWER_TIME_MAX)
             if waited > _CONTROL_POLL_PERIOD:
                 self._obey(now)

@@ -100,7 +100,7 @@ def require_same_box(path: str | Path, bench: BoxIdentity) -> None:
         *_, (_, box) = read_messages(path, BOX_TOPIC)
         if box.bench_digest not in ("", bench.digest):
             told = f"the box of the recording {Path(path).name} believes bench {box.bench_digest}"
-            raise PairingError(f"{told}, not {bench.description}: name the bench.yaml of its box by --bench")
+            raise PairingError(f"{told}: name the bench.yaml of its box by --bench")
 
 
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
@@ -120,7 +120,7 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
     found = {name: split_runs(name, states) for name, states in recordings.items()}
     names = [name for name in found if found[name]]
     if not names:
-        raise DataError(f"no recording has {MIN_SAMPLES} samples in a row: check them with the bridge's own tools")
+        raise DataError(f"no recording has {MIN_SAMPLES} samples in a row: record more")
     if len(names) >= 3:
         training = [run for name in names[:-1] for run in found[name]]
         return Data(training=training, validation=found[names[-1]], digests=digests)
@@ -134,8 +134,5 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
             validation.append(run.slice(end + gap, len(run)))
     if not validation:
         longest, needed = max(map(len, training)), MIN_SAMPLES + gap + MIN_VALIDATION_SAMPLES
-        raise DataError(
-            f"the longest unbroken run has {longest} samples, too few to hold some back for validation: name three "
-            f"recordings, or one with {needed} samples in a row"
-        )
+        raise DataError(f"the longest run has {longest} samples: name three recordings, or one with {needed} in a row")
     return Data(training=training, validation=validation, digests=digests)

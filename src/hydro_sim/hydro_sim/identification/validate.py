@@ -155,9 +155,6 @@ COLUMNS = {
     "noise": "RMS of the recording's noise: what a perfect model would leave; nan without a noise-free log",
     "ratio": "recorded / noise",
 }
-SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
-MAX_WINDOW_SAMPLES = 5000  # samples of the longest horizon
-STRIDE_SAMPLES = 37  # samples between the starts of predictions
 
 
 @command(ValueError)
@@ -176,7 +173,7 @@ def main() -> None:
     learned, analytic = BenchPrediction(model, runs), AnalyticModel(bench)
     mine, theirs = (learned, [*map(learned.estimate, runs)]), (analytic, [*map(analytic.estimate, runs)])
     rmse_table(mine, theirs, scored).show(options.json)
-    longest = min(MAX_WINDOW_SAMPLES, min(map(len, runs)) - SETTLING_SAMPLES - 2)  # that fits into every run
+    longest = min(5000, min(map(len, runs)) - SETTLING_SAMPLES - 2)  # that fits into every run
     how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
     after, other = prediction_errors(*mine, scored, **how), prediction_errors(*theirs, scored, **how)
     for horizon in (1, 10, 70, 200, 1000, longest):
@@ -197,7 +194,7 @@ PredictorWithStates = tuple[Predictor, list[FloatArray]]
 
 def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scored: list[ScoredRun]) -> ConsoleTable:
     """Return the paper's Table rmse_model, a row per state."""
-    how: dict[str, Any] = {"horizon": HORIZON_SAMPLES, "stride": STRIDE_SAMPLES}
+    how: dict[str, Any] = {"horizon": HORIZON_SAMPLES, "stride": 37}
     clean = prediction_errors(*learned, scored, recorded=False, **how)
     noisy = prediction_errors(*learned, scored, recorded=True, **how)
     other = prediction_errors(*analytic, scored, recorded=False, **how)
@@ -210,9 +207,10 @@ def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scor
     table = ConsoleTable(
         COLUMNS, title=f"{HORIZON_SAMPLES}-sample predictions, {clean.windows} windows, against the {judged}"
     )
+    units = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
     for i, name in enumerate(PLANT_FIELDS):
         table.add(
-            state=name, unit=SI_UNITS[i], learned=float(clean.rmse[i] / std[i]),
+            state=name, unit=units[i], learned=float(clean.rmse[i] / std[i]),
             analytic=float(other.rmse[i] / std[i]), learned_range=float(clean.rmse[i] / span[i]),
             analytic_range=float(other.rmse[i] / span[i]), rmse=float(clean.rmse[i]),
             recorded=float(noisy.rmse[i]), noise=float(noise[i]), ratio=float(noisy.rmse[i] / noise[i]),
@@ -222,7 +220,7 @@ def rmse_table(learned: PredictorWithStates, analytic: PredictorWithStates, scor
 
 def _scored(bags: list[str], logs: list[str] | None) -> list[ScoredRun]:
     if logs and len(logs) != len(bags):
-        raise UserError(f"{len(logs)} noise-free logs for {len(bags)} recordings: give one for each, in their order")
+        raise UserError(f"{len(logs)} noise-free logs for {len(bags)} recordings: give one for each")
     scored = []
     for index, (name, states) in enumerate(recordings.load_states(bags).items()):
         path, truth = logs[index] if logs else None, None

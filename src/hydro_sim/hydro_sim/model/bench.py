@@ -58,9 +58,7 @@ class Bench:
     def __post_init__(self) -> None:
         check(self)
         if self.tank_pressure >= self.supply_pressure:
-            raise ValueError(
-                f"tank_pressure {self.tank_pressure:g} Pa is not below supply_pressure {self.supply_pressure:g} Pa"
-            )
+            raise ValueError(f"tank_pressure is not below supply_pressure {self.supply_pressure:g} Pa")
         if any(effect["id"] == "closure" for effect in self.effects):
             raise ValueError("closures stand under 'closures', not under 'effects'")
         catalogue.check_effects(self.terms)

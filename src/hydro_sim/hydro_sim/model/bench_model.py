@@ -83,9 +83,6 @@ class BenchModel:
 
     def begin(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return coefficients k, and states y and readings z at rest with relaxed spring and p_a + p_b = p_s."""
-        delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME_PARAMETER]
-        if sum(delays) > max(self.structure.past_currents - 2, 0) * SAMPLE_PERIOD:
-            raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
         k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(len(READINGS))
         y[:TEXTBOOK_STATE_COUNT] = hydraulics.rest_state(self.bench.constants()[0])
         self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))

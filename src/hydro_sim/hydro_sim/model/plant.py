@@ -46,8 +46,6 @@ class AnalyticPlant:
     """
 
     def __init__(self, bench: Bench, *, noise: float = 1.0, settings: Sensors | None = None) -> None:
-        if not 0.0 <= noise < np.inf:
-            raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
         self.model = BenchModel(bench)
         self.constants = np.zeros(1, MODEL_DTYPE)
         self.constants["address"] = self.model.address_of("bench_sample")

@@ -7,7 +7,7 @@ is limited, too, as a mean can hide it: four readings at the noise and one at 24
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import exp, log
 from typing import Any
@@ -47,14 +47,11 @@ class Quality:
     @classmethod
     def from_mapping(cls, content: Any) -> Quality:
         """Create from the entry `learned` of a bench file. Raises ValueError: it is not as `learn` writes it."""
-        if not isinstance(content, Mapping):
-            raise ValueError("'learned' is a mapping, as `learn` writes it")
-        for name, kind, what in (("over_noise", int | float, "number"), ("worst", int | float, "number"),
-                                 ("worst_reading", str, "name")):  # fmt: skip
-            if not isinstance(content.get(name), kind):
-                raise ValueError(f"'learned' needs the {what} {name!r}, as `learn` writes it: learn the file again")
-        over_noise, worst = float(content["over_noise"]), float(content["worst"])
-        return cls(over_noise=over_noise, worst=worst, worst_reading=content["worst_reading"])
+        try:
+            over_noise, worst = float(content["over_noise"]), float(content["worst"])
+            return cls(over_noise=over_noise, worst=worst, worst_reading=str(content["worst_reading"]))
+        except (KeyError, TypeError, ValueError):
+            raise ValueError("'learned' is not as `learn` writes it: learn the file again") from None
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the quality as a mapping for a bench file."""
@@ -70,10 +67,7 @@ class Quality:
             left = f"{self.worst:.3g} times the noise of {self.worst_reading}, more than {WORST_ERROR_RATIO_MAX:g}"
         else:
             return ""
-        return (
-            f"predictions of this bench file leave {left}: it lacks an effect that the bench has (`diagnose` names "
-            "candidates)"
-        )
+        return f"predictions of this bench file leave {left}: `diagnose` names the effects that it lacks"
 
     def sentence(self) -> str:
         """Return a sentence on the prediction error and whether it is acceptable."""

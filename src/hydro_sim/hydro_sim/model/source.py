@@ -27,8 +27,6 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
 
     `sensitivities`: with the loops of `bench_sensitivities.c`, by any number of directions at once.
     """
-    if substeps % 2:
-        raise ValueError(f"{substeps} integration steps in a sample are not an even number")
     functions = [*_functions(model, "once begin enter step read rates"), *(_tangents(model) if derivatives else [])]
     sizes = {"N": model.y, "M": model.k, "P": model.theta, "RATES": model.rates}
     head = "".join(f"#define {name} {symbols.numel()}\n" for name, symbols in sizes.items())

@@ -32,10 +32,6 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
-SIMULATED_BOX_NAME = "hydro sim"
-"""Name of the simulated box."""
-_REMEDY = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
-
 
 class SimulatedPlant(Simulation):
     """Simulation with a status for /diagnostics."""
@@ -72,7 +68,8 @@ class SimNode(PlantNode):
         box, name = Box(believed, config), settings.model or ("analytic" if settings.bench else "shipped")
         if name != "analytic":
             path, identity = None if name == "shipped" else name, settings.box_bench or settings.bench or None
-            learned_bench.require_match(path, BoxIdentity.of_file(identity), _REMEDY)
+            remedy = "name the bench.yaml of its box by --box-bench, or simulate the bench file: --model analytic"
+            learned_bench.require_match(path, BoxIdentity.of_file(identity), remedy)
             bench = learned_bench.read(path)
         plant = AnalyticPlant(bench, noise=settings.noise, settings=Sensors.of_size(bench.size))
         effects = ", ".join(map(label, bench.terms))
@@ -83,7 +80,7 @@ class SimNode(PlantNode):
         self.simulation = SimulatedPlant(box, plant, guard, settings, self._publish, log, lock_step)
         self.simulation.effects = effects
         self.connect(self.simulation)
-        info = box_info(believed, config, SIMULATED_BOX_NAME)
+        info = box_info(believed, config, "hydro sim")
         guard.valve_current_max = info.valve_current_max
         self._known, self._law = describe_box(info, believed.to_mapping(), self.get_name()), config.compensated
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end

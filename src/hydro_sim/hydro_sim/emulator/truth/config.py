@@ -111,9 +111,7 @@ def check_truth(config: TruthConfig) -> TruthConfig:
     """
     coulomb = config.effects.friction_coulomb
     if config.effects.friction_presliding is not None and (coulomb is None or coulomb.form != "lugre"):
-        raise SettingsError(
-            "effects.friction_presliding is part of LuGre friction: give friction_coulomb form: lugre with it"
-        )
+        raise SettingsError("effects.friction_presliding needs LuGre friction: give friction_coulomb form: lugre")
     rest = config.effects.spring_rest
     if not 0.0 < (config.bench.spring_rest_position if rest is None else rest.position) < config.bench.stroke:
         raise SettingsError("the spring's rest position must lie within the stroke")

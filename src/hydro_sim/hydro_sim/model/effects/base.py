@@ -180,8 +180,6 @@ class Effect:
         parameters, states = {one.name: one for one in cls.parameters}, list(cls.states)
         own = {name: value for name, value in vars(cls).items() if isinstance(value, Parameter | HiddenState)}
         for name, one in own.items():
-            if hasattr(Effect, name):
-                raise TypeError(f"{cls.__name__}: {name} is the name of a term, not of a parameter or a state")
             delattr(cls, name)
             if isinstance(one, HiddenState):
                 states.append(replace(one, name=name))

@@ -66,8 +66,6 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
     for effect in effects:
         for values in product(*effect.options.values()):
             chosen = tuple(zip(effect.options, values, strict=True))
-            if label({"id": effect.id, **dict(chosen)}) in kinds:
-                raise ValueError(f"effect {effect.id} is defined twice")
             kinds[label({"id": effect.id, **dict(chosen)})] = Kind(effect, chosen)
     return kinds
 
@@ -80,8 +78,6 @@ CATALOGUE: dict[str, Kind] = _kinds(_TABLE)
 """Effects by id and options, as `label` writes them."""
 KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
 """Effects and closures."""
-LISTED_NAMES_MAX = 5
-"""Largest number of names listed in a message."""
 
 
 def parse_entry(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
@@ -92,9 +88,7 @@ def parse_entry(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
     """
     name, parameters = label(effect), effect.get("parameters") or {}
     if name not in KINDS:
-        known = [other for other in KINDS if other.split()[0] == str(effect["id"])]
-        if len(known) > LISTED_NAMES_MAX:
-            known = get_close_matches(name, known, LISTED_NAMES_MAX)
+        known = get_close_matches(name, KINDS, 3)
         raise ValueError(f"effect {name!r} is not known" + (f"; there is {', '.join(known)}" if known else ""))
     if not isinstance(parameters, Mapping):
         raise ValueError(f"effect {name}: 'parameters' is a mapping of names to numbers")
