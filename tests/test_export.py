@@ -24,7 +24,6 @@ from hydro_core.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_sim.export import command
 from hydro_sim.export.model import ExportedModel
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects.catalogue import CATALOGUE
 from hydro_sim.model.equations import READINGS
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -262,28 +261,3 @@ def test_a_cylinder_on_a_hinge_does_what_the_bench_does(
     run, exported = Run(bench), hinge.load(file)
     found = np.concatenate([run.readings[:1], hinge.simulate(exported, run.currents[:-1], timestep)])
     assert run.worst(found, (0, 2, 3, 4)) < allowed
-
-
-def test_an_actuator_that_does_not_suit_is_refused(hinge: Any, tmp_path: Path) -> None:
-    file = tmp_path / "cylinder.py"
-    file.write_text(ExportedModel(NOMINAL).mujoco())
-    exported = hinge.load(file)
-    scene = hinge.SCENE.format(timestep=1e-3, mass=1.0, stiffness=1.0, softness=2e-3)
-    cases = {
-        "a timestep of 0.00033 s is not a multiple": (scene.replace('timestep="0.001"', 'timestep="0.00033"'), None),
-        "mj_step2 has no RK4": (scene.replace("<option", '<option integrator="RK4"'), None),
-        "with a gear of 1": (scene.replace('tendon="rod"/>', 'tendon="rod" gear="2"/>'), None),
-        "there is no parameter bench.mass": (scene, {"bench.mass": 1.0}),
-    }
-    for sentence, (text, parameters) in cases.items():
-        with pytest.raises(ValueError, match=sentence):
-            exported.Cylinder(hinge.mujoco.MjModel.from_xml_string(text), "cylinder", parameters=parameters)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("label", CATALOGUE)
-def test_every_effect_of_the_table_is_exported(label: str, tmp_path: Path) -> None:
-    entry = effect(label, **{one.name: one.neutral for one in CATALOGUE[label].parameters})
-    file = tmp_path / "bench.fmu"
-    file.write_bytes(ExportedModel(replace(NOMINAL, effects=(entry,))).fmu(file.stem))
-    assert validate_fmu(str(file)) == []

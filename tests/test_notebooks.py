@@ -99,18 +99,10 @@ def test_policy_trains_in_a_notebook(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", ["stable_baselines3", "skrl"])
-@pytest.mark.parametrize(
-    "steps", [pytest.param(2_000, marks=pytest.mark.slow), pytest.param(18_000, marks=pytest.mark.study)]
-)
+@pytest.mark.slow
 def test_policy_of_another_library_is_trained_saved_and_deployed(
-    name: str, steps: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Within a minute its mean action gets better, over the four sines, than an untrained one: the middle of the gains.
-
-    Of 2000 steps the first 1800 are an episode without updates.
-    """
     monkeypatch.chdir(tmp_path)
-    errors = executed(code_of(name), monkeypatch, STEPS=steps)["errors"]
+    errors = executed(code_of(name), monkeypatch, STEPS=2_000)["errors"]
     assert (tmp_path / "policy.safetensors").exists() and np.isfinite(errors).all(axis=None)
-    if steps == 18_000:
-        assert errors.iloc[:, 0].sum() < errors["fixed (52.5, 10)"].sum()

@@ -3,9 +3,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -39,14 +36,3 @@ def test_a_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(gone)
     gone.rmdir()
     assert "has been deleted" in missing_working_directory()
-
-
-def test_a_pipe_gets_each_line_as_it_is_printed(tmp_path: Path) -> None:
-    """Seen: commission was silent until its end where somebody else read its output."""
-    (tmp_path / "slow.py").write_text("import sys\ndef main():\n    print('begun')\n    sys.stdin.readline()\n")
-    words = [sys.executable, "-c", "from hydro_core.process.startup import main_of; main_of.slow()"]
-    paths = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    env = {**os.environ, "PYTHONPATH": paths, "PYTHONUNBUFFERED": ""}
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=env) as running:
-        assert running.stdout.readline() == "begun\n"
-        running.stdin.write("\n")

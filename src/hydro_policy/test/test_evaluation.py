@@ -13,11 +13,8 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.settings import SettingsError
 from hydro_core.signals import STATE_DTYPE, Flag
-from hydro_policy.compensation.estimator import LoadCell
-from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation import report
@@ -38,20 +35,6 @@ from tests.offline_graph import OfflineGraph
 
 def scored(controller: str, case: str, rmse: float, repeat: int = 0, **more: float) -> Score:
     return Score(controller=controller, case=case, frequency=1.0, repeat=repeat, rmse=rmse, **more)
-
-
-def test_the_best_is_told_with_its_distance(compare) -> None:
-    _, session = compare((90.0, 15.0), frequencies=(1.0, 2.0))
-    for name, errors, felt in (("good", (1.0, 2.0), 9.0), ("next", (4.0, 4.0), 3.0), ("stopped", (0.1, math.nan), 1.0)):
-        for case, rmse in zip(("1 Hz", "2 Hz"), errors, strict=True):
-            session.scores.append(scored(name, case, rmse, true_rmse=felt + 0.0 * rmse))
-    measured = "Best: good, with 0.25 to 0.50 times the error of the next, next."
-    assert report.best(session) == measured, "the measured force is what is controlled"
-    session.compensation = LiveCompensation(BoxLaw(), cell=LoadCell(bandwidth=25.0))
-    felt = "Best: next, with 0.33 to 0.33 times the error of the next, good, as the specimen feels it."
-    assert report.best(session) == felt
-    del session.scores[2:4]
-    assert report.best(session) == ""
 
 
 def test_a_figure_of_a_run_that_was_held_up_is_marked_and_makes_nobody_the_best(compare, tmp_path: Path) -> None:

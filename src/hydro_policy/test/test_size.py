@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hydro_bridge.safety.guard_settings import GuardSettings
-from hydro_bridge.serial.protocol import Details, encode_hello
-from hydro_bridge.serial.stream import Decoder
 from hydro_core.bench_scales import rescale
 from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import loop_filter
@@ -25,8 +23,7 @@ from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.box.box import Box, BoxConfig
-from hydro_sim.emulator.offline import DEFAULT_SCHEDULE, default_schedule
-from hydro_sim.excitation import ExcitationRange, parse_schedule
+from hydro_sim.excitation import ExcitationRange
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
@@ -101,26 +98,6 @@ def test_the_filter_corrects_a_similar_bench_alike() -> None:
         np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-8)
         assert also_told == told and CorrectionStatus.MISMATCH not in told
     assert np.abs(here).max() > 1e-3 and CorrectionStatus.MODIFIED in told
-
-
-@pytest.mark.parametrize("bench", [ONE, OTHER])
-@pytest.mark.parametrize("share", [0.997, 1.0, 1.0 / 3.0])
-def test_a_box_takes_references_as_far_as_its_line_tells(bench: Bench, share: float) -> None:
-    """DETAILS tells the range in single precision, whatever the size."""
-    other = replace(bench, piston_area=share * bench.piston_area)
-    box = Box(other, BoxConfig().of_bench(other))
-    box.feed(encode_hello(0, 0))
-    box.tick(np.zeros(8), 0.0)
-    (details,) = (frame for frame in Decoder().feed(b"\0" + box.frames()) if isinstance(frame, Details))
-    assert box.settings["high"][0, 0] == details.details.force_range
-
-
-def test_a_schedule_goes_with_the_size_and_may_be_of_any() -> None:
-    here, there = default_schedule(ONE), default_schedule(OTHER)
-    assert here == list(DEFAULT_SCHEDULE)
-    assert [each.amplitude for each in there] == pytest.approx([FORCE * each.amplitude for each in here])
-    segments = [replace(each, amplitude=1e3 * each.amplitude, delta_u=0.5) for each in there]
-    assert parse_schedule({"segments": [asdict(each) for each in segments]}, "own") == segments
 
 
 def flags(bench: Bench) -> list[int]:
