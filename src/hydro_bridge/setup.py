@@ -39,7 +39,6 @@ setup(
         "mcap",
         "msgspec",
         "numpy",
-        "pyarrow",
         "pyserial",
         "pyyaml",
         "rosbags",

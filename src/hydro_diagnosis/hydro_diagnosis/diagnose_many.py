@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from hydro_bridge.bags.location import exists, is_remote, list_remote_bags
+from hydro_bridge.bags.location import exists
 from hydro_bridge.pages import environment
 from hydro_core.cli import jobs
 from hydro_core.cli.console import UserError, command, plural, writable_folder
@@ -42,17 +42,14 @@ COLUMNS = ("recording", "begin", "verdict", "refused", "explained", "closures", 
 
 
 def find_recordings(words: Sequence[str]) -> dict[str, Path]:
-    """Recordings by name, in order: files, bags, and those of folders, remote stores or glob patterns.
+    """Recordings by name, in order: files, bags, and those of folders or glob patterns.
 
     Raises UserError if a word gives no recording.
     """
     found: dict[Path, None] = {}
     for word in words:
         paths = sorted(map(Path, glob.glob(word, recursive=True))) if glob.has_magic(word) else [Path(word)]
-        if is_remote(word):
-            there = list_remote_bags(word)
-        else:
-            there = [one.resolve() for path in paths if exists(path) for one in _within(path)]
+        there = [one.resolve() for path in paths if exists(path) for one in _within(path)]
         if not there:
             raise UserError(f"{word}: there is no recording")
         found.update(dict.fromkeys(there))

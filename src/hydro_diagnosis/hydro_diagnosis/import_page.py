@@ -35,10 +35,15 @@ from hydro_core.cli.console import Table
 from hydro_core.errors import UserError
 from hydro_diagnosis.bench_parameters import read_bench
 from hydro_diagnosis.column_matching import as_yaml
-from hydro_diagnosis.inspect_command import COLUMNS, MAX_ROWS, list_columns, missing_equations, plausibility_warnings
+from hydro_diagnosis.inspect_command import (
+    COLUMNS,
+    list_columns,
+    missing_equations,
+    plausibility_warnings,
+    read_beginning,
+)
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap
 from hydro_diagnosis.io.columns import UNIT_FACTORS, Columns
-from hydro_diagnosis.io.table import columns_of
 from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError, unreadable_reason
 from hydro_diagnosis.stage_bar import STAGES
 from hydro_sim.model.bench import Bench
@@ -136,7 +141,7 @@ class Import:
         if path.suffix.lower() not in (".mcap", *RECORDING_SUFFIXES):
             raise InputError(f"{path.name}: {unreadable_reason(path)}, nor a bench file")
         table = Table(COLUMNS)
-        found = columns_of(path, MAX_ROWS)
+        found = read_beginning(path)
         proposal = list_columns(path.name, found, None, table, self._bench)
         sources = {field: {"column": one.column, "unit": one.unit} for field, one in proposal.sources.items()}
         rows = [

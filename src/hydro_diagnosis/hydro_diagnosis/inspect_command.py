@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
-from hydro_bridge.bags.recording import Extent
+from hydro_bridge.bags.location import is_bag, split_location
 from hydro_core.cli.console import Table, add_json_argument, command, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
@@ -30,8 +31,12 @@ IDENTIFIED_EFFECTS = {
     "force of the pressures": "the pressure sensors and the hydraulic force's scale",
 }
 """Effects that each equation identifies."""
-MAX_ROWS = 100_000
-"""Number of rows to which longer bags are thinned evenly; counts and ranges are of all rows."""
+
+
+def read_beginning(path: Path) -> Columns:
+    """Read the columns of a file; of a bag of which no part is named, those of its first 600 s. Raises InputError."""
+    whole = not is_bag(path) or split_location(path)[1] is not None
+    return columns_of(path if whole else Path(f"{path}#t=,600"))
 
 
 def sparkline(values: FloatArray) -> str:
@@ -66,22 +71,24 @@ def list_columns(name: str, found: Columns, columns: ColumnMap | None, table: Ta
     chosen = propose_sources(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}
 
-    def add(column: str, used: str, extent: Extent, unit: str = "", rate: float = np.nan, shape: str = "") -> None:
-        table.add(recording=name, column=column, unit=unit, count=extent.count, rate=rate, low=extent.low,
-                  high=extent.high, shape=shape, used=used)  # fmt: skip
+    def add(column: str, used: str, values: npt.ArrayLike = (), unit: str = "", rate: float = np.nan) -> None:
+        numbers = np.asarray(values, np.float64)
+        finite = numbers[np.isfinite(numbers)]
+        low, high = (finite.min(), finite.max()) if len(finite) else (np.nan, np.nan)
+        table.add(recording=name, column=column, unit=unit, count=len(finite), rate=rate, low=float(low),
+                  high=float(high), shape=sparkline(numbers) if len(numbers) > 1 else "", used=used)  # fmt: skip
 
     for column, values in found.series.items():
         field = becomes.get(column, "")
         sure = columns is not None or column == field
-        extent = found.extents.get(column) or Extent(1).merge(values)
         used = field if sure or not field else f"{field}?"
-        add(column, used, extent, found.units.get(column, ""), _rate(column, found, chosen), sparkline(values))
+        add(column, used, values, found.units.get(column, ""), _rate(column, found, chosen))
     for column, number in found.constants.items():
-        add(column, "one number: a factor or offset in --columns", Extent(1, 1, number, number))
+        add(column, "one number: a factor or offset in --columns", [number])
     for column in found.other:
-        add(column, "not numbers, or another length", Extent(1, 0, np.nan, np.nan))
+        add(column, "not numbers, or another length")
     for column in found.broken:
-        add(column, "not read: see below", Extent(1, 0, np.nan, np.nan))
+        add(column, "not read: see below")
     return chosen
 
 
@@ -96,7 +103,7 @@ def _rate(name: str, found: Columns, chosen: ColumnMap) -> float:
     steps = np.diff(found.series[clock])
     steps = steps[steps > 0.0]
     unit = found.unit(clock) or (mapped.unit if mapped else "")
-    every = found.extents.get(clock, Extent(1)).every * np.diff(found.series[clock]).size / max(len(steps), 1)
+    every = np.diff(found.series[clock]).size / max(len(steps), 1)
     return float(every / (np.median(steps) * to_si(unit))) if len(steps) and quantity(unit or "s") else float("nan")
 
 
@@ -105,7 +112,9 @@ def arguments() -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(
         prog="inspect", description="List what recordings hold, and propose a column map."
     )
-    options.add_argument("recordings", nargs="+", type=Path, metavar="FILE", help="as for diagnose")
+    options.add_argument(
+        "recordings", nargs="+", type=Path, metavar="FILE", help="as for diagnose; of a bag its first 600 s are listed"
+    )
     options.add_argument("--columns", metavar="MAP", help="as for diagnose: shows what it would make of the columns")
     options.add_argument("--bench", type=Path, metavar="FILE", help="as for diagnose: what numbers are likely")
     options.add_argument(
@@ -123,7 +132,7 @@ def main() -> int:
     bench = read_bench(chosen.bench) if chosen.bench else Bench.nominal()
     table, maps, remarks = Table(COLUMNS), [], []
     for path in chosen.recordings:
-        found = columns_of(path, MAX_ROWS)
+        found = read_beginning(path)
         maps.append(list_columns(path.name, found, columns, table, bench))
         said = plausibility_warnings(path, found, maps[-1], bench)
         if columns is None:
@@ -139,7 +148,7 @@ def main() -> int:
         raise InputError(f"{chosen.write} was not written: no signal of {chosen.recordings[0].name} is known")
     if chosen.write:
         try:
-            table_of(chosen.recordings[0], columns_of(chosen.recordings[0], MAX_ROWS), maps[0])
+            table_of(chosen.recordings[0], read_beginning(chosen.recordings[0]), maps[0])
         except InputError as error:
             raise InputError(f"{chosen.write} was not written, since diagnose could not read by it: {error}") from None
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)

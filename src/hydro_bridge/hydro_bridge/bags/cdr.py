@@ -13,6 +13,7 @@ Offsets are counted from the end of the first four bytes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -29,9 +30,7 @@ _NUMBER_FORMATS = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
     "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_HEADER_TYPE = "std_msgs/msg/Header"
-_ENCAPSULATION_SIZE = 4
-_FRAME_ID_OFFSET = 16  # offset of frame_id's characters, encapsulation included
+_FRAME_ID_OFFSET = 16  # of its characters, the first four bytes included
 
 
 class NotFixedError(ValueError):
@@ -53,19 +52,17 @@ class FixedLayout:
 
     def wire(self, frame_id_size: int) -> np.dtype[np.void]:
         """Record type of the serialized message; `frame_id_size` includes the NUL."""
-        names, formats, offsets = [], [], []
-        place = 0
-        if self.has_header:
-            names, formats, offsets = (["sec", "nanosec"], ["<i4", "<u4"], [4, 8])
-            place = _FRAME_ID_OFFSET - _ENCAPSULATION_SIZE + frame_id_size
+        head = [("sec", "<i4", 4), ("nanosec", "<u4", 8)] if self.has_header else []
+        names, formats, offsets = map(list, zip(*head, strict=True)) if head else ([], [], [])
+        place = _FRAME_ID_OFFSET - 4 + frame_id_size if self.has_header else 0
         for name, code in self.fields:
             size = np.dtype(code).itemsize
             place = -(-place // size) * size
             names.append(name)
             formats.append("<" + code)
-            offsets.append(place + _ENCAPSULATION_SIZE)
+            offsets.append(place + 4)
             place += size
-        spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + _ENCAPSULATION_SIZE}
+        spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + 4}
         return np.dtype(spec)  # type: ignore[call-overload]
 
     def decode(self, rows: ByteRows, log_times: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
@@ -74,9 +71,7 @@ class FixedLayout:
         `rows`: shape (n, bytes). `log_times`: ns, shape (n,); used if the type has no header. Raises ValueError: the
         bytes are not plain CDR, little endian, of this type.
         """
-        if rows.shape[1] < (_FRAME_ID_OFFSET if self.has_header else _ENCAPSULATION_SIZE):
-            raise ValueError("message too short")
-        if (rows[:, :2] != (0, 1)).any():
+        if rows.shape[1] < (_FRAME_ID_OFFSET if self.has_header else 4) or (rows[:, :2] != (0, 1)).any():
             raise ValueError("not plain CDR, little endian")
         out, sizes = np.empty(len(rows), self.table), np.zeros(len(rows), np.uint32)
         if self.has_header:
@@ -92,14 +87,14 @@ class FixedLayout:
         return out
 
 
+@cache
 def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:
     """Return the layout of a type from its ros2msg text, by default that of its known definition.
 
     Raises NotFixedError: the type is not numbers only with at most a leading header.
     """
-    text = definition(type_name).text if text is None else text
-    _, members = get_types_from_msg(text, type_name)[type_name]
-    has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == _HEADER_TYPE
+    _, members = get_types_from_msg(text or definition(type_name).text, type_name)[type_name]
+    has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == "std_msgs/msg/Header"
     fields = []
     for name, (_, kind) in members[has_header:]:
         if not isinstance(kind, tuple) or kind[0] not in _NUMBER_FORMATS:

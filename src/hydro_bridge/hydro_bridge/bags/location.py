@@ -1,40 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Locations of recordings: `runs/day`, a part of it `runs/day#t=3600,7200`, and the same in a store that speaks S3.
+"""Locations of recordings: a rosbag2 folder, an .mcap file, or a part of one from BEGIN up to END s since its start.
 
-A part is named as in W3C's media fragments: from BEGIN up to END [s] since the first message; either may be absent.
-`s3://BUCKET/day.mcap` is read with the keys that AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY name, or those of
-`~/.aws`, at AWS_ENDPOINT_URL if it is no store of Amazon's.
+A part is named as in W3C's media fragments, `runs/day#t=3600,7200`; either number may be absent.
 """
 
 from __future__ import annotations
 
-import io
-import os
 import re
-from functools import cache
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
-if TYPE_CHECKING:
-    from pyarrow.fs import FileSystem
+import yaml
 
-_SECTION_PATTERN = re.compile(r"^(?P<whole>.*)#t=(?P<begin>\d+\.?\d*)?(,(?P<end>\d+\.?\d*)?)?$")
-_STORE_PATTERN = re.compile(r"^s3:/+")
-_READ_AHEAD_SIZE = 4 << 20  # bytes read at once from a store, where each request has its latency
+from hydro_bridge.bags.types import RecordingError
 
 
 def split_location(path: Path | str) -> tuple[Path, tuple[float, float] | None]:
     """Split a location into the recording's path and the interval [s] that its `#t=` selects; None: all of it."""
-    found = _SECTION_PATTERN.match(str(path))
+    found = re.match(r"^(?P<whole>.*)#t=(?P<begin>\d+\.?\d*)?(,(?P<end>\d+\.?\d*)?)?$", str(path))
     if found is None:
         return Path(path), None
     return Path(found["whole"]), (float(found["begin"] or 0.0), float(found["end"] or inf))
-
-
-def is_remote(path: Path | str) -> bool:
-    """Return whether a location is in an S3 store rather than on disk."""
-    return _STORE_PATTERN.match(str(path)) is not None
 
 
 def is_bag(path: Path | str) -> bool:
@@ -44,32 +30,38 @@ def is_bag(path: Path | str) -> bool:
 
 
 def exists(path: Path | str) -> bool:
-    """Return whether a location exists; always True for an S3 store, which is not queried."""
+    """Return whether a location exists."""
     whole, part = split_location(path)
-    return is_remote(path) or (whole.exists() and (part is None or is_bag(path)))
+    return whole.exists() and (part is None or is_bag(path))
 
 
-def open_file(path: Path) -> tuple[BinaryIO, int]:
-    """Open a file on disk or in an S3 store; return the binary stream and its size in bytes. Raises OSError."""
-    if not is_remote(path):
-        return path.open("rb"), path.stat().st_size
-    file = _store().open_input_file(_STORE_PATTERN.sub("", str(path)))
-    return cast(BinaryIO, io.BufferedReader(file, _READ_AHEAD_SIZE)), file.size()
+def mcap_files(path: Path) -> list[Path]:
+    """Return the .mcap files of a recording, in order: those that metadata.yaml lists, without one all in the folder.
 
-
-def list_remote_bags(word: str) -> list[Path]:
-    """Return the .mcap files at or below an S3 address, sorted by name. Raises OSError."""
-    from pyarrow.fs import FileSelector
-
-    whole, _ = split_location(word)
-    if whole.suffix == ".mcap":
-        return [Path(word)]
-    found: list[Any] = _store().get_file_info(FileSelector(_STORE_PATTERN.sub("", str(whole)), recursive=True))
-    return sorted(Path(f"s3:/{one.path}") for one in found if one.path.endswith(".mcap"))
-
-
-@cache
-def _store() -> FileSystem:
-    from pyarrow.fs import S3FileSystem
-
-    return S3FileSystem(endpoint_override=os.environ.get("AWS_ENDPOINT_URL") or None)
+    Raises RecordingError: nothing is there, a listed file is missing, or the recording is not stored as plain mcap.
+    """
+    if not path.exists():
+        raise RecordingError(f"{path} does not exist")
+    plain, files, listing = path.suffix not in (".bag", ".db3"), [path], path / "metadata.yaml"
+    if listing.is_file():
+        try:
+            information = yaml.safe_load(listing.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+            files = [path / Path(name).name for name in information["relative_file_paths"]]
+            mode = str(information.get("compression_mode") or "none").lower()
+            plain = information["storage_identifier"] == "mcap" and mode == "none"
+        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+            raise RecordingError(f"{listing} is not rosbag2 metadata: remove it to read the .mcap files") from None
+    elif path.is_dir():  # day_2 before day_10
+        files = sorted(path.glob("*.mcap"), key=lambda file: [int(word) for word in re.findall(r"\d+", file.name)])
+    if not plain:
+        source = path.parent if path.suffix == ".db3" else path
+        command = f"rosbags-convert --src {source} --dst {source.with_name(f'{source.stem}_mcap')} --dst-storage mcap"
+        raise RecordingError(f"{path} is not stored as plain mcap: {command}")
+    if not files:
+        raise RecordingError(f"{path} is no recording: there is no .mcap in it")
+    if missing := [file.name for file in files if not file.exists()]:
+        raise RecordingError(
+            f"{listing} lists {', '.join(missing)}, which is missing: put it back, or remove metadata.yaml to read the "
+            ".mcap files that are there"
+        )
+    return files

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Records the graph into a rosbag2 folder.
 
-ros2 run hydro_bridge recorder --out DIR [--metadata key=value] [--attach FILE] [--ros-args ...]
+ros2 run hydro_bridge recorder --out DIR [--metadata KEY=VALUE] [--attach FILE] [--ros-args ...]
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from collections.abc import Callable
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.bags.repair import repair
-from hydro_bridge.bags.types import RecordingError, TopicQos
-from hydro_bridge.bags.writer import BagWriter, code_version
+from hydro_bridge.bags.writer import BagWriter, code_version, offered_qos
 from hydro_bridge.plant_clock import RECORDER_WINDOW
 from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
@@ -33,9 +33,6 @@ from hydro_core.cli.console import command, writable_folder
 from hydro_core.signals import Flag
 
 _QUEUE_DEPTH = 2000  # queued messages per topic while the disk is slow: 2 s of samples
-_FETCH_PERIOD = 0.05  # s between two fetches
-_FLUSH_PERIOD = 0.5  # s: longest loss through `kill -9`; at worst twice that on a slow disk
-_NICE_VALUE = -10  # below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
 
 
 class RecorderNode(Node):
@@ -44,30 +41,30 @@ class RecorderNode(Node):
     Log times are times of arrival. Where the plant runs by its own clock they begin at the first sample's arrival and
     advance with each sample, so that the recording has the plant's duration.
 
-    A write error ends the recording with one sentence, `failed` set and `done` completed. The exit status differs from
-    that of a wrong command line, by which the processes that wait for the recorder tell the two apart.
+    A write error ends the recording with one sentence, `failed` set and `done` completed.
     """
 
     def __init__(self, make_writer: Callable[[], BagWriter], *, realtime: bool) -> None:
         super().__init__("recorder")
-        scheduling = request_realtime(realtime=realtime, nice=_NICE_VALUE)  # before samples arrive
-        self._writer, self._messages, self._bytes = make_writer(), dict.fromkeys(RECORDED_TOPICS, 0), 0
+        # nice: below all control nodes; the middleware buffers some 0.5 s of samples, then drops them
+        scheduling = request_realtime(realtime=realtime, nice=-10)  # before samples arrive
+        self._writer, self._messages = make_writer(), dict.fromkeys(RECORDED_TOPICS, 0)
         self._tracker = SequenceTracker()
-        """Sequence numbers of the samples of /hydro/state."""
         self._newest = -1  # sample
         self.failed = False
         self.done: Future = Future()
         self._mailbox, self._heard = Mailbox("recorder"), dict[str, Subscription]()
         for topic, (kind, offered) in RECORDED_TOPICS.items():
-            reliability, durability = offered.reliability, offered.durability
-            qos = QoSProfile(depth=_QUEUE_DEPTH, reliability=reliability, durability=durability)
-            names = reliability.name.lower(), durability.name.lower()
-            recorded = TopicQos(reliability=names[0], durability=names[1], depth=offered.depth or 10)
-            self._writer.add_topic(topic, type_name(kind), recorded)
+            reliable = offered.reliability == ReliabilityPolicy.RELIABLE
+            latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            self._writer.add_topic(
+                topic, type_name(kind), offered_qos(offered.depth, reliable=reliable, latched=latched)
+            )
+            qos = QoSProfile(depth=_QUEUE_DEPTH, reliability=offered.reliability, durability=offered.durability)
             self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_FETCH_PERIOD, self._fetch, clock=steady)
-        self.create_timer(_FLUSH_PERIOD, partial(self._write, self._writer.flush), clock=steady)
+        self.create_timer(0.05, self._fetch, clock=steady)
+        self.create_timer(0.5, partial(self._write, self._writer.flush), clock=steady)  # the loss through `kill -9`
         warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self._answers, self._answered = SampleAcknowledger(self, RECORDER_WINDOW, self._heard[STATE]), -1
@@ -80,11 +77,7 @@ class RecorderNode(Node):
         self._mailbox.close()
         self._write(self._writer.close)
         topics = ", ".join(f"{count} {topic}" for topic, count in self._messages.items() if count) or "no messages"
-        counts = self._tracker.counts
-        self.get_logger().info(
-            f"{self._writer.folder}: {topics}; of {STATE} {counts.lost} lost, {counts.duplicates} duplicate, "
-            f"{counts.reordered} late"
-        )
+        self.get_logger().info(f"{self._writer.folder}: {topics}; {self._tracker.counts.lost} samples lost")
 
     def _fetch(self) -> None:
         """Write the arrived messages by time of arrival, and acknowledge the samples to a paced plant."""
@@ -109,7 +102,6 @@ class RecorderNode(Node):
             self._now = state.stamp + self._offset if self._paced else time_ns
         self._writer.write(topic, data, self._now if self._paced else time_ns)
         self._messages[topic] += 1
-        self._bytes += len(data)
 
     def _write(self, write: Callable[..., None], *what: object) -> None:
         if self.failed:
@@ -119,16 +111,22 @@ class RecorderNode(Node):
         except OSError as error:
             self.failed = True
             self.get_logger().error(
-                f"{self._writer.folder}: recording stopped: {error.strerror}. What was recorded so far is "
-                "readable; the bench runs on without a recorder. Free some disk space and start another one"
+                f"{self._writer.folder}: recording stopped: {error.strerror}: free disk space and start another one"
             )
             self.done.set_result(None)
 
     def _status(self) -> Status:
         lost = self._tracker.counts.lost
-        values = {"folder": self._writer.folder, "bytes": self._bytes, "lost": lost, **self._messages}
+        values = {"folder": self._writer.folder, "lost": lost, **self._messages}
         message = f"{sum(self._messages.values())} messages, {lost} samples lost"
         return Status(level=Level.WARN if lost else Level.OK, message=message, values=values)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    key, sign, value = text.partition("=")
+    if not sign:
+        raise argparse.ArgumentTypeError(f"{text!r} must be KEY=VALUE")
+    return key, value
 
 
 @command(OSError)
@@ -136,34 +134,24 @@ def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(
         prog="recorder",
-        description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM. After kill -9 all "
-        "but the last second is there: hydro's tools read it as it is, --repair makes it whole for all others.",
+        description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM.",
         epilog="In Python: hydro_bridge.bags.recording.read_bag(DIR).state['load_force'].",
     )
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--out", type=writable_folder, metavar="DIR", help="folder to make; it must not exist")
     action.add_argument("--repair", type=Path, metavar="DIR", help="make a recording whole whose recorder was killed")
-    parser.add_argument(
-        "--metadata", nargs="+", action="extend", default=[], metavar="KEY=VALUE", help="kept in the recording"
-    )
-    parser.add_argument(
-        "--attach", nargs="+", action="extend", default=[], type=Path, metavar="FILE", help="kept too, e.g. bench.yaml"
-    )
+    several: dict[str, Any] = {"nargs": "+", "action": "extend", "default": []}
+    parser.add_argument("--metadata", **several, type=_pair, metavar="KEY=VALUE", help="kept in the recording")
+    parser.add_argument("--attach", **several, type=Path, metavar="FILE", help="kept too, e.g. bench.yaml")
     parser.add_argument("--realtime", action="store_true", help="run before ordinary processes, if this user may")
     own, ros = ros_arguments()
     options = parser.parse_args(own)
     if options.repair:
-        count, missing = repair(options.repair)
-        print("\n".join([f"{options.repair}: kept {count} messages", *missing]), file=sys.stderr)
+        count, notes = repair(options.repair)
+        print("\n".join([f"{options.repair}: kept {count} messages", *notes]), file=sys.stderr)
         return
-    for pair in options.metadata:
-        if "=" not in pair:
-            raise RecordingError(f"--metadata {pair}: must be key=value")
-    metadata = {"code_version": code_version(), **dict(pair.split("=", 1) for pair in options.metadata)}
-    try:
-        attachments = {path.name: path.read_bytes() for path in options.attach}
-    except OSError as error:
-        raise RecordingError(f"--attach {error.filename}: {error.strerror}") from None
+    metadata = {"code_version": code_version(), **dict(options.metadata)}
+    attachments = {path.name: path.read_bytes() for path in options.attach}
     writer = partial(BagWriter, options.out, metadata=metadata, attachments=attachments)
     if run_node(lambda: RecorderNode(writer, realtime=options.realtime), ros).failed:
         sys.exit(1)

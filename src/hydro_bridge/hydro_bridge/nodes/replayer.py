@@ -10,18 +10,18 @@ import argparse
 import threading
 import time
 from collections.abc import Callable
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
-from struct import Struct
+from struct import pack
 from threading import Event
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from hydro_bridge.bags.monotonic_times import MonotonicTimes
-from hydro_bridge.bags.recording import read_bag, read_serialized
+from hydro_bridge.bags.storage import Bag
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATE_CODEC
@@ -31,40 +31,27 @@ from hydro_core.cli.console import bounded_number, command
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
-_STAMP_FORMAT = Struct("<iI")
 REPLAYED_TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded; each message has a header."""
-GAP_MAX = 10.0
-"""Longest gap [s] between two messages that is replayed; longer ones are skipped."""
 
 
-def replay(
-    path: Path,
-    publish: Callable[[str, bytes], None],
-    stopping: Event,
-    speed: float = 1.0,
-    note: Callable[[str], None] = lambda sentence: None,
-) -> None:
+def replay(path: Path, publish: Callable[[str, bytes], None], stopping: Event, speed: float = 1.0) -> None:
     """Pass the messages of `REPLAYED_TOPICS` to `publish` at their original intervals, each stamped with its due time.
 
-    Returns at the end of the recording, or once `stopping` is set. `speed`: recorded seconds per second, above 0.
-    `note`: called with a sentence on each gap that is skipped. Raises RecordingError.
+    Gaps are shortened to 10 s; a clock that was set back is not waited for. Returns at the end of the recording, or
+    once `stopping` is set. `speed`: recorded seconds per second, above 0. Raises RecordingError.
     """
-    clock, first, told = MonotonicTimes(GAP_MAX), None, 0
-    began, began_ns = time.monotonic(), time.time_ns()
-    for topic, _, log_time, data in read_serialized(path):
-        if topic not in REPLAYED_TOPICS:
-            continue
-        now = float(clock.convert(np.array([1e-9 * log_time]))[0])
-        first = now if first is None else first
-        for when, step in clock.jumps[told:]:
-            note(f"the recording's clock goes {step:+.10g} s after {when - first:.1f} s: that is left out")
-        told = len(clock.jumps)
-        ahead = (now - first) / speed
-        if stopping.wait(max(0.0, began + ahead - time.monotonic())):
-            return
-        stamp = _STAMP_FORMAT.pack(*divmod(began_ns + int(1e9 * ahead), 1_000_000_000))  # in little-endian CDR
-        publish(topic, data[:4] + stamp + data[12:])
+    began, began_ns, before, due = time.monotonic(), time.time_ns(), None, 0.0
+    for _, pieces in groupby(Bag(path).pieces(), key=lambda piece: id(piece.block)):
+        there = [piece for piece in pieces if piece.topic in REPLAYED_TOPICS]
+        block = [(log_time, piece.topic, data) for piece in there for log_time, data in piece.serialized()]
+        for log_time, topic, data in sorted(block, key=itemgetter(0)):
+            due += min(max(1e-9 * (log_time - (before or log_time)), 0.0), 10.0) / speed
+            before = log_time
+            if stopping.wait(max(0.0, began + due - time.monotonic())):
+                return
+            stamp = pack("<iI", *divmod(began_ns + int(1e9 * due), 1_000_000_000))  # in little-endian CDR
+            publish(topic, data[:4] + stamp + data[12:])
 
 
 class ReplayerNode(Node):
@@ -72,21 +59,18 @@ class ReplayerNode(Node):
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
-        self._bag, self._speed, self._loop = options.bag, options.speed, options.loop
+        self._options = options
         self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in REPLAYED_TOPICS}
         self.create_service(SetBool, ARM_SERVICE, self._refuse)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse)
-        self._published, self._stopping = 0, Event()
-        self.done: Future = Future()
-        self._diagnostics = DiagnosticsPublisher(
-            self, lambda: Status(message="replaying", values={"published": self._published})
-        )
+        self._stopping, self.done = Event(), Future()
+        self._diagnostics = DiagnosticsPublisher(self, lambda: Status(message="replaying", values={}))
         request_realtime(realtime=False)
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
 
     def begin(self) -> None:
         """Start replaying."""
-        self.get_logger().info(f"replays {self._bag} as the plant; Ctrl-C ends it")
+        self.get_logger().info(f"replays {self._options.bag} as the plant; Ctrl-C ends it")
         self._thread.start()
 
     def close(self) -> None:
@@ -99,22 +83,19 @@ class ReplayerNode(Node):
         try:
             again = True
             while again and not self._stopping.is_set():
-                replay(self._bag, self._publish, self._stopping, self._speed, self.get_logger().warning)
-                again = self._loop
+                replay(self._options.bag, self._publish, self._stopping, self._options.speed)
+                again = self._options.loop
+            self.done.set_result(None)
         except RecordingError as error:
             self.done.set_exception(error)
-        else:
-            self.done.set_result(None)
-        self.get_logger().info(f"{self._published} messages replayed")
 
     def _publish(self, topic: str, data: bytes) -> None:
         if topic == STATE and (state := STATE_CODEC.unpack(data)) is not None and state.flags & Flag.PACED:
             data = STATE_CODEC.pack(*state[:-1], state.flags & ~Flag.PACED)  # a recording waits for no answers
         self._publishers_by_topic[topic].publish(data)
-        self._published += 1
 
     def _refuse(self, request: Any, response: Any) -> Any:
-        """Refuse all but disarming, by either service."""
+        """Refuse all but disarming."""
         claims = isinstance(request, Claim.Request)
         response.success = request.act == Claim.Request.DISARM if claims else not request.data
         response.message = "disarmed" if response.success else "a recording cannot be armed"
@@ -126,8 +107,7 @@ def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(
         prog="replayer",
-        description="Publish a recording in the place of the bench: filter, trainer and recorder see the same topics.",
-        epilog="`ros2 bag play BAG` works too; this one stamps each sample again, so that none is taken for stale.",
+        description="Publish a recording in the place of the bench, each sample stamped again so that none is stale.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
     parser.add_argument(
@@ -136,5 +116,5 @@ def main() -> None:
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     own, ros = ros_arguments()
     options = parser.parse_args(own)
-    read_bag(options.bag, topics=())  # fails at once if there is nothing to read
+    next(Bag(options.bag).pieces(), None)  # fails at once if there is nothing to read
     run_node(lambda: ReplayerNode(options), ros)

@@ -23,13 +23,13 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.bags.monotonic_times import MonotonicTimes
 from hydro_bridge.bags.recording import STATE_TOPIC, as_states
-from hydro_bridge.bags.storage import BagSource, decode_span
+from hydro_bridge.bags.storage import Bag, missing_topic_error
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, status
 from hydro_bridge.pages import environment
 from hydro_bridge.viewer.marks import REPORT_FILE, Mark, MarkCollector, read_windows, select_windows
+from hydro_bridge.viewer.monotonic_times import MonotonicTimes
 from hydro_core.cli.console import UserError, bounded_number, command, make_parser, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray
@@ -128,7 +128,7 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
     """
     windows = [] if report is None else read_windows(report)
-    source = BagSource(Path(path))
+    source = Bag(path)
     marks, curve, clock = MarkCollector(), status.LearningCurve(), SampleClock()
     clocks = {topic: MonotonicTimes(GAP_MAX) for topic in _SERIES_TOPICS}
     thinners: tuple[series.GrowingDownsampler, ...] = ()  # none before the first sample
@@ -136,14 +136,14 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
     messages: Counter[str] = Counter()
     foreign: set[str] = set()  # topics whose messages are of another version or type
 
-    for scan, channel, block, part in source.spans():
-        topic = channel.topic
-        messages[topic] += len(part.starts)
+    for piece in source.pieces():
+        topic = piece.topic
+        messages[topic] += len(piece.starts)
         if topic in _OBJECT_TYPES:
             try:
-                if source.type_of(scan, channel)[0] != _OBJECT_TYPES[topic]:
+                if piece.schema.name != _OBJECT_TYPES[topic]:
                     raise AttributeError
-                for logged, message in source.messages(scan, channel, block, part):
+                for logged, message in piece.messages():
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
                     time = float(clock.sample_times(stamp.sec + 1e-9 * stamp.nanosec, logged))
                     if topic == LOG_TOPIC:
@@ -157,17 +157,16 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
                 foreign.add(topic)
         if topic not in _REQUIRED_FIELDS:
             continue
-        layout = source.layout(scan, channel)
-        if layout is None or not _REQUIRED_FIELDS[topic] <= set(layout.table.names or ()):
+        table = piece.table()
+        if table is None or not _REQUIRED_FIELDS[topic] <= set(table.dtype.names or ()):
             foreign.add(topic)
             continue
-        table = decode_span(scan.path, topic, layout, block, part)
         if topic in clocks:
             table["time"] = clocks[topic].convert(table["time"])
         else:  # the trainer stamps by the wall clock
-            table["time"] = clock.sample_times(table["time"], 1e-9 * part.log_times)
+            table["time"] = clock.sample_times(table["time"], 1e-9 * piece.heads["log_time"])
         if topic == STATE_TOPIC:
-            clock.update(part.log_times, table["time"])
+            clock.update(piece.heads["log_time"], table["time"])
             table = as_states(table, source.path)
             if not thinners and len(table):
                 first = float(table["time"][0])
@@ -192,7 +191,7 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
                 curve.add(int(row["phase"]), int(row["episode"]), *results)
 
     if not thinners:
-        raise source.missing_topic_error(STATE_TOPIC, messages)
+        raise missing_topic_error(source.path, STATE_TOPIC, messages)
     for mark in select_windows(windows, Path(path), first):
         marks.add(first + mark.time, mark.kind, mark.text)
     begin, bin_width = first + span[0], max(thinner.bin_width for thinner in thinners)
@@ -216,8 +215,8 @@ def read_page(path: Path | str, span: tuple[float, float] = (0.0, inf), report: 
         marks=marks.crop(begin, seconds),
         curve=curve.content(),
         messages=dict(messages),
-        metadata={key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()},
-        attachments=[name for scan in source.scans for name in scan.attachments],
+        metadata=source.metadata.get("hydro", {}),
+        attachments=[*source.attachments],
         notes=notes,
     )
 

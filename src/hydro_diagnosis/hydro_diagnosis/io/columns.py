@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.bags.recording import Extent
 from hydro_core.signals import FloatArray
 
 OFFERED_UNITS: dict[str, dict[str, float]] = {
@@ -176,8 +175,6 @@ class Columns:
     """Clock of each column: the name of its time column; empty for a table whose columns share one clock."""
     notes: list[str] = field(default_factory=list)
     """Notes on the reading of the file, one sentence each."""
-    extents: Mapping[str, Extent] = field(default_factory=dict)
-    """Count and range of all numbers, by column of which `series` holds every n-th row."""
     broken: dict[str, str] = field(default_factory=dict)
     """Reason, by column that cannot be read as numbers: its first such cell, one sentence."""
 

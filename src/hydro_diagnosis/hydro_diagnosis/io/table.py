@@ -281,21 +281,19 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     return table_of(path, columns_of(path), columns)
 
 
-def columns_of(path: Path, rows: int | None = None) -> Columns:
+def columns_of(path: Path) -> Columns:
     """Columns of a recording before mapping: the fields of a bag with /hydro/state, all numeric columns of other files.
 
-    `rows`: longer bags are thinned to every n-th row, as by `read_bag`. Raises InputError with a message that names the
-    path.
+    Raises InputError with a message that names the path.
     """
     if not exists(path):
         raise InputError(f"{path}: there is no such recording")
     if is_bag(path):
         if not has_states(path):
-            return topic_columns(path, rows)
-        bag = _bag(path, rows)
+            return topic_columns(path)
+        bag = _bag(path)
         series = {name: bag.state[name].copy() for name in ("time", *STATE_FIELDS)}
-        extents = bag.extents.get(STATE_TOPIC, {})
-        return Columns(series, units={"time": "s"}, notes=list(bag.notes), extents=extents)
+        return Columns(series, units={"time": "s"}, notes=list(bag.notes))
     if path.suffix.lower() in RECORDING_SUFFIXES:
         return read_columns(path)
     if path.suffix.lower() in (".bag", ".db3"):
@@ -310,9 +308,9 @@ def map_bag_fields(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
     return replace(turned, name=raw.name, sample=raw.sample if same else None)
 
 
-def _bag(path: Path, rows: int | None = None) -> Bag:
+def _bag(path: Path) -> Bag:
     try:
-        bag = read_bag(path, (STATE_TOPIC,), rows, skip_damaged=True)
+        bag = read_bag(path, (STATE_TOPIC,), skip_damaged=True)
         empty = not len(bag.state)
     except RecordingError as error:
         raise InputError(str(error)) from None

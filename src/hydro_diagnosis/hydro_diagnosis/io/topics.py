@@ -33,15 +33,14 @@ def has_states(path: Path) -> bool:
         return False
 
 
-def topic_columns(path: Path, rows: int | None = None) -> Columns:
+def topic_columns(path: Path) -> Columns:
     """Numeric columns of all topics; times are the header stamps, or without a header the recorder's receive times.
 
-    `rows`: as `read_bag`. Raises InputError if the bag cannot be read.
+    Raises InputError if the bag cannot be read.
     """
     try:
-        bag = read_bag(path, rows=rows, skip_damaged=True)
-        extents = {f"{topic}.{name}": one for topic, fields in bag.extents.items() for name, one in fields.items()}
-        found, unstamped = Columns(extents=extents, notes=list(bag.notes)), []
+        bag = read_bag(path, skip_damaged=True)
+        found, unstamped = Columns(notes=list(bag.notes)), []
         for topic, type_name in sorted(bag.topics.items()):
             table = bag.tables.get(topic)
             if table is not None:

@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.task import Future
 
-from hydro_bridge.bags.storage import BagSource
+from hydro_bridge.bags.storage import Bag
 from hydro_bridge.nodes.verbs.launch import launch
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import running_ros, spin
@@ -298,23 +298,20 @@ def _service_call(options: argparse.Namespace) -> None:
 
 def _bag_info(options: argparse.Namespace) -> None:
     """Count a recording's messages in one pass, in the format of upstream's `ros2 bag info`, irregularities behind."""
-    source = BagSource(options.bag)
+    source = Bag(options.bag)
     counts: Counter[str] = Counter()
     times: list[int] = []
-    for _, channel, _, span in source.spans():
-        counts[channel.topic] += len(span.log_times)
-        times += [int(span.log_times.min()), int(span.log_times.max())]
-    kinds = {
-        channel.topic: scan.schemas[channel.schema_id].name if channel.schema_id in scan.schemas else ""
-        for scan in source.scans
-        for channel in scan.channels.values()
-    }
+    kinds: dict[str, str] = {}
+    for piece in source.pieces():
+        counts[piece.topic] += len(piece.heads["log_time"])
+        times += [int(piece.heads["log_time"].min()), int(piece.heads["log_time"].max())]
+        kinds[piece.topic] = piece.schema.name
     topics = [
         f"Topic: {topic} | Type: {kind} | Count: {counts[topic]} | Serialization Format: cdr"
         for topic, kind in sorted(kinds.items())
     ]
     begin, end = min(times, default=0), max(times, default=0)
-    size, units = float(sum(scan.path.stat().st_size for scan in source.scans)), ["B", "KiB", "MiB", "GiB"]
+    size, units = float(sum(path.stat().st_size for path in source.files)), ["B", "KiB", "MiB", "GiB"]
     while size >= 1024.0 and len(units) > 1:
         size, units = size / 1024.0, units[1:]
 
@@ -324,7 +321,7 @@ def _bag_info(options: argparse.Namespace) -> None:
         words = datetime.fromtimestamp(seconds, timezone.utc).strftime("%b %d %Y %H:%M:%S")
         dates.append(f"{words}.{rest:09d} UTC ({seconds}.{rest:09d})")
     lines = {
-        "Files:": "  ".join(scan.path.name for scan in source.scans),
+        "Files:": "  ".join(path.name for path in source.files),
         "Bag size:": f"{size:.1f} {units[0]}",
         "Storage id:": "mcap",
         "Duration:": f"{1e-9 * (end - begin):.9f}s",
