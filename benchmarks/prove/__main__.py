@@ -25,7 +25,7 @@ from benchmarks._report import parser
 from benchmarks.prove.cases import PARTS, Case, draw, draw_parts
 from benchmarks.prove.scores import Result, confusion, failures, standards
 from hydro_bridge.pages import Section, results_page
-from hydro_bridge.viewer.runs import refresh_index
+from hydro_bridge.pages.runs import refresh_index
 from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, UserError, bounded_number, command, writable_folder
 from hydro_core.files.atomic import write_atomic

@@ -14,8 +14,7 @@ setup(
             "py.typed",
             "bags/schemas.json",
             "conformance/cases.yaml",
-            "dashboard/page/*",
-            "viewer/page/*",
+            "pages/static/*",
             "pages/templates/*",
             "ros/*.xml",
         ]
@@ -54,8 +53,8 @@ setup(
             "dashboard = hydro_core.process.startup:main_of.hydro_bridge.nodes.dashboard",
             "recorder = hydro_core.process.startup:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_core.process.startup:main_of.hydro_bridge.nodes.replayer",
-            "runs = hydro_core.process.startup:main_of.hydro_bridge.viewer.runs",
-            "view = hydro_core.process.startup:main_of.hydro_bridge.viewer.view",
+            "runs = hydro_core.process.startup:main_of.hydro_bridge.pages.runs",
+            "view = hydro_core.process.startup:main_of.hydro_bridge.pages.view",
         ],
     },
 )

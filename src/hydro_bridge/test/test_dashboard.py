@@ -19,27 +19,33 @@ from hypothesis import strategies as st
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from hydro_bridge.dashboard import server as page
-from hydro_bridge.dashboard.server import PageServer, RefusedError, authorize, parse_command
+from hydro_bridge.pages import commands
+from hydro_bridge.pages import server as page
+from hydro_bridge.pages.commands import PageCommand, RefusedError, answer_commands, authorize, parse_command
+from hydro_bridge.pages.server import PageServer
 from hydro_core.errors import UserError
 from tests.checks import wait
 
 
 @pytest.fixture
-def heard() -> list[str | bytes]:
+def heard() -> list[PageCommand]:
     """What viewers send to the server."""
     return []
 
 
+def page_server(attend=None, port: int | None = 0) -> PageServer:
+    return PageServer({"/": b"page"}, attend, policy="", message_size_max=commands.COMMAND_SIZE_MAX, port=port)
+
+
 @pytest.fixture
 def server(heard) -> Iterator[PageServer]:
-    made = PageServer(lambda text: heard.append(text) or Future(), port=0)
+    made = page_server(answer_commands(lambda command: heard.append(command) or Future()))
     yield made
     made.close()
 
 
 def viewer(server: PageServer, **words: object) -> ClientConnection:
-    return connect(f"ws://127.0.0.1:{server.port}/live", open_timeout=5.0, close_timeout=1.0, **words)
+    return connect(f"ws://127.0.0.1:{server.port}/socket", open_timeout=5.0, close_timeout=1.0, **words)
 
 
 def status(server: PageServer, path: str, **headers: str) -> int:
@@ -61,7 +67,7 @@ def test_nothing_else_is_served_and_nothing_to_a_foreign_page_or_under_a_foreign
 def test_a_viewer_that_does_not_read_loses_frames_and_costs_nobody_anything(server: PageServer) -> None:
     deaf = socket.create_connection(("127.0.0.1", server.port))
     deaf.sendall(
-        b"GET /live HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        b"GET /socket HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
         b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
     )
     deaf.recv(1000)
@@ -94,13 +100,25 @@ def test_viewers_and_what_they_send_are_bounded(server: PageServer, heard) -> No
     wait(lambda: server.viewers == 0)
 
 
+def test_a_disarm_waits_for_no_other_command_and_none_for_ever(server: PageServer, heard, monkeypatch) -> None:
+    monkeypatch.setattr(commands, "COMMAND_TIMEOUT", 0.5)
+    with viewer(server) as sender:
+        sender.send(b'{"command":"arm","number":1}')
+        sender.send(b'{"command":"disarm","number":2}')
+        wait(lambda: [one.command for one in heard] == ["arm", "disarm"])
+        answers = [msgspec.json.decode(sender.recv(30.0)) for _ in range(2)]
+    assert {(one["number"], one["success"], one["text"]) for one in answers} == {
+        (number, False, "no answer within 0.5 s") for number in (1, 2)
+    }
+
+
 def test_a_port_that_is_taken_is_a_sentence_and_without_a_wish_another_is_found(
     server: PageServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(UserError, match=f"port {server.port}"):
-        PageServer(Future, port=server.port)
+        page_server(port=server.port)
     monkeypatch.setattr(page, "PORT", server.port)
-    other = PageServer(Future)
+    other = page_server(port=None)
     assert other.port not in (0, server.port)
     other.close()
 
@@ -108,14 +126,14 @@ def test_a_port_that_is_taken_is_a_sentence_and_without_a_wish_another_is_found(
 def test_disarm_needs_nothing_and_all_else_the_token_and_the_epoch_of_after_the_last_trip() -> None:
     now = 2**64 - 59  # JavaScript's numbers end at 2^53
 
-    def sent(command: str, token: str = "right", epoch: str = str(now)) -> page.PageCommand:
+    def sent(command: str, token: str = "right", epoch: str = str(now)) -> PageCommand:
         words = {"command": command, "token": token, "epoch": epoch, "kp": 60, "ki": 10, "seconds": 30}
         return parse_command(msgspec.json.encode(words))
 
     for epoch in (0, 1, now):
         authorize(parse_command(b'{"command":"disarm"}'), "right", epoch)
         authorize(sent("disarm", token="wrong", epoch="7"), "right", epoch)
-    for command in sorted({*page.COMMANDS} - {"disarm"}):
+    for command in sorted({*commands.COMMANDS} - {"disarm"}):
         authorize(sent(command), "right", now)
         for token in ("", "wrong", "righ", "right ", "ü"):
             with pytest.raises(RefusedError, match="token"):
@@ -149,7 +167,7 @@ def test_text_is_read_on_bright_and_on_dark_screens_and_pages_have_the_colours_o
         for text, ground in product(texts, grounds):
             assert max(light[text] / light[ground], light[ground] / light[text]) >= 4.5, (text, ground)
         assert all(1.05 / light[surface] >= 4.5 for surface in ("armed", "alarm", "pressed", "idle")), light
-    for style in ("pages/templates/report.css", "dashboard/page/page.css", "viewer/page/view.css"):
+    for style in ("pages/templates/report.css", "pages/static/page.css", "pages/static/view.css"):
         text = (folder / style).read_text()
         assert not re.search(r"#[0-9a-f]{3,6}\b", text), style
         assert set(re.findall(r"var\(--(\w+)\)", text)) <= palettes[0].keys(), style

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
 
-from hydro_bridge.viewer.runs import refresh_index
+from hydro_bridge.pages.runs import refresh_index
 from hydro_core.cli.console import command, writable_folder
 from hydro_core.process import termination
 from hydro_diagnosis.recording import RECORDING_SUFFIXES, InputError

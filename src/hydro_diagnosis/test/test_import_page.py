@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,12 +26,9 @@ FIELDS = {"x": ("piston_position", 1e3), "pa": ("pressure_a", 1e-5), "pb": ("pre
 
 @pytest.fixture
 def address() -> Iterator[str]:
-    with serve_imports(0, diagnose, Bench.nominal()) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        yield f"127.0.0.1:{server.socket.getsockname()[1]}"
-        server.shutdown()
-        thread.join()
+    server = serve_imports(0, diagnose, Bench.nominal())
+    yield f"127.0.0.1:{server.port}"
+    server.close()
 
 
 @pytest.fixture

@@ -8,13 +8,13 @@ ros2 run hydro_bridge dashboard --port 8080
 from __future__ import annotations
 
 import secrets
-import threading
 import time
 from collections import Counter
 from concurrent.futures import Future as Promise
 from concurrent.futures import InvalidStateError
 from contextlib import suppress
 from functools import partial
+from importlib import resources
 from math import inf
 from typing import Any
 
@@ -28,17 +28,24 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.bags.cdr import fixed_layout
-from hydro_bridge.dashboard import series, status
-from hydro_bridge.dashboard.series import BIN_WIDTH, Downsampler
-from hydro_bridge.dashboard.server import (
-    COMMAND_TIMEOUT,
-    PORT,
+from hydro_bridge.pages import environment
+from hydro_bridge.pages.commands import (
+    COMMAND_SIZE_MAX,
     PageCommand,
-    PageServer,
     RefusedError,
+    answer_commands,
     authorize,
-    parse_command,
 )
+from hydro_bridge.pages.series import (
+    BIN_WIDTH,
+    SERIES_COLUMNS,
+    LiveSeries,
+    column_descriptions,
+    column_values,
+    encode_bins,
+)
+from hydro_bridge.pages.server import HOST, PORT, PageServer, encode_message
+from hydro_bridge.pages.status import PHASES, LearningCurve, flag_labels
 from hydro_bridge.ros import topics
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import subscribe_to_box
@@ -52,6 +59,13 @@ from hydro_msgs.srv import Claim, OverrideGains
 
 QUEUE_DEPTH = 500
 """Depth of the message queue of each topic until the next frame: half a second."""
+PLANT_TIMEOUT = 0.5
+"""s without a sample after which the plant counts as lost."""
+
+_CALLER_NAME = "a person, by the live page"
+_FILES = ("page.css", "page.js", "plots.js", "series.js", "uPlot.iife.min.js", "uPlot.min.css")
+_SHOWN_TOPICS = (topics.STATE, topics.CORRECTION, topics.GAINS, topics.REFERENCE)
+_NODES_MAX, _VALUES_MAX = 32, 60  # nodes whose diagnostics are kept, those heard last, and values of each
 
 
 class SampleReceiver:
@@ -65,19 +79,13 @@ class SampleReceiver:
             kind = topics.RECORDED_TOPICS[topic][0]
             self._queues[topic] = self.mailbox.subscribe(topic, kind, qos), fixed_layout(topics.type_name(kind))
         self._sequence = -1
-        self.series = tuple(Downsampler(len(columns)) for columns in series.SERIES_COLUMNS)
-        """Downsamplers of the samples, of the corrections and of the compensated law."""
+        self.series = tuple(LiveSeries(len(columns)) for columns in SERIES_COLUMNS)
         self.decided: Counter[int] = Counter()
         """Number of corrections of each status since this was last cleared."""
-        self.taken_at = -inf
-        """s, monotonic time of the poll that received the last sample."""
-        self.compensated_at = -inf
-        """s, monotonic time of the poll that received the last state of the compensated law."""
-        self.flags = 0
-        """Flags of the last sample."""
-        self.count = 0
-        self.lost = 0
-        """Samples missing in the sequence."""
+        self.taken_at = self.compensated_at = -inf
+        """s, monotonic time of the polls that received the last sample, and state of the compensated law."""
+        self.flags = self.lost = 0
+        """Flags of the last sample; number of samples missing in the sequence."""
         self.contested = False
         """Whether more than one plant publishes samples."""
 
@@ -98,29 +106,12 @@ class SampleReceiver:
                 sequence = table["sequence"].astype(np.int64)
                 gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
                 self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
-                self.count += len(table)
                 self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
             elif topic == topics.CORRECTION:
                 self.decided.update(table["status"].tolist())
             else:
                 self.compensated_at = now
-            self.series[number].add(table["time"], series.column_values(number, table))
-
-
-_CALLER_NAME = "a person, by the live page"
-_NO_PLANT_MESSAGE = "no plant runs here that could be told"
-_NO_RUN_MESSAGE = "nobody commands the plant: no run is active here"
-_NO_ESTIMATOR_MESSAGE = "no run here fits the coefficients of the compensated law"
-
-
-HOST = "127.0.0.1"
-FRAME_PERIOD = 0.05
-"""s between two frames."""
-
-_STATUS_INTERVAL = 10  # frames: twice a second
-_UNWATCHED_INTERVAL = 5  # frames between two of a page without viewers: a quarter of a second, half of `QUEUE_DEPTH`
-_SHOWN_TOPICS = (topics.STATE, topics.CORRECTION, topics.GAINS, topics.REFERENCE)
-_NODES_MAX, _VALUES_MAX = 32, 60  # nodes whose diagnostics are kept, those heard last, and values of each
+            self.series[number].add(table["time"], column_values(number, table))
 
 
 class DashboardNode(Node):
@@ -135,7 +126,7 @@ class DashboardNode(Node):
         self._authority = self._word = Authority()
         self._box: dict[str, Any] = {}
         self._training: dict[str, Any] = {}
-        self._curve = status.LearningCurve()
+        self._curve = LearningCurve()
         self._nodes: dict[str, tuple[float, dict[str, Any]]] = {}  # time [s] and last status of each, by name
         self._frames = 0
         self._words_heard = create_subscription(self, topics.AUTHORITY, self._on_authority)
@@ -149,8 +140,15 @@ class DashboardNode(Node):
         self._end = self.create_client(Trigger, topics.END_SERVICE)
         self._freeze = self.create_client(SetBool, topics.FREEZE_SERVICE)
         self._token = secrets.token_urlsafe(9)  # for those who may do more than disarm
-        self._server = PageServer(self._act, host, port)
-        self.create_timer(FRAME_PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        page = environment("hydro_bridge", "pages/static").get_template("index.html").render(title="hydro")
+        static = resources.files("hydro_bridge.pages") / "static"
+        files = {f"/{name}": (static / name).read_bytes() for name in _FILES}
+        self._server = PageServer(
+            files | {"/": page.encode()}, answer_commands(self._execute), message_size_max=COMMAND_SIZE_MAX,
+            policy="default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data:; "
+            "connect-src 'self'", host=host, port=port,
+        )  # fmt: skip
+        self.create_timer(0.05, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         warn_of_duplicate_nodes(
             self, f"another live page runs here: both show the plant, this one at {self._server.address}"
@@ -163,109 +161,81 @@ class DashboardNode(Node):
         self._samples.mailbox.close()
         self._server.close()
 
-    def _act(self, text: str | bytes) -> Promise[str]:
-        """Execute a received command in the caller's thread; the answer for the page follows later."""
-        told: Promise[str] = Promise()
-        command = PageCommand(command="")
-
-        def tell(success: bool, message: str) -> None:
-            content = {"number": command.number, "command": command.command, "success": success, "text": message}
-            with suppress(InvalidStateError):  # the plant's answer and the time-out arrive in two threads
-                told.set_result(status.encode_message("answer", content))
-
-        try:
-            command = parse_command(text)
-            authorize(command, self._token, int(self._authority.epoch))
-            client, request, absent = self._call(command)
-            if not client.service_is_ready():
-                raise RefusedError(absent)
-        except RefusedError as refused:
-            tell(False, str(refused))
-            return told
-        answer = client.call_async(request)
-
-        def give_up() -> None:
-            client.remove_pending_request(answer)
-            tell(False, f"no answer within {COMMAND_TIMEOUT:g} s")
-
-        def answered(done: Future) -> None:
-            late.cancel()
-            if not done.exception() and (response := done.result()) is not None:
-                tell(response.success, response.message)
-
-        late = threading.Timer(COMMAND_TIMEOUT, give_up)
-        late.daemon = True
-        late.start()
-        answer.add_done_callback(answered)
+    def _execute(self, command: PageCommand) -> Promise[tuple[bool, str]]:
+        """Execute a command in the caller's thread; success and sentence follow later. Raises RefusedError."""
+        authorize(command, self._token, int(self._authority.epoch))
+        client, request, absent = self._call(command)
+        if not client.service_is_ready():
+            raise RefusedError(absent)
         if command.command != "disarm":
             self.get_logger().info(f"the page asks: {command.command}")
+        told: Promise[tuple[bool, str]] = Promise()
+        answer = client.call_async(request)
+
+        def answered(done: Future) -> None:
+            if not done.exception() and (response := done.result()) is not None:
+                with suppress(InvalidStateError):  # cancelled by the time-out, in another thread
+                    told.set_result((response.success, response.message))
+
+        answer.add_done_callback(answered)
+        told.add_done_callback(lambda _: client.remove_pending_request(answer))
         return told
 
     def _call(self, command: PageCommand) -> tuple[Client, object, str]:
         """Return the service of a command, the request, and the message for an absent service."""
-        name, holder = command.command, self._authority.holder
-        if name == "disarm":
-            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_CALLER_NAME), _NO_PLANT_MESSAGE
-        if name == "arm":
-            return (
-                self._claim,
-                Claim.Request(act=Claim.Request.ARM, name=_CALLER_NAME, epoch=int(command.epoch)),
-                _NO_PLANT_MESSAGE,
-            )
+        name, no_run = command.command, "nobody commands the plant: no run is active here"
+        if name in ("disarm", "arm"):
+            claim = Claim.Request(act=Claim.Request.DISARM, name=_CALLER_NAME)
+            if name == "arm":
+                claim.act, claim.epoch = Claim.Request.ARM, int(command.epoch)
+            return self._claim, claim, "no plant runs here that could be told"
         if name == "end":
-            return self._end, Trigger.Request(), _NO_RUN_MESSAGE
+            return self._end, Trigger.Request(), no_run
         if name in ("freeze", "adapt"):
-            return self._freeze, SetBool.Request(data=name == "freeze"), _NO_ESTIMATOR_MESSAGE
-        gains = OverrideGains.Request(active=name == "override", name=_CALLER_NAME, whom=holder)
+            no_estimator = "no run here fits the coefficients of the compensated law"
+            return self._freeze, SetBool.Request(data=name == "freeze"), no_estimator
+        gains = OverrideGains.Request(active=name == "override", name=_CALLER_NAME, whom=self._authority.holder)
         if gains.active:
             gains.proportional_gain, gains.integral_gain, gains.seconds = command.kp, command.ki, command.seconds
-        return self._override, gains, _NO_RUN_MESSAGE
+        return self._override, gains, no_run
 
     def _status(self) -> Status:
-        values = {
-            "address": self._server.address,
-            "viewers": self._server.viewers,
-            "frames": self._frames,
-            "samples": self._samples.count,
-            "samples missed": self._samples.lost,
-        }
+        values = {"address": self._server.address, "samples missed": self._samples.lost}
         return Status(message=f"viewers: {self._server.viewers}", values=values)
 
     def _frame(self) -> None:
         self._frames += 1
-        if not self._server.viewers and self._frames % _UNWATCHED_INTERVAL:
+        viewers = self._server.viewers
+        if not viewers and self._frames % 5:  # a quarter of a second, half of `QUEUE_DEPTH`
             return
         now = time.monotonic()
         self._samples.poll(now)
         self._believe()
-        frames: list[str | bytes] = []
-        for index, thinned in enumerate(self._samples.series):
-            bins = thinned.poll()
-            if self._server.viewers and len(bins.values):
-                frames.append(bins.encode(index))
-        if self._server.viewers:
-            frames.append(status.encode_message("pulse", self._pulse(now)))
-            if self._frames % _STATUS_INTERVAL == 0:
-                frames.append(status.encode_message("words", self._words(now)))
+        closed = [series.poll() for series in self._samples.series]
+        frames: list[str | bytes] = [encode_bins(n, *bins) for n, bins in enumerate(closed) if len(bins[1])]
+        if viewers:
+            frames.append(encode_message("pulse", self._pulse(now)))
+            if self._frames % 10 == 0:
+                frames.append(encode_message("words", self._words(now)))
         self._server.publish(frames, partial(self._welcome, now))
 
     def _welcome(self, now: float) -> list[str | bytes]:
         """Return the initial content of a page: names and units, the last minute, the status texts."""
         return [
-            status.encode_message("hello", {"bin_width": BIN_WIDTH, "series": series.column_descriptions()}),
-            *(thinned.history().encode(index) for index, thinned in enumerate(self._samples.series)),
-            status.encode_message("pulse", self._pulse(now)),
-            status.encode_message("words", self._words(now)),
+            encode_message("hello", {"bin_width": BIN_WIDTH, "series": column_descriptions()}),
+            *(encode_bins(index, *series.history()) for index, series in enumerate(self._samples.series)),
+            encode_message("pulse", self._pulse(now)),
+            encode_message("words", self._words(now)),
         ]
 
     def _pulse(self, now: float) -> dict[str, Any]:
         age = now - self._samples.taken_at
         return {
             "age": round(age, 3) if age < inf else None,
-            "alive": age < status.PLANT_TIMEOUT,
+            "alive": age < PLANT_TIMEOUT,
             "sent": round(1e3 * now),
             "contested": self._samples.contested,
-            "flags": status.flag_labels(self._samples.flags),
+            "flags": flag_labels(self._samples.flags),
             "epoch": str(self._authority.epoch),
             "holder": self._authority.holder,
         }
@@ -273,15 +243,14 @@ class DashboardNode(Node):
     def _words(self, now: float) -> dict[str, Any]:
         decided, self._samples.decided = self._samples.decided, Counter()
         publishers = {topic: self.get_publishers_info_by_topic(topic) for topic in _SHOWN_TOPICS}
-        published = {topic: sorted({info.node_name for info in found}) for topic, found in publishers.items()}
         return {
             "box": self._box,
             "training": self._training,
             "curve": self._curve.content(),
             "filter": {known.name.lower(): decided[known] for known in CorrectionStatus if known in decided},
-            "law": "compensated" if now - self._samples.compensated_at < status.PLANT_TIMEOUT else "paper",
+            "law": "compensated" if now - self._samples.compensated_at < PLANT_TIMEOUT else "paper",
             "nodes": [{**said, "age": round(now - heard, 1)} for _, (heard, said) in sorted(self._nodes.items())],
-            "publishers": published,
+            "publishers": {topic: sorted({info.node_name for info in found}) for topic, found in publishers.items()},
             "missed": self._samples.lost,
             "viewers": self._server.viewers,
         }
@@ -296,24 +265,13 @@ class DashboardNode(Node):
             self._authority = self._word
 
     def _on_box(self, box: BoxDescription) -> None:
-        info = box.info
-        self._box = {
-            "plant": box.plant,
-            "firmware": info.name,
-            "bench": box.bench_digest,
-            "base_kp": info.base_kp,
-            "base_ki": info.base_ki,
-            "kp_max": info.base_kp + info.delta_kp_max,
-            "ki_max": info.base_ki + info.delta_ki_max,
-            "current_max": 1e3 * info.valve_current_max,
-        }
+        self._box = {"plant": box.plant, "firmware": box.info.name, "bench": box.bench_digest}
 
     def _on_training(self, message: TrainingStatus) -> None:
-        phase = status.PHASES[message.phase] if message.phase < len(status.PHASES) else str(message.phase)
         finished = (message.force_rmse, message.episode_return, message.critic_loss, message.actor_loss)
         self._curve.add(message.phase, message.episode, *finished)
         self._training = {
-            "phase": phase,
+            "phase": PHASES[message.phase] if message.phase < len(PHASES) else str(message.phase),
             "episode": message.episode,
             "step": message.step,
             "return": message.episode_return,
@@ -326,8 +284,8 @@ class DashboardNode(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         now = time.monotonic()
         for node in message.status:
-            values = {entry.key: entry.value for entry in node.values}
-            kept, level = dict(list(values.items())[:_VALUES_MAX]), int.from_bytes(node.level, "little")
+            kept = {entry.key: entry.value for entry in node.values[:_VALUES_MAX]}
+            level = int.from_bytes(node.level, "little")
             self._nodes.pop(node.name, None)
             self._nodes[node.name] = now, {"name": node.name, "level": level, "message": node.message, "values": kept}
             while len(self._nodes) > _NODES_MAX:

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section
-from hydro_bridge.viewer.runs import refresh_index
+from hydro_bridge.pages.runs import refresh_index
 from hydro_core.bench_scales import rescale
 from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_options, progress, refuse_changed_options
 from hydro_core.files.atomic import write_atomic

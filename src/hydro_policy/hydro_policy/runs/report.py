@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hydro_bridge.pages import Section, results_page
-from hydro_bridge.viewer.runs import refresh_index
+from hydro_bridge.pages.runs import refresh_index
 from hydro_core.cli.console import Table, plural, print_above_progress
 from hydro_core.files.atomic import write_atomic
 from hydro_policy.runs.run_directory import RunDirectory, RunRecord

@@ -25,15 +25,15 @@ let at = 0; // s: where a person looks
 let playing = 0;
 let asked = false;
 
-async function unpacked(id) {
-  const bytes = Uint8Array.from(atob($(id).textContent), (character) => character.charCodeAt(0));
+async function unpacked(script) {
+  const bytes = Uint8Array.from(atob(script.textContent), (character) => character.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Float32Array(await new Response(stream).arrayBuffer());
 }
 
 function clock(seconds) {
-  const [whole, rest] = [Math.floor(seconds / 60), seconds % 60];
-  return whole ? `${whole} min ${rest.toFixed(1)} s` : `${rest.toFixed(2)} s`;
+  const whole = Math.floor(seconds / 60);
+  return whole ? `${whole} min ${(seconds % 60).toFixed(1)} s` : `${seconds.toFixed(2)} s`;
 }
 
 function go(time) {
@@ -171,7 +171,7 @@ $("next").onclick = () => jump(1);
 $("previous").onclick = () => jump(-1);
 addEventListener("resize", () => go(at));
 
-const values = await Promise.all(["states", "corrections", "laws"].map(unpacked));
+const values = await Promise.all([...document.querySelectorAll("script.table")].map(unpacked));
 series = about.series.map((columns, n) => {
   const made = new Series(columns, Math.max(1, values[n].length / (2 * columns.length)));
   made.add(0, values[n]);
@@ -181,7 +181,8 @@ const all = series[0].end;
 const stride = Math.max(1, Math.ceil(all / 2000));
 strip.bands = shaded(series[0], all, Math.floor(all / stride), stride, about.bin_width, all * about.bin_width);
 kinds();
-if (about.curve.episode.length) new Curve($("curve")).draw(about.curve);
-else $("learner").hidden = true;
+$("happened").hidden = !about.marks.length;
+$("learner").hidden = !about.curve.episode.length;
+new Curve($("curve")).draw(about.curve);
 go(0);
 document.body.classList.remove("stale");

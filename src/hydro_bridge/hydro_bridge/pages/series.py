@@ -1,19 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns that the page plots, extracted from serialized messages, and their downsampling to screen resolution.
-
-`column_descriptions` gives the page names and units. A bin keeps minimum and maximum: a pulse of one sample stays
-visible.
-
-`Downsampler`, of a live series, keeps the last minute in a ring::
-
-    ring, shape (kept, columns, 2):   bin n is row n % kept;   [..., 0] minimum, [..., 1] maximum, NaN: no sample
-    n = floor(time / BIN_WIDTH)       ... | closed | closed | open |    the open bin is still filling, not yet shown
-
-`GrowingDownsampler`, of a recording of unknown length, lets its bins grow with it::
-
-    bins of 10 ms    | 0 | 1 | 2 | 3 | ... | limit - 1 |     full, and another sample arrives:
-    bins of 20 ms    |   0   |   1   | ... |           |     pairs are merged; and so on
-"""
+"""Columns that the pages plot, and their reduction to minimum and maximum per bin: a pulse of one sample is visible."""
 
 from __future__ import annotations
 
@@ -83,82 +69,70 @@ BIN_WIDTH = 0.01
 """Width of a bin [s]; a page of 10 s has 1000 bins, about one per pixel of a plot."""
 HISTORY_BINS = 6000
 """Bins kept for viewers that connect later: 60 s."""
+BinTable = npt.NDArray[np.float32]
+"""Minimum and maximum of each bin, NaN without samples, shape (bins, columns, 2)."""
 
 
-@dataclass(frozen=True)
-class Bins:
-    """Consecutive complete bins of a downsampled series."""
-
-    first: int
-    """Number of the first bin: floor(time / BIN_WIDTH)."""
-    values: npt.NDArray[np.float32]
-    """Minimum and maximum, shape (bins, columns, 2)."""
-
-    def encode(self, series: int) -> bytes:
-        """Return the bytes for the page: u32 series, u32 columns, f64 first, float32 values, all little endian."""
-        head = np.array([series, self.values.shape[1]], "<u4").tobytes() + np.array([self.first], "<f8").tobytes()
-        return head + np.ascontiguousarray(self.values, "<f4").tobytes()
+def encode_bins(series: int, first: int, bins: BinTable) -> bytes:
+    """Return bins for the page: u32 series, u32 columns, f64 number of the first, float32 values, little endian."""
+    head = np.array([series, bins.shape[1]], "<u4").tobytes() + np.array([first], "<f8").tobytes()
+    return head + np.ascontiguousarray(bins, "<f4").tobytes()
 
 
-class Downsampler:
-    """Reduces a live stream to minimum and maximum per bin of `BIN_WIDTH`; `columns`: number of values in a sample."""
+class LiveSeries:
+    """Bins of a live stream, at least those of the last minute; `columns`: number of values in a sample.
+
+    Bin floor(time / BIN_WIDTH) is closed, and sent, once a later one has a sample.
+    """
 
     def __init__(self, columns: int) -> None:
-        self._ring = np.full((HISTORY_BINS, columns, 2), np.nan, np.float32)
-        self._begin = self._taken = self._open = 0
+        self._table = np.full((2 * HISTORY_BINS, columns, 2), np.nan, np.float32)
+        self._first = self._sent = self._open = (
+            0  # numbers of the table's first bin, the next to send, the one that fills
+        )
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
-        """Add samples.
-
-        Samples older than the open bin are skipped; if time falls back by more than the ring, as after the clock was
-        set, the series is restarted.
+        """Add samples; those of closed bins are skipped, and after a jump of the clock the series starts again.
 
         `times`: s, shape (n,), not falling. `values`: shape (n, columns). Non-finite values count as missing.
         """
         if not len(times):
             return
         bins = np.floor(times / BIN_WIDTH).astype(np.int64)
-        kept = len(self._ring)
-        if not self._open or abs(int(bins[-1]) - self._open) >= kept:
-            self._ring[:] = np.nan
-            self._begin = self._taken = self._open = max(int(bins[0]), int(bins[-1]) - kept + 1)
+        if abs(int(bins[-1]) - self._open) >= HISTORY_BINS:
+            self._table[:] = np.nan
+            self._first = self._sent = self._open = max(int(bins[0]), int(bins[-1]) - HISTORY_BINS + 1)
         good = bins >= self._open
-        bins, values = bins[good], values[good]
-        if not len(bins):
-            return
-        last = int(bins[-1])
-        self._ring[np.arange(self._open + 1, last + 1)[-kept:] % kept] = np.nan
-        self._open, self._taken = last, max(self._taken, last - kept + 1)
-        _reduce_into(self._ring, bins, values)
+        while int(bins[-1]) >= self._first + len(self._table):
+            self._table[:HISTORY_BINS] = self._table[HISTORY_BINS:]
+            self._table[HISTORY_BINS:] = np.nan
+            self._first += HISTORY_BINS
+        self._open = max(self._open, int(bins[-1]))
+        _reduce_into(self._table, bins[good] - self._first, values[good])
 
-    def poll(self) -> Bins:
-        """Return the bins closed since the last call."""
-        bins = self._between(self._taken, self._open)
-        self._taken = self._open
-        return bins
+    def poll(self) -> tuple[int, BinTable]:
+        """Return the bins closed since the last call, and the number of their first."""
+        found = self._between(self._sent, self._open)
+        self._sent = self._open
+        return found
 
-    def history(self) -> Bins:
-        """Return all bins in the ring up to the last `poll`, for a new viewer that gets the next ones by `poll`."""
-        return self._between(max(self._begin, self._open - len(self._ring) + 1), self._taken)
+    def history(self) -> tuple[int, BinTable]:
+        """Return the last minute up to the last `poll`, for a new viewer that gets the next bins by `poll`."""
+        return self._between(self._sent - HISTORY_BINS, self._sent)
 
-    def _between(self, first: int, end: int) -> Bins:
-        rows = np.arange(first, max(first, end)) % len(self._ring)
-        return Bins(first, self._ring[rows])
-
-
-BINS_MAX = 2**16
-"""Default number of bins: 655 s in bins of 10 ms, an hour in bins of 80 ms."""
+    def _between(self, begin: int, end: int) -> tuple[int, BinTable]:
+        begin = max(begin, self._first)
+        return begin, self._table[begin - self._first : end - self._first].copy()
 
 
-class GrowingDownsampler:
-    """Reduces a stream of unknown length to minimum and maximum per bin; the bins' width doubles as it grows.
+class RecordedSeries:
+    """Bins of a recording of unknown length, at most `limit` (even); when they are full, pairs of bins are merged.
 
-    `columns`: values per sample. `begin`: start of the first bin, s. `limit`: maximum number of bins, even.
+    `columns`: values per sample. `begin`: start of the first bin, s. 2**16 bins are 655 s of 10 ms, an hour of 80 ms.
     """
 
-    def __init__(self, columns: int, begin: float, limit: int = BINS_MAX) -> None:
-        self._begin = begin
-        self.end = begin
+    def __init__(self, columns: int, begin: float, limit: int = 2**16) -> None:
+        self._begin = self.end = begin
         """Time of the latest sample, s, on the clock of the samples."""
         self._table = np.full((limit, columns, 2), np.nan, np.float32)
         self._count = 0
@@ -166,12 +140,7 @@ class GrowingDownsampler:
         """Width of a bin [s]."""
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
-        """Add samples; those before `begin` are left out.
-
-        `times`: s, shape (n,). `values`: shape (n, columns). Non-finite values count as missing.
-        """
-        good = times >= self._begin
-        times, values = times[good], values[good]
+        """Add samples from `begin` on; `times`: s, shape (n,). `values`: shape (n, columns), NaN: missing."""
         if not len(times):
             return
         self.end = max(self.end, float(times.max()))
@@ -182,8 +151,8 @@ class GrowingDownsampler:
         _reduce_into(self._table, bins[order], values[order])
         self._count = max(self._count, int(bins.max()) + 1)
 
-    def values(self, bin_width: float) -> npt.NDArray[np.float32]:
-        """Return minimum and maximum in bins of `bin_width` s or this series' longer ones, shape (bins, columns, 2)."""
+    def values(self, bin_width: float) -> BinTable:
+        """Return the bins of `bin_width` s, or this series' longer ones."""
         while self.bin_width < bin_width:
             self._merge()
         return self._table[: self._count]
@@ -197,9 +166,11 @@ class GrowingDownsampler:
         self.bin_width *= 2.0
 
 
-def _reduce_into(table: npt.NDArray[np.float32], bins: npt.NDArray[np.int64], values: FloatArray) -> None:
-    """Extend minimum and maximum of bins, rows `bin % len(table)`, by the values of samples sorted by bin."""
-    numbers, starts = np.unique(bins, return_index=True)
-    rows, finite = numbers % len(table), np.where(np.isfinite(values), values, np.nan)
+def _reduce_into(table: BinTable, rows: npt.NDArray[np.int64], values: FloatArray) -> None:
+    """Extend minimum and maximum of the table's rows by the values of samples, which are sorted by row."""
+    if not len(rows):
+        return
+    rows, starts = np.unique(rows, return_index=True)
+    finite = np.where(np.isfinite(values), values, np.nan)
     table[rows, :, 0] = np.fmin(table[rows, :, 0], np.fmin.reduceat(finite, starts, axis=0))
     table[rows, :, 1] = np.fmax(table[rows, :, 1], np.fmax.reduceat(finite, starts, axis=0))

@@ -20,11 +20,20 @@ from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table, UserError, add_json_argument, command, make_parser, plural
 from hydro_core.files.atomic import write_atomic
 
-INDEX_FILE = "index.html"
 INDEX_MARKER = "<!-- hydro: a front page of runs -->"
 """Marker of a page that may be overwritten."""
 RUNS_FOLDER = "runs"
 """Name of the folder whose index page commands update automatically."""
+KIND_FILES = {
+    "training": "run.json",
+    "diagnosis": "report.json",
+    "proof": "proof.html",
+    "pretraining": "pretrain.yaml",
+    "evaluation": "evaluation.json",
+    "recording": "metadata.yaml",
+    "unfinished": "bag/metadata.yaml",
+}
+"""Files that identify the kind of a run, the first match; unfinished: it has recorded, and no more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,12 +42,10 @@ class RunEntry:
 
     name: str
     kind: str
-    """training, evaluation, diagnosis, proof, pretraining, recording, or unfinished: it has recorded, and no more."""
+    """One of `KIND_FILES`."""
     summary: str
-    changed: float
-    """Time of the last change, s since 1970."""
-    when: str
-    """Time of the last change, as text in UTC."""
+    changed: datetime
+    """Time of the last change, UTC."""
     pages: tuple[str, ...]
     pictures: tuple[str, ...]
     recordings: tuple[str, ...]
@@ -52,9 +59,10 @@ def list_runs(folder: Path) -> list[RunEntry]:
     entries = []
     for run in folder.iterdir():
         with suppress(OSError):  # no permission, or removed meanwhile
-            if run.is_dir() and not run.name.startswith(".") and (entry := _entry(folder, run)) is not None:
-                entries.append(entry)
-    return sorted(entries, key=lambda entry: -entry.changed)
+            kind = next((kind for kind, file in KIND_FILES.items() if (run / file).is_file()), "")
+            if kind and not run.name.startswith("."):
+                entries.append(_entry(run, kind))
+    return sorted(entries, key=lambda entry: entry.changed, reverse=True)
 
 
 def write_index(folder: Path) -> Path:
@@ -63,10 +71,10 @@ def write_index(folder: Path) -> Path:
     Raises OSError: the folder cannot be read, or the page cannot be written, for instance because a foreign file has
     its name.
     """
-    index, here = folder / INDEX_FILE, folder.resolve()
+    index, here = folder / "index.html", folder.resolve()
     if index.is_file() and INDEX_MARKER not in index.read_text(encoding="utf-8", errors="replace"):
         raise FileExistsError(errno.EEXIST, "is another page than one of runs: move it away", str(index))
-    made = environment("hydro_bridge", "viewer/page")
+    made = environment("hydro_bridge", "pages/static")
     made.filters["in_shell"] = lambda bag: shlex.quote(str(here / bag))
     content = made.get_template("runs.html").render(
         title="Runs", runs=list_runs(folder), folder=here.name, mark=INDEX_MARKER
@@ -86,41 +94,22 @@ def refresh_index(run: Path) -> None:
             write_index(folder)
 
 
-_KIND_FILES = {
-    "training": "run.json",
-    "diagnosis": "report.json",
-    "proof": "proof.html",
-    "pretraining": "pretrain.yaml",
-    "evaluation": "evaluation.json",
-    "recording": "metadata.yaml",
-    "unfinished": "bag/metadata.yaml",
-}
-"""Files that identify the kind of a run; the first match counts."""
-
-
-def _entry(folder: Path, run: Path) -> RunEntry | None:
-    kind = next((kind for kind, file in _KIND_FILES.items() if (run / file).is_file()), "")
-    if not kind:
-        return None
-    bags = [run] if kind == "recording" else sorted(path.parent for path in run.glob("*/metadata.yaml"))
-    beside = [run.with_name(f"{run.name}.html")] if kind == "recording" else []
-    pages = [page for page in (*sorted(run.glob("*.html")), *beside) if page.is_file()]
-    unseen = [bag for bag in bags if not bag.with_name(f"{bag.name}.html").is_file()]
-    summary, score = _told(run, kind)
-
+def _entry(run: Path, kind: str) -> RunEntry:
     def relative(paths: list[Path]) -> tuple[str, ...]:
-        return tuple(path.relative_to(folder).as_posix() for path in paths)
+        return tuple(path.relative_to(run.parent).as_posix() for path in paths if path.exists())
 
-    changed = max(path.stat().st_mtime for path in (run, run / _KIND_FILES[kind]))
+    recording = kind == "recording"
+    bags = [run] if recording else sorted(path.parent for path in run.glob("*/metadata.yaml"))
+    summary, score = _told(run, kind)
+    changed = max(path.stat().st_mtime for path in (run, run / KIND_FILES[kind]))
     return RunEntry(
         name=run.name,
         kind=kind,
         summary=summary,
-        changed=changed,
-        when=datetime.fromtimestamp(changed, timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
-        pages=relative(pages),
+        changed=datetime.fromtimestamp(changed, timezone.utc),
+        pages=relative([*sorted(run.glob("*.html")), *([run.with_name(f"{run.name}.html")] if recording else [])]),
         pictures=relative(sorted(run.glob("*.png"))),
-        recordings=relative(unseen),
+        recordings=relative([bag for bag in bags if not bag.with_name(f"{bag.name}.html").is_file()]),
         score=score,
     )
 
@@ -144,15 +133,6 @@ def _told(run: Path, kind: str) -> tuple[str, float | None]:
     return summary, score
 
 
-COLUMNS = {
-    "run": "folder",
-    "kind": "what it was",
-    "changed": "",
-    "score": "of a training's best policy: RMSE over that of fixed gains, mean over the sines examined",
-    "summary": "",
-}
-
-
 @command()
 def main() -> None:
     """Entry point."""
@@ -166,9 +146,12 @@ def main() -> None:
     if not options.folder.is_dir():
         raise UserError(f"{options.folder} is not a folder: name one that holds runs")
     index = write_index(options.folder)
-    table = Table(COLUMNS, title=str(index))
+    score = "of a training's best policy: RMSE over that of fixed gains, mean over the sines examined"
+    columns = {"run": "folder", "kind": "what it was", "changed": "", "score": score, "summary": ""}
+    table = Table(columns, title=str(index))
     for run in list_runs(options.folder):
-        table.add(run=run.name, kind=run.kind, changed=run.when, score=run.score, summary=run.summary)
+        changed = f"{run.changed:%Y-%m-%d %H:%M UTC}"
+        table.add(run=run.name, kind=run.kind, changed=changed, score=run.score, summary=run.summary)
     table.show(options.json)
     if options.open:
         webbrowser.open(index.absolute().as_uri())

@@ -29,7 +29,7 @@ let socket = null;
 let number = 0;
 
 function connect() {
-  const opened = new WebSocket(`ws://${location.host}/live`);
+  const opened = new WebSocket(`ws://${location.host}/socket`);
   socket = opened;
   lag = 0;
   opened.binaryType = "arraybuffer";
@@ -75,9 +75,7 @@ const TOLD = {
     standing();
     if (lag > BEHIND) skip();
   },
-  words(told) {
-    words(told);
-  },
+  words,
   answer(told) {
     answered(`${told.command}: ${told.text}`, told.success);
   },

@@ -126,13 +126,12 @@ class Plot {
     return Math.max(200, this.box.clientWidth - 18);
   }
 
-  resize() {
-    this.uplot.setSize({ width: this.width(), height: HEIGHT });
-  }
-
   draw(series, times, end, groups, stride, span, at) {
     this.span = span;
     const lines = this.settings.lines;
+    this.box.hidden = !lines.some(([n, name]) => series[n].shown.has(series[n].index(name)));
+    if (this.box.hidden) return;
+    if (this.uplot.width !== this.width()) this.uplot.setSize({ width: this.width(), height: HEIGHT });
     this.uplot.setData([times, ...lines.map(([n, name]) => series[n].envelope(name, end, groups, stride))]);
     lines.forEach(([n, name], line) => { this.values[line].textContent = shown(series[n].at(name, at)); });
   }
@@ -145,7 +144,6 @@ export class Plots {
     this.bands = [];
     this.marks = [];
     this.plots = PLOTS.map((settings) => new Plot(place, settings, () => this.bands, () => this.marks));
-    addEventListener("resize", () => this.plots.forEach((plot) => plot.resize()));
   }
 
   // The last `seconds` before bin `end`. Times count from bin `origin`; the figures are those of bin `at`.

@@ -10,6 +10,7 @@ export class Series {
     this.low = columns.map(() => new Float32Array(kept).fill(NaN));
     this.high = columns.map(() => new Float32Array(kept).fill(NaN));
     this.end = 0; // number of the first bin that is not there yet
+    this.shown = new Set(); // numbers of the columns that have ever had a value
   }
 
   // Enter closed bins; those that were dropped on the way stay gaps.
@@ -23,6 +24,7 @@ export class Series {
       const row = (first + n) % this.kept;
       for (let c = 0; c < width; c++) {
         this.low[c][row] = values[2 * (n * width + c)];
+        if (!Number.isNaN(this.low[c][row])) this.shown.add(c);
         this.high[c][row] = values[2 * (n * width + c) + 1];
       }
     }
