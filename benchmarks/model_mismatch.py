@@ -35,7 +35,7 @@ from hydro_core.signals import (
     StateArray,
     Waveform,
 )
-from hydro_filter.controller.loop_filter import EQUATION_NAMES, LoopFilter, default_filter
+from hydro_filter.controller.loop_filter import EQUATIONS, LoopFilter, default_filter
 from hydro_filter.model.loop import make_samples
 from hydro_filter.model.records import new_memories, new_monitors, run_monitor
 from hydro_policy.envs.vector_env import VectorBench, vector_filter
@@ -145,7 +145,7 @@ ALARM = 50.0
 def alarms(minutes: float, seed: int) -> Table:
     """The table, of both plants."""
     columns = {"plant": "", "minutes": "of bench time", "alarms": "samples", "tripped": "benches"}
-    sums = dict.fromkeys(EQUATION_NAMES, "largest sum; 50 is told")
+    sums = dict.fromkeys(EQUATIONS, "largest sum; 50 is told")
     table = Table(columns | sums, title="Nothing is wrong: false alarms")
     fleets = {"emulator": truth_fleet([profile("default")] * BENCHES),
               "sim": VectorBench([Bench.nominal()] * BENCHES, [make_plant() for _ in range(BENCHES)])}  # fmt: skip
@@ -171,7 +171,7 @@ def run(plant: str, fleet: VectorBench, minutes: float, seed: int) -> dict[str, 
         fleet.reset(i, signal, seed * BENCHES + i)
     loop = default_filter(bench).record["loop"]
     watched = [(new_memories(), new_monitors()) for _ in range(BENCHES)]
-    highest, alarms = np.zeros(len(EQUATION_NAMES)), 0
+    highest, alarms = np.zeros(len(EQUATIONS)), 0
     tripped = np.zeros(BENCHES, bool)
     for k in progress(range(steps), label=f"no alarm, {plant}", unit="step"):
         samples = fleet.step(changes[:, k])
@@ -183,7 +183,7 @@ def run(plant: str, fleet: VectorBench, minutes: float, seed: int) -> dict[str, 
             alarms += int((sums > ALARM).any(axis=-1).sum())
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
     spent = steps * BENCHES * SAMPLES_PER_STEP * SAMPLE_PERIOD / 60.0
-    sums = dict(zip(EQUATION_NAMES, highest.tolist(), strict=True))
+    sums = dict(zip(EQUATIONS, highest.tolist(), strict=True))
     return {"minutes": spent, "alarms": alarms, "tripped": int(tripped.sum()), **sums}
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prove a METRIC.region.json again, with numpy alone: python -m benchmarks.verify_region FILE; status 1: not proved.
+"""Prove a certified region's file, with numpy alone: python -m benchmarks.verify_region FILE; status 1: not proved.
 
 From the bench's equations (physics.md) and the force law. Coordinates: f_h, z = g s, z', f_l, f_l', x, x', x' of the
 box, currents within a dead time; s: opening, g: N/s per A as the sample begins. Numbers are intervals, rounded outward;

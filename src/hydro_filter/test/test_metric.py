@@ -77,7 +77,7 @@ def test_descent_makes_one_metric_decay_along_loops_that_differ(loop: Loop) -> N
 def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: Loop) -> None:
     metric = ScheduledMetric.from_design(loop, DESIGN)
     assert metric.validity_error("own") == replace(metric, training={"violated": 3.0}).validity_error("own") == ""
-    for training in ({"violated": 93.0}, {"violated": 36.1, "where": "K_p 87"}, {"foreign_violated": 50.0}):
+    for training in ({"violated": 93.0}, {"violated": 36.1}, {"foreign_violated": 50.0}):
         assert "of the held-out" in replace(metric, training=training).validity_error("own")
 
 
@@ -90,7 +90,7 @@ def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: Loop) -> None:
     assert limit_to_stable_range(loop, found) == found
     with pytest.raises(ValueError, match="does not decay at K_p = 150 1/s"):
         limit_to_stable_range(loop, replace(asked, gain_low=150.0))
-    with pytest.raises(ValueError, match="rollouts are stable from K_p = 100 1/s on, and the loop at rest decays no m"):
+    with pytest.raises(ValueError, match="rollouts decay from 100 1/s on, the loop up to"):
         limit_to_stable_range(loop, replace(asked, gain_low=100.0))
 
 
@@ -104,7 +104,6 @@ def test_an_overlap_makes_no_gain_stable_and_none_unstable_that_its_loop_is_not(
         assert between[0] < alone.gains[0] < between[1]
         assert (alone.label, asked.label) == (held, label)
         np.testing.assert_array_equal(alone.states, asked.states)
-    assert data.combine_labels(UNSTABLE, STABLE) == UNSTABLE, "what the bench itself does counts"
 
 
 def test_the_box_of_the_rollouts_admits_their_gains_and_the_table_that_of_its_law(bench: Bench) -> None:

@@ -47,22 +47,14 @@ from hydro_sim.box.firmware import RecordArray, address_of
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import NOMINAL, Bench
 
-C1_TOLERANCE = 1e-3
-"""HYDRO_SAME: largest difference at which two values of C_1 count as equal."""
-EQUATION_NAMES = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
-"""Equations of the model monitor."""
-SUSPECTED_CAUSES = (
-    "the spring or its load cell",
-    "mass, friction or spring",
-    "the piston's area or the load cell of f_h",
-    "valve, supply, oil or area",
-    "valve, supply, oil or area",
-)
-"""Suspected causes of a violation of each equation."""
-FORCE_MAX, FORCE_RATE_MAX, PRESSURE_MAX = 1e5, 1e9, 1e8
-POSITION_MAX, VELOCITY_MAX, CURRENT_MAX, GAIN_MAX = 1.0, 20.0, 1e4, 1e4
-"""Plausibility limits of a sample on the nominal bench, `FORCE_MAX` to `GAIN_MAX` [N, N/s, Pa, m, m/s, A, 1/s], far
-beyond its sensors' ranges."""
+EQUATIONS = {
+    "load": "the spring or its load cell",
+    "motion": "mass, friction or spring",
+    "hydraulic force": "the piston's area or the load cell of f_h",
+    "chamber a": "valve, supply, oil or area",
+    "chamber b": "valve, supply, oil or area",
+}
+"""Equations of the model monitor, with what a violation of each is suspected of."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,11 +99,6 @@ class Result(NamedTuple):
 
 
 STATUSES = tuple(CorrectionStatus)
-NO_CERTIFICATE_REASONS = {
-    True: "its metric is not made for the compensated law; one of a bench file is (`learn_metric --model FILE.yaml`)",
-    False: "its metric is not made for the paper's law, whose loop decays at no gain on this bench",
-}
-"""Reason for a missing certificate; key: whether the compensated law is active."""
 
 
 class LoopFilter:
@@ -156,16 +143,19 @@ class LoopFilter:
         """Message on the model equation whose residual is too large for this bench; empty while none is."""
         if not (broken := int(self.monitor["broken"][0])):
             return ""
-        name, suspects, ratio = (
-            EQUATION_NAMES[broken - 1],
-            SUSPECTED_CAUSES[broken - 1],
-            float(self.monitor["ratio"][0]),
-        )
-        return f"the model's {name} ({suspects}) is off by {ratio:.1f} times what is allowed"
+        name, suspects = list(EQUATIONS.items())[broken - 1]
+        return f"the model's {name} ({suspects}) is off by {self.monitor['ratio'][0]:.1f} times what is allowed"
 
     def missing_certificate(self, *, compensated: bool) -> str:
         """Return a message if there is no certificate under the compensated law, or the paper's; empty if there is."""
-        return NO_CERTIFICATE_REASONS[compensated] if self._unknown[compensated] else ""
+        if not self._unknown[compensated]:
+            return ""
+        law = (
+            "compensated law: `learn_metric --model FILE.yaml` makes one of a bench file"
+            if compensated
+            else "paper's law"
+        )
+        return f"its metric is not made for the {law}"
 
     def reset(self) -> None:
         """Reset to the initial state."""
@@ -185,8 +175,8 @@ class LoopFilter:
             return Result.uncorrected(CorrectionStatus.BYPASSED)
         law, (_, record) = sample.law_inputs, self._certificates[0]
         for c_1, address in self._certificates[1:]:
-            if abs(law[2] - law[3] * c_1) <= C1_TOLERANCE * law[3]:
-                record = address
+            if abs(law[2] - law[3] * c_1) <= 1e-3 * law[3]:
+                record = address  # within HYDRO_SAME
         _PACK_SAMPLE(
             self._bytes, 0, *sample.state.tolist(), sample.nominal_current, sample.valve_current,
             sample.reference_force, sample.reference_rate, sample.proportional_gain, *law, sample.armed,
@@ -248,13 +238,9 @@ def filter_record(
     force, pressure, length, current = (
         getattr(bench.size, name) / getattr(NOMINAL, name) for name in ("force", "pressure", "length", "current")
     )
-    force, rate, current, p_max = (
-        force * FORCE_MAX,
-        force * FORCE_RATE_MAX,
-        current * CURRENT_MAX,
-        pressure * PRESSURE_MAX,
-    )
-    x_max = force, rate, force, rate, p_max, p_max, length * POSITION_MAX, length * VELOCITY_MAX
+    # a plausible sample, far beyond the sensors' ranges [N, N/s, A, Pa; m, m/s]
+    force, rate, current, p_max = force * 1e5, force * 1e9, current * 1e4, pressure * 1e8
+    x_max = force, rate, force, rate, p_max, p_max, length * 1.0, length * 20.0
     if metric.coordinates != (needed := coordinate_names(loop)):
         raise ValueError(
             f"the metric is of the coordinates {', '.join(metric.coordinates)}, this model's loop has "
@@ -268,7 +254,7 @@ def filter_record(
         "noise_size": settings.noise_share * levels.noise_size,
         "foreign_noise_size": settings.noise_share * levels.foreign_noise_size,
         "integral_allowance": levels.integral_allowance,
-        "most": (x_max, current, 2.0 * bench.size.current, force, rate, GAIN_MAX, force, rate, 0.0, 0.0, True),
+        "most": (x_max, current, 2.0 * bench.size.current, force, rate, 1e4, force, rate, 0.0, 0.0, True),
     }
     arrays = {f"loop.{name}": array for name, array in loop.arrays.items()}
     return make_record(FILTER_DTYPE, values, arrays | {"table": metric.table})

@@ -41,17 +41,9 @@ from hydro_sim.model.sensors import Sensors
 
 DISTURBANCE_EFFECTS = ("friction_coulomb", "friction_stribeck", "friction_presliding", terms.OVERLAP_EFFECT, "backlash")
 """Effects left out of the linearized loop, as bounded disturbances."""
-REFERENCE_ACCELERATION_MAX = 2000.0 / 3.0
-"""1/s^2, limit of f_r'' over the bench's force: about that of a sine of this amplitude at 4 Hz."""
-VELOCITY_NOISE_FLOOR = 0.025
-"""1/s, velocity over the stroke below which the velocity's sign is noise."""
 FORCE_ALLOWANCES, PRESSURE_ALLOWANCES = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
 """Residuals that the monitor's equations allow at any motion, shape (5,). Over the bench's force: model error of the
 load, dry friction, a load cell's drift; over `terms.PRESSURE_UNCERTAINTY` of the bench's pressure: the chambers."""
-
-MASS_FACTOR = 1e6
-"""Mass within a sample over the bench's: hidden states follow the measured velocity, not the one that bristles of
-initially unknown deflection would cause within the sample."""
 
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
@@ -105,7 +97,8 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
     whole, linear = BenchModel(model_bench, substeps=SUBSTEPS), BenchModel(linear_bench, substeps=SUBSTEPS)
     states, linear_states = terms.hidden_state_indices(model_bench), terms.hidden_state_indices(linear_bench)
     k, rest, _ = whole.begin(whole.values)
-    carried = whole.values * [MASS_FACTOR if one.name == "moving_mass" else 1.0 for one in whole.parameters]
+    # a heavy mass: hidden states follow the measured velocity, not what bristles of unknown deflection would cause
+    carried = whole.values * [1e6 if one.name == "moving_mass" else 1.0 for one in whole.parameters]
     past = whole.structure.past_currents
     from_whole = [
         *range(TEXTBOOK_STATE_COUNT),
@@ -151,12 +144,14 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
         "on_their_way": on_their_way, "spool_age": terms.lag_delay(terms.find_parameters(model_bench, terms.VALVE_LAG)),
         "before": before, "after": after,
         "points": len(forces), "first": positions[0], "step": positions[1] - positions[0],
-        "level": level, "holds": level > 0.0 and not bristles, "creep": size.length * VELOCITY_NOISE_FLOOR,
+        "level": level, "holds": level > 0.0 and not bristles,
+        "creep": 0.025 * size.length,  # m/s, below which the velocity's sign is noise
         "lag": lag, "inertia": inertia, "gain": gain, "bias": bias,
         "allowed": size.force * FORCE_ALLOWANCES + size.pressure * terms.PRESSURE_UNCERTAINTY * PRESSURE_ALLOWANCES,
         "area": area, "ratio": float(numbers["area_ratio"]), "mass": float(numbers["moving_mass"]),
         "dead_a": float(numbers["dead_volume_a"]), "dead_b": float(numbers["dead_volume_b"]),
-        "stroke": float(numbers["stroke"]), "bend_max": size.force * REFERENCE_ACCELERATION_MAX,
+        "stroke": float(numbers["stroke"]),
+        "bend_max": size.force * (2000.0 / 3.0),  # of f_r'', about that of a sine of this force at 4 Hz
         # g is zero where both chambers are at their limits
         "least_gain": 0.1 * area * stiffness_a * float(numbers["valve_gain"]) * half_supply,
         "least_opening": 0.1 * float(numbers["valve_current_max"]),
@@ -194,8 +189,7 @@ def check_representable(bench: Bench) -> None:
         if closures:
             forms = ", ".join(str(one["form"]) for one in closures)
             raise ValueError(
-                f"the filter's certificate has no place for {what}: take {forms} out of the bench file, where it is "
-                "small"
+                f"the certificate has no place for {what}: take {forms} out of the bench file, where small"
             )
     for what, label in SINGLE_LAG_EFFECTS.items():
         if sum(catalogue.label(effect).startswith(label) for effect in bench.effects) > 1:

@@ -79,18 +79,6 @@ DISCOVERY_TIME = 0.5
 """s after the start within which another filter is discovered, if there is one."""
 LAW_VALID_SAMPLES = 50
 """Number of samples for which a LawState message stays valid, as one may be lost."""
-REPORTED_STATUSES = (
-    CorrectionStatus.BYPASSED, CorrectionStatus.MISMATCH, CorrectionStatus.NAN, CorrectionStatus.STALE,
-    CorrectionStatus.INFEASIBLE, CorrectionStatus.RELAXED, CorrectionStatus.MODIFIED,
-)  # fmt: skip
-"""Statuses whose counts are reported, worst first."""
-FAILURE_STATUSES = (CorrectionStatus.NAN, CorrectionStatus.INFEASIBLE)
-"""Statuses of which a single one is reported as a warning."""
-STALE_SHARE_MAX = 0.01
-"""Share of stale corrections above which the node warns; /diagnostics counts each of them."""
-STALE_HINT = "stale ones came too late to be applied: the machine is busy; close other programs"
-FILE_POLL_PERIOD = 1.0
-"""s between checks of the files; changed files are read once they are unchanged for as long."""
 _PLANT_VALUES = slice(2, 2 + len(PLANT_FIELDS))  # of a state's record, behind stamp and sequence
 
 
@@ -204,7 +192,7 @@ class FilterNode(Node):
         self._start_publishing()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(DISCOVERY_TIME, self._start_publishing, clock=steady)
-        self.create_timer(FILE_POLL_PERIOD, self._poll_files, clock=steady)
+        self.create_timer(1.0, self._poll_files, clock=steady)  # new files are read once they are unchanged for as long
         if in_process:
             return
         self._laws = subscribe(self, LAW_STATE, LAW_STATE_CODEC, self._on_law_state)
@@ -370,8 +358,7 @@ class FilterNode(Node):
         seen = self._loaded.filter.mismatch
         before, self._mismatch = self._mismatch, self._foreign or (f"{seen}; {RECOMMISSION_HINT}" if seen else "")
         if self._mismatch and not before:
-            told = f"MISMATCH, no corrections are made and the gains are limited: {self._mismatch}"
-            self.get_logger().error(told)
+            self.get_logger().error(f"MISMATCH, no corrections are made and the gains are limited: {self._mismatch}")
         elif before and not self._mismatch:
             self.get_logger().warning(f"the model fits this bench again; before: {before}")
         return result
@@ -392,14 +379,15 @@ class FilterNode(Node):
     def _status(self) -> Status:
         seen = self._statistics
         counts, self._reported = seen.statuses - self._reported, seen.statuses.copy()
-        parts = [f"{counts[status]} {status.name.lower()}" for status in REPORTED_STATUSES if counts[status]]
+        worst_first = [status for status in reversed(CorrectionStatus) if status is not CorrectionStatus.PASS]
+        parts = [f"{counts[status]} {status.name.lower()}" for status in worst_first if counts[status]]
         told = f"{counts.total()} corrections" + (f": {', '.join(parts)}" if parts else "")
         level, late = Level.OK, counts[CorrectionStatus.STALE]
         if not counts:
             level, told = Level.STALE, "no states"
-        elif any(counts[status] for status in FAILURE_STATUSES) or late > STALE_SHARE_MAX * counts.total():
+        elif counts[CorrectionStatus.NAN] or counts[CorrectionStatus.INFEASIBLE] or late > 0.01 * counts.total():
             level = Level.WARN
-            busy = f"; {STALE_HINT}{self._advice}" if late and not self.settings.bypass else ""
+            busy = f"; the machine is busy: close other programs{self._advice}" if late else ""
             self.get_logger().warning(told + busy, throttle_duration_sec=30.0)
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"

@@ -7,7 +7,7 @@ the distance between the twins, largest |difference of f_l| in a window, early a
     stable      late < 0.6 early         unstable    late > early, or the box tripped       else: neither, not used
 
 An overlap of the valve keeps the twins apart at small gains, by less the higher the gain, and at high gains it hides
-instability. Where a bench has one, the bench without it (`overlap_free`) is labelled, too: `combine_labels`.
+instability. Where a bench has one, the label is UNSTABLE or that of the bench without it (`overlap_free`).
 
 Gains are drawn from the whole range of the box; references are those of `hydro_sim.excitation`. Every rollout gives
 windows of successive samples (paper: horizon H_m = 10), each with the exact F, G, K at the measured state, noise
@@ -41,14 +41,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
 
-PULSE_CURRENT = 0.06
-"""Current of the twin run's pulse of 10 ms over the valve's limit: some 15 N on the nominal bench."""
-PULSE_SAMPLE = 1000
-EARLY_WINDOW, LATE_WINDOW = slice(1050, 1350), slice(-300, None)
-STOP_DISTANCE = 0.00625
-"""Smallest distance of windows from the end stops over the stroke."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
-DECAY_RATIO = 0.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +155,7 @@ def roll_out(
     seed = int(rng.integers(2**31))
     plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds, law=settings.law)
     pulse = np.zeros(plan.samples)
-    pulse[PULSE_SAMPLE : PULSE_SAMPLE + 10] = PULSE_CURRENT * bench.valve_current_max
+    pulse[1000:1010] = 0.06 * bench.valve_current_max  # some 15 N on the nominal bench
     box = settings.make_box_config(bench)
 
     def twins(of: Plant) -> list[StateArray]:
@@ -171,8 +164,8 @@ def roll_out(
 
     first, second = twins(plant)
     label = stability_label(first, second)
-    if overlap_free is not None:
-        label = combine_labels(label, stability_label(*twins(overlap_free)))
+    if overlap_free is not None and label != UNSTABLE:
+        label = stability_label(*twins(overlap_free))
     trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
     kept = first[: trips[0]] if len(trips) else first
     return Rollout(states=kept, gains=gains, label=label)
@@ -183,13 +176,8 @@ def stability_label(first: StateArray, second: StateArray) -> int:
     if any(((run["flags"] & Flag.TRIPPED) != 0).any() for run in (first, second)):
         return UNSTABLE
     distance = np.abs(first["load_force"] - second["load_force"])
-    early, late = distance[EARLY_WINDOW].max(), distance[LATE_WINDOW].max()
-    return UNSTABLE if late > early else STABLE if late < DECAY_RATIO * early else NEITHER
-
-
-def combine_labels(label: int, overlap_free_label: int) -> int:
-    """Return the label of gains from the bench's label and that of the bench without overlap."""
-    return UNSTABLE if label == UNSTABLE else overlap_free_label
+    early, late = distance[1050:1350].max(), distance[-300:].max()
+    return UNSTABLE if late > early else STABLE if late < 0.6 * early else NEITHER
 
 
 def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
@@ -200,7 +188,7 @@ def draw_windows(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int
     starts = np.sort(np.random.default_rng(seed).integers(100, count - span, settings.windows))
     inside = starts[:, None] + np.arange(span)
     # a piston that rests on an end stop is not part of the loop
-    position, stop = rollout.states["piston_position"], STOP_DISTANCE * loop["stroke"]
+    position, stop = rollout.states["piston_position"], 0.00625 * loop["stroke"]
     free = (position > stop) & (position < loop["stroke"] - stop)
     inside = inside[free[inside].all(axis=1)]
     if not len(inside):
@@ -234,7 +222,6 @@ def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0) -> tuple[
     return low, high
 
 
-SAMPLES_AT_REST = 4000
 NOISE_QUANTILE = 0.99
 """Quantile of the noise's v'Mv that is the noise threshold."""
 
@@ -244,7 +231,7 @@ def rest_displacements(
 ) -> FloatArray:
     """Return the displacements v of a bench at rest with a closed valve, advanced by one sample; shape (samples, c)."""
     closing = closing_current(loop)
-    x = np.array([plant.reset(seed), *(plant.step(closing) for _ in range(SAMPLES_AT_REST - 1))])
+    x = np.array([plant.reset(seed), *(plant.step(closing) for _ in range(3999))])
     signals = {"nominal": 1e-9, "current": closing, "k_p": gain, "c_1": velocity_compensation}
     still = linearize(loop.record, make_samples(x, **signals))
     asked = np.einsum("ki,ki->k", still.feedback, still.displacement)
@@ -264,23 +251,19 @@ def noise_levels(metric: ScheduledMetric, loop: Loop, noisy: Plant, clean: Plant
     return max(sizes[:-1]), sizes[-1]
 
 
-INTEGRAL_TEST_GAINS = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
-"""K_p [1/s], K_i [1/s^2] of the runs that measure the integral under the paper's law."""
 INTEGRAL_TEST_REFERENCES = (
     (Waveform.SINE, 2.0 / 3.0, 0.0, 1.0),
     (Waveform.SINE, 2.0 / 3.0, 0.5, 0.5),
     (Waveform.SINE, 2.0 / 3.0, -0.5, 0.5),
     (Waveform.MULTISINE, 1.0, 0.0, 1.0),
 )
-"""References of these runs: waveform, amplitude and offset over the bench's force, frequency [Hz]."""
-INTEGRAL_TEST_TIME = 18.0
-"""s, length of these runs: the integral takes some K_p / K_i = 6 s to settle."""
+"""References of the runs that measure the integral: waveform, amplitude and offset over the bench's force, Hz."""
 
 
 def measure_integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: DataSettings) -> float:
     """Return 1.25 times the largest integral [N/s] of stable loops under the law of `data` after the first second."""
     largest = 0.0
-    law, asking = data.compensated, list(INTEGRAL_TEST_GAINS)
+    law, asking = data.compensated, [(90.0, 15.0), (90.0, 30.0), (45.0, 30.0)]
     if law is not None:
         asking = [(law.base_kp, law.base_ki), *((s * law.base_kp, data.integral_gain_max) for s in (1.0, 0.5))]
     force, box = bench.size.force, data.make_box_config(bench)
@@ -288,7 +271,8 @@ def measure_integral_allowance(loop: Loop, plant: Plant, bench: Bench, data: Dat
         reference = ReferenceSignal(
             waveform=waveform, amplitude=amplitude * force, offset=offset * force, frequency=frequency
         )
-        plan = Schedule(reference=reference, gains=gains, seconds=INTEGRAL_TEST_TIME, law=data.law)
+        # the integral takes some K_p / K_i = 6 s to settle
+        plan = Schedule(reference=reference, gains=gains, seconds=18.0, law=data.law)
         settled = recorded_samples(simulate(plant, bench, plan, config=box)[1000:], data.velocity_compensation)
         integral = linearize(loop.record, settled, linearized=np.zeros(len(settled), np.bool_)).integral
         largest = max(largest, float(np.abs(integral).max()))

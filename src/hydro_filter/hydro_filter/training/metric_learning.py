@@ -63,7 +63,6 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
 
-GROWTH_QUANTILES = (0.5, 0.99, 0.999, 1.0)
 COLUMNS = {
     "metric": "still: equations of the still bench; solved: made to hold on samples",
     "gains": "certified: under the force law's own K_p of the range; foreign: under the best correction",
@@ -133,27 +132,16 @@ def certificate_table(metrics: dict[str, ScheduledMetric], held_out: Windows, co
             if not len(gain):
                 low, high = metric.gains[0], metric.gains[-1]
                 raise ValueError(
-                    f"no {kind} gains were held out: its range, K_p {low:.0f} to {high:.0f} 1/s, is too narrow"
+                    f"no {kind} gains of K_p {low:.0f} to {high:.0f} 1/s were held out: give more --rollouts"
                 )
             grown, condition = contraction_eigenvalues(metric, gain, closed, rate)
-            q50, q99, q999, largest = (float(value) for value in np.quantile(grown, GROWTH_QUANTILES))
+            q50, q99, q999, largest = (float(value) for value in np.quantile(grown, (0.5, 0.99, 0.999, 1.0)))
             table.add(
                 metric=name, gains=kind, samples=len(grown),
                 violated=100.0 * float((grown > 0.0).mean()), q50=q50, q99=q99, q999=q999, largest=largest,
                 condition=float(np.median(condition)), condition_max=float(condition.max()),
             )  # fmt: skip
     return table
-
-
-def describe_violations(metric: ScheduledMetric, windows: Windows, rate: float) -> str:
-    """Return a description of the gains whose certified samples violate the metric; empty if none do."""
-    gain, closed = certified_loops(windows, metric)
-    bad = (contraction_eigenvalues(metric, gain, closed, rate)[0] > 0.0).reshape(closed.shape[:2])
-    if not bad.any():
-        return ""
-    gains, slowest = gain[bad.any(axis=1)], np.abs(np.linalg.eigvals(closed[bad])).max(axis=1)
-    decay = float(-np.log(np.quantile(slowest, 0.5, method="lower"))) / SAMPLE_PERIOD
-    return f"K_p {gains.min():.0f} to {gains.max():.0f} 1/s, where the loop itself decays at {decay:.2g} 1/s"
 
 
 def contraction_eigenvalues(
@@ -175,10 +163,6 @@ def contraction_eigenvalues(
 
 DESCENT_SAMPLES = 120
 DESCENT_STEPS = 250
-LEARNING_RATE = 2e-2
-DISCARDED_SHARE = 0.02
-"""Share of the samples, those of largest growth, left out of the descent: the spool passes zero there, and the law
-divides by one side's g while the valve has the other's."""
 
 
 def refine(metric: ScheduledMetric, windows: Windows, correction: RiccatiCorrection, seed: int) -> ScheduledMetric:
@@ -215,7 +199,8 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
     start: FloatArray = np.zeros((width, width))
     eye: FloatArray = np.eye(width)
     start[np.tril_indices(width)] = entries
-    limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(DISCARDED_SHARE * len(closed))
+    # of largest growth are samples in which the spool passes zero, where law and valve have the g of either side
+    limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(0.02 * len(closed))
     moved, change, mean, square = closed.transpose(0, 2, 1), 0.0 * eye, 0.0 * eye, 0.0 * eye
     best, found = np.inf, start
     for step in range(DESCENT_STEPS):
@@ -236,7 +221,7 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
         slope = (v.T * weights) @ v - (u.T * (weights * grown[asked, -1])) @ u
         slope = np.tril(np.linalg.inv(eye + change).T @ slope) * (2.0 / SAMPLE_PERIOD) + 2e-3 * change
         mean, square = 0.9 * mean + 0.1 * slope, 0.999 * square + 0.001 * slope**2
-        pace = (LEARNING_RATE * (1.0 - step / DESCENT_STEPS) + 1e-4) / (1.0 - 0.9 ** (step + 1))
+        pace = (2e-2 * (1.0 - step / DESCENT_STEPS) + 1e-4) / (1.0 - 0.9 ** (step + 1))
         change = change - pace * mean / (np.sqrt(square / (1.0 - 0.999 ** (step + 1))) + 1e-8)
     weight = found @ found.T
     return cholesky_entries(weight / weight[Q_LOAD, Q_LOAD])
@@ -244,14 +229,6 @@ def refine_factor(entries: FloatArray, closed: FloatArray, rate: float) -> Float
 
 HELD_OUT_INTERVAL = 5
 """Interval of the held-out rollouts: every fifth."""
-SLOW_GAIN_MARGIN = 0.005
-"""Reserve above the highest small K_p whose rollouts do not decay, over the compensated law's base K_p: with C_1 below
-1 these are slow, not unstable."""
-OVERLAP_WARNING = (
-    "the bench file has a valve_deadband, within which no current moves the piston: the metric is of the loop without "
-    "it, and corrections leap over it; reduce the overlap, or expect leaps of the current by both half widths"
-)
-"""Warning for a bench with an overlap."""
 
 
 def learn_metric(options: argparse.Namespace) -> None:
@@ -269,7 +246,7 @@ def learn_metric(options: argparse.Namespace) -> None:
     provenance = Provenance(box=bench.digest, model=model.digest)  # either form of the integral: decision 31
     loop = make_loop(model, bench)
     if without_overlap(model) is not None:
-        _say(OVERLAP_WARNING)
+        _say("the bench file has a valve_deadband: corrections leap over it by both half widths, or reduce the overlap")
     laws = [data] if options.law != "compensated" else []
     if options.law != "paper":
         laws += _compensated(options, bench, data)
@@ -335,8 +312,8 @@ def _certify(
     )
     if law is not None and law.base_kp > design.gain_high:
         _say(
-            f"the box's base K_p of {law.base_kp:.0f} 1/s is above that range: the filter corrects it as any gain "
-            "without a certificate; a lower one, with fewer corrections, is the box's to set"
+            f"the box's base K_p of {law.base_kp:.0f} 1/s is above that range: set a lower one in the box for fewer "
+            "corrections"
         )
     correction, still = RiccatiCorrection.from_design(loop, design), ScheduledMetric.from_design(loop, design)
     metric = refine(still, training, correction, options.seed)
@@ -353,7 +330,6 @@ def _certify(
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data),
         "rates": {"rate": CONTRACTION_RATE, "foreign_rate": FOREIGN_RATE, "margin": RATE_MARGIN},
         "design": asdict(design), "model": model.digest, "violated": violated, "foreign_violated": foreign,
-        "where": describe_violations(metric, held_out, CONTRACTION_RATE),
     }  # fmt: skip
     return replace(metric, thresholds=thresholds, training=facts), table
 
@@ -361,7 +337,8 @@ def _certify(
 def _design(loop: Loop, data: DataSettings, rollouts: list[Rollout]) -> MetricDesign:
     """Return the design for the gains of stable rollouts that the law admits."""
     law, design = data.compensated, MetricDesign(velocity_compensation=data.velocity_compensation)
-    low, high = certified_range(rollouts) if law is None else certified_range(rollouts, SLOW_GAIN_MARGIN * law.base_kp)
+    # at C_1 below 1 rollouts at small gains are slow, not unstable: a smaller reserve above them
+    low, high = certified_range(rollouts) if law is None else certified_range(rollouts, 0.005 * law.base_kp)
     low, high = round(low), round(high)
     if law is not None:
         low = max(low, math.floor(law.base_kp + law.delta_kp_min), 1)
@@ -381,7 +358,7 @@ def require_held_out(held_out: Windows, design: MetricDesign) -> None:
     if not (inside & (held_out.label == STABLE)).any():
         raise ValueError(
             f"no held-out rollout has a gain of the certified range, K_p {design.gain_low:g} to {design.gain_high:g} "
-            "1/s, so that nothing can judge a metric of it: give more --rollouts"
+            "1/s: give more --rollouts"
         )
 
 
