@@ -46,7 +46,7 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
     "hydro_bridge bridge": (
         ("--ros-args -p guard.delta_kp_mx:=30.0", "no parameter guard.delta_kp_mx; is guard.delta_kp_max"),
         ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
-        ("--bench @corrected.yaml", "has effects, which no force law believes"),
+        ("--bench @corrected.yaml", "has effects, it is a model: name the bench.yaml of the box"),
     ),
     "hydro_bridge recorder": (("--out @bag", "exists already; a recording is never overwritten"),),
     "hydro_filter filter": (

@@ -19,9 +19,10 @@ class UnwritableError(UserError, argparse.ArgumentTypeError):
     """An output path that cannot be written to. Argparse reports it like a wrong option."""
 
 
-def is_file_error(error: Exception) -> bool:
-    """Return whether the error is the operating system's about a file or disk space, not a programming error."""
-    return isinstance(error, OSError) and (error.filename is not None or error.errno in _UNWRITABLE_ERRNOS)
+def is_user_error(error: Exception) -> bool:
+    """Return whether it is a UserError, or the operating system's about a file or disk space: no programming error."""
+    of_file = isinstance(error, OSError) and (error.filename is not None or error.errno in _UNWRITABLE_ERRNOS)
+    return of_file or isinstance(error, UserError)
 
 
 def user_message(error: Exception) -> str:
@@ -40,11 +41,8 @@ def writable_file(path: str) -> str:
     """
     if os.path.isdir(path):
         raise UnwritableError(f"{path} is a folder: name a file")
-    _refuse_unwritable(path, "written")
-    if os.path.isfile(path):  # replaced by a new file, which needs write access to its folder
-        folder = Path(path).resolve().parent
-        if not os.access(folder, os.W_OK):
-            raise UnwritableError(f"{path} cannot be written: you may not write to {folder}: choose another place")
+    if os.path.isfile(path) or not os.path.exists(path):  # no device
+        _check_folder(Path(path).resolve().parent, path)  # a file is replaced by a new one
     return path
 
 
@@ -53,17 +51,13 @@ def writable_folder(path: str | Path) -> Path:
 
     The folder is not created yet, so that a command that then refuses another argument leaves nothing behind.
     """
-    _refuse_unwritable(path, "made")
-    if os.path.exists(path) and not os.path.isdir(path):
-        raise UnwritableError(f"{path} is a file: name a folder")
+    _check_folder(Path(path).absolute(), path)
     return Path(path)
 
 
-def _refuse_unwritable(path: str | Path, done: str) -> None:
-    """Check `path`, or the nearest existing folder above it."""
-    place = Path(path).absolute()
-    there = next(place for place in (place, *place.parents) if os.path.exists(place))
-    if there != place and not there.is_dir():
-        raise UnwritableError(f"{path} cannot be {done}: {there} is not a folder: choose another place")
+def _check_folder(folder: Path, path: str | Path) -> None:
+    there = next(place for place in (folder, *folder.parents) if os.path.exists(place))
+    if not there.is_dir():
+        raise UnwritableError(f"{path} cannot be written: {there} is not a folder: choose another place")
     if not os.access(there, os.W_OK):
-        raise UnwritableError(f"{path} cannot be {done}: you may not write to {there}: choose another place")
+        raise UnwritableError(f"{path} cannot be written: you may not write to {there}: choose another place")

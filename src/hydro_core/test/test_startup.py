@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hydro_core
-from hydro_core.process.startup import copied_workspace, missing_working_directory
+from hydro_core.process.startup import copied_workspace
 
 ROOT = Path(str(hydro_core.__file__)).resolve().parents[3]
 
@@ -27,12 +27,3 @@ def test_a_copied_checkout_that_still_runs_the_old_folders_code_says_so(
     ):
         monkeypatch.setenv("AMENT_PREFIX_PATH", prefixes)
         assert copied_workspace() == said
-
-
-def test_a_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert missing_working_directory() == ""
-    gone = tmp_path / "gone"
-    gone.mkdir()
-    monkeypatch.chdir(gone)
-    gone.rmdir()
-    assert "has been deleted" in missing_working_directory()

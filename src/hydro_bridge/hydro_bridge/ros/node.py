@@ -21,7 +21,6 @@ from difflib import get_close_matches
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from types import FrameType
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
@@ -267,22 +266,12 @@ def spin(node: Node, until: Future | None = None) -> bool:
     Whether a signal ended the spinning.
     """
     executor = node_executor(node)
-    ended: list[int] = []
-
-    def hear(number: int, _: FrameType | None) -> None:
-        termination.detach_closed_terminal()
-        ended.append(number)
-
-    before = termination.install_handlers(hear)
     done: Future = Future() if until is None else until
-    try:
-        with suppress(ExternalShutdownException):
-            while not ended and not done.done() and rclpy.ok():
-                # In slices: without a deadline this executor (rclpy 7.1) keeps a core busy, may run no callback at all,
-                # and gives Python no chance to take a signal.
-                executor.spin_until_future_complete(done, timeout_sec=_WAIT_SLICE)
-    finally:
-        termination.restore_handlers(before)
+    with termination.signals_noted() as ended, suppress(ExternalShutdownException):
+        while not ended and not done.done() and rclpy.ok():
+            # In slices: without a deadline this executor (rclpy 7.1) keeps a core busy, may run no callback at all,
+            # and gives Python no chance to take a signal.
+            executor.spin_until_future_complete(done, timeout_sec=_WAIT_SLICE)
     return bool(ended)
 
 

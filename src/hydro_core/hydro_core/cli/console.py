@@ -11,23 +11,23 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import wraps
-from io import TextIOWrapper
+from io import TextIOBase, TextIOWrapper
 from math import inf
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from tqdm import tqdm
 
-from hydro_core.errors import UserError, is_file_error, user_message, writable_file, writable_folder
+from hydro_core.errors import UserError, is_user_error, user_message, writable_file, writable_folder
 from hydro_core.files.atomic import encode_json, write_atomic
 from hydro_core.process import termination
 
 __all__ = [
-    "Table", "UserError", "add_json_argument", "command", "make_parser", "bounded_number", "progress", "writable_file",
+    "Table", "UserError", "add_json_argument", "bounded_number", "command", "make_parser", "progress", "writable_file",
     "writable_folder",
 ]  # fmt: skip
 
@@ -37,8 +37,8 @@ Number = TypeVar("Number", int, float)
 
 def bounded_number(low: Number, high: float = inf) -> Callable[[str], Number]:
     """Return an argparse type: a finite number from `low` to `high`, of the type of `low`."""
-    wanted = ("a whole number, " if isinstance(low, int) else "") + (
-        f"{low:g} or more" if high == inf else f"{low:g} to {high:g}"
+    wanted = (
+        f"{'a whole number, ' if isinstance(low, int) else ''}{low:g} {'or more' if high == inf else f'to {high:g}'}"
     )
 
     def convert(text: str) -> Number:
@@ -59,7 +59,6 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
     `errors`: known errors in addition to `UserError` and to files that cannot be read or written; all others keep their
     traceback.
     """
-    known: tuple[type[Exception], ...] = (UserError, *errors)
 
     def decorate(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
         @wraps(main)
@@ -76,11 +75,11 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
                 sys.stderr.close()
                 status = 0
             except KeyboardInterrupt as interruption:
-                if isinstance(interruption, termination.Terminated) and interruption.reason:
-                    termination.print_error(interruption.reason)
+                if reason := getattr(interruption, "reason", ""):
+                    termination.print_error(reason)
                 status = termination.exit_status(interruption)
             except Exception as error:
-                if not (isinstance(error, known) or is_file_error(error)):
+                if not (isinstance(error, errors) or is_user_error(error)):
                     raise
                 termination.print_error(user_message(error))
                 status = 2
@@ -91,28 +90,26 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
     return decorate
 
 
-def progress(
-    items: Iterable[T] | None = None,
-    *,
-    total: float | None = None,
-    label: str = "",
-    unit: str = "it",
-    every: float | None = None,
-    bar_format: str | None = None,
-    delay: float = 0.0,
-) -> tqdm[T]:
-    """Return a progress bar on standard error: iterate over it, or `update` it.
+def progress(items: Iterable[T] | None = None, *, label: str = "", every: float = 0.0, **how: Any) -> tqdm[T]:
+    """Return a progress bar on standard error: iterate over it, or `update` it; `how`: further options of tqdm.
 
-    If standard error is not a terminal there is no bar, or one line every `every` seconds, the first after `delay`.
+    If standard error is not a terminal there is no bar, or with `every` one line every so many seconds.
     """
-    about: dict[str, Any] = {"total": total, "desc": label or None, "unit": unit, "bar_format": bar_format}
-    if every is None or sys.stderr.isatty():
-        how: dict[str, Any] = {"file": sys.stderr, "disable": None, "dynamic_ncols": True}
+    if every and not sys.stderr.isatty():
+        how |= {"file": _Lines(), "mininterval": every, "maxinterval": every, "ascii": True, "ncols": 0, "delay": every}
     else:
-        how = {"file": _Lines(), "mininterval": every, "maxinterval": every, "ascii": True, "ncols": 0,
-               "delay": delay}  # fmt: skip
-    bar: tqdm[Any] = tqdm(items, **about, **how)
+        how |= {"file": sys.stderr, "disable": None, "dynamic_ncols": True}
+    bar: tqdm[Any] = tqdm(items, desc=label or None, **how)
     return bar
+
+
+class _Lines(TextIOBase):
+    """Standard error as a file that gets each state of a progress bar as a separate line."""
+
+    def write(self, text: str) -> int:
+        if line := text.strip("\r\n "):
+            print(line, file=sys.stderr, flush=True)
+        return len(text)
 
 
 def print_above_progress(line: str) -> None:
@@ -133,17 +130,6 @@ def terminal_lines() -> queue.SimpleQueue[str]:
     if sys.stdin is not None and sys.stdin.isatty():
         threading.Thread(target=read, daemon=True).start()
     return lines
-
-
-class _Lines:
-    """Standard error wrapper that prints each state of a progress bar as a separate line."""
-
-    def write(self, text: str) -> None:
-        if line := text.strip("\r\n "):
-            print(line, file=sys.stderr)
-
-    def flush(self) -> None:
-        sys.stderr.flush()
 
 
 @dataclass
@@ -184,18 +170,9 @@ class Table:
             self.write_json(json_file)
 
     def write_json(self, path: Path | str) -> None:
-        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; non-finite values become null.
-
-        A missing folder is created.
-
-        Raises UserError: the file cannot be written.
-        """
-        content = {"title": self.title, "columns": self.columns, "rows": self.rows}
-        try:
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            write_atomic(Path(path), encode_json(content))
-        except OSError as error:
-            raise UserError(f"{path} cannot be written: {error.strerror}") from None
+        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; non-finite values become null."""
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(Path(path), encode_json({"title": self.title, "columns": self.columns, "rows": self.rows}))
 
 
 def plural(count: int, noun: str) -> str:
@@ -221,41 +198,16 @@ def format_cell(value: Any) -> str:
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-FIXED_ON_RESUME: Any = object()
-"""Marker in `begun` of an option for new runs only: any value on resume is refused."""
-_NOT_GIVEN = object()
-
-
 def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> dict[str, Any]:
     """Return the options given explicitly in `words`, by name; those left at their defaults are omitted."""
+    absent = object()
     names = vars(parser.parse_args(words))
-    said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, _NOT_GIVEN))))
-    return {name: value for name, value in said.items() if value is not _NOT_GIVEN}
+    said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, absent))))
+    return {name: value for name, value in said.items() if value is not absent}
 
 
-def refuse_changed_options(
-    parser: argparse.ArgumentParser, words: Sequence[str], what: str, begun: Mapping[str, Any]
-) -> None:
-    """Raise UserError if `words` contradict the options that `what` was started with.
-
-    `what`: name of what is resumed, for the message. `begun`: original values by option name, files as absolute paths,
-    or `FIXED_ON_RESUME`. Options that are not listed may change. Raises UserError: the message names each contradicting
-    option and the run's own value.
-    """
-
-    def word(value: Any) -> str:
-        if isinstance(value, bool):
-            return ""
-        return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-
+def refuse_on_resume(parser: argparse.ArgumentParser, words: Sequence[str], fixed: Collection[str]) -> None:
+    """Raise UserError if `words` give an option, by name, that is fixed when a run begins."""
     spelled = {action.dest: action.option_strings[0] for action in parser._actions if action.option_strings}
-    wrong = []
-    for name, value in explicit_options(parser, words).items():
-        if name in begun and value != (had := begun[name]) and os.path.abspath(str(value)) != had:
-            told = had is not FIXED_ON_RESUME and not isinstance(had, bool)
-            instead = f" (it has {'none' if had is None else word(had)})" if told else ""
-            wrong.append(f"{spelled[name]} {word(value)}".rstrip() + instead)
-    if wrong:
-        raise UserError(
-            f"{what} resumes with the options of its start, without {' and '.join(wrong)}: drop that, or start again"
-        )
+    if wrong := [spelled[name] for name in explicit_options(parser, words) if name in fixed]:
+        raise UserError(f"--resume goes on with the options of the start: leave out {' and '.join(wrong)}")

@@ -14,24 +14,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from hydro_core.errors import UserError
+from hydro_core.settings import read_yaml
 
 _LIST_KEYS = ("effects", "closures")
 _DESCRIPTION_KEY = "learned"
 """Key under which `learn` describes its file; not part of the bench."""
-_UNSET_VALUES: tuple[Any, ...] = (None, [], ())
-
-DIGEST_LENGTH = 12
-"""Hexadecimal digits of a digest: enough to detect mistaken pairings, not attacks."""
 
 
 def digest(bench: Mapping[str, Any]) -> str:
     """Return a bench's digest: the first 12 digits of the SHA-256 of its keys and values, unset ones omitted."""
-    said = {key: value for key, value in bench.items() if value not in _UNSET_VALUES and key != _DESCRIPTION_KEY}
+    said = {key: value for key, value in bench.items() if value not in (None, [], ()) and key != _DESCRIPTION_KEY}
     numbers = {key: value if key in _LIST_KEYS else float(value) for key, value in said.items()}
-    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGEST_LENGTH]
+    return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def read_parameters(path: str | Path) -> dict[str, Any]:
@@ -39,18 +34,15 @@ def read_parameters(path: str | Path) -> dict[str, Any]:
 
     Raises UserError: the file cannot be read, or is not a mapping of keys to numbers.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        numbers: dict[str, Any] = {str(key): value for key, value in content.items() if key != _DESCRIPTION_KEY}
-        for key, value in numbers.items():
-            if isinstance(value, bool) and key not in _LIST_KEYS:
-                raise ValueError(f"{value!r} is not a number")
-            if value is not None and key not in _LIST_KEYS:
+    numbers = {str(key): value for key, value in read_yaml(path).items() if key != _DESCRIPTION_KEY}
+    for key, value in numbers.items():
+        if value is not None and key not in _LIST_KEYS:
+            try:
                 numbers[key] = float(value)  # PyYAML (YAML 1.1) reads some numbers as text, such as 1e9
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-    except (AttributeError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise UserError(f"{path} is not a bench.yaml: {' '.join(str(error).split())}") from error
+                if isinstance(value, bool):
+                    raise ValueError
+            except (TypeError, ValueError):
+                raise UserError(f"{path} is not a bench.yaml: {key} is {value!r}, not a number") from None
     return numbers
 
 
@@ -61,10 +53,7 @@ def read_box_bench(path: str | Path) -> dict[str, Any]:
     """
     numbers = read_parameters(path)
     if found := [key for key in _LIST_KEYS if numbers.get(key)]:
-        told = f"{path} has {' and '.join(found)}, which no force law believes"
-        raise UserError(
-            f"{told}: it is the model of a bench (--model of filter and sim), name the box's own bench.yaml"
-        )
+        raise UserError(f"{path} has {' and '.join(found)}, it is a model: name the bench.yaml of the box")
     return numbers
 
 

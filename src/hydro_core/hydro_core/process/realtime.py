@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latencies, periodic deadlines, exact timers, and a run-time limit that keeps SCHED_FIFO from hanging the machine.
 
-A busy-looping real-time thread blocks its core for all others, including the shell that would end it. RLIMIT_RTTIME
-counts the CPU time of a real-time thread since it last slept. At `CPU_TIME_SOFT_LIMIT` the kernel sends SIGXCPU: the
-process drops to ordinary scheduling and ends cleanly (`Terminated`). A compiled loop, which Python cannot interrupt, is
-killed at `CPU_TIME_HARD_LIMIT`; the box trips 200 ms after its last command.
+RLIMIT_RTTIME counts the CPU time of a real-time thread since it last slept. At `CPU_TIME_SOFT_LIMIT` the kernel sends
+SIGXCPU: the process drops to ordinary scheduling and ends cleanly (`Terminated`). A compiled loop, which Python cannot
+interrupt, is killed at `CPU_TIME_HARD_LIMIT`; the box trips 200 ms after its last command.
 """
 
 from __future__ import annotations
@@ -25,6 +24,10 @@ import numpy as np
 from hydro_core.process.termination import Terminated
 
 _BIN_COUNT = 20_000
+CPU_TIME_SOFT_LIMIT = 1.0
+"""Uninterrupted CPU time [s] at which SIGXCPU is sent: a hundred times the need of any of our processes."""
+CPU_TIME_HARD_LIMIT = 3.0
+"""Uninterrupted CPU time [s] at which the kernel kills the process."""
 
 
 @dataclass
@@ -58,33 +61,23 @@ class Latency:
         return f"{shown}  max {1e3 * self.longest:.3f} ms"
 
 
-CPU_TIME_SOFT_LIMIT = 1.0
-"""Uninterrupted CPU time [s] at which SIGXCPU is sent: a hundred times the need of any of our processes."""
-CPU_TIME_HARD_LIMIT = 3.0
-"""Uninterrupted CPU time [s] at which the kernel kills the process."""
-_PR_SET_TIMERSLACK = 29
-
-
 def limit_run_time() -> None:
     """Limit the uninterrupted run time of this process and its children under SCHED_FIFO or SCHED_RR.
 
     No effect under ordinary scheduling. The signal is handled if this is called in the main thread.
     """
-    _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
-    most = (
-        round(1e6 * CPU_TIME_HARD_LIMIT)
-        if hard == resource.RLIM_INFINITY
-        else min(hard, round(1e6 * CPU_TIME_HARD_LIMIT))
-    )
+    soft, hard = round(1e6 * CPU_TIME_SOFT_LIMIT), round(1e6 * CPU_TIME_HARD_LIMIT)
+    _, limit = resource.getrlimit(resource.RLIMIT_RTTIME)
+    hard = hard if limit == resource.RLIM_INFINITY else min(hard, limit)
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGXCPU, _end)
-    resource.setrlimit(resource.RLIMIT_RTTIME, (min(round(1e6 * CPU_TIME_SOFT_LIMIT), most), most))
+    resource.setrlimit(resource.RLIMIT_RTTIME, (min(soft, hard), hard))
 
 
 def disable_timer_slack() -> None:
     """Ask the kernel to wake the calling thread on time, without the default timer slack of 50 us."""
     with suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns
+        ctypes.CDLL(None, use_errno=True).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK, 1 ns
 
 
 def drop_realtime() -> None:
@@ -97,9 +90,7 @@ def drop_realtime() -> None:
 
 def _end(number: int, _: FrameType | None) -> None:
     drop_realtime()
-    raise Terminated(
-        number, f"ran {CPU_TIME_SOFT_LIMIT:g} s by SCHED_FIFO without a pause: something in it spins; it ends here"
-    )
+    raise Terminated(number, f"ran {CPU_TIME_SOFT_LIMIT:g} s by SCHED_FIFO without a pause: it ends here")
 
 
 class PeriodicTimer:

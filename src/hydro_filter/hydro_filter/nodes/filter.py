@@ -208,11 +208,10 @@ class FilterNode(Node):
         late = threading.Timer(WAIT_NOTICE_DELAY, log, [notice])
         late.daemon = True
         late.start()
-        before = termination.install_handlers(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
-            loaded = LoadedFilter.load(choice, self.settings)
+            with termination.handled_by(signal.SIG_DFL):  # nothing runs yet, and the compiler ends untidily
+                loaded = LoadedFilter.load(choice, self.settings)
         finally:
-            termination.restore_handlers(before)
             late.cancel()
         if (taken := time.monotonic() - begin) > WAIT_NOTICE_DELAY:
             log(f"compiled in {taken:.0f} s")

@@ -7,11 +7,14 @@ It offers two services to a person: manual override of the gains (/hydro/overrid
 from __future__ import annotations
 
 import math
+import os
 import queue
+import signal
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +169,8 @@ class GraphNode(Node):
         self._step = PolicyStep()  # one object, used again a hundred times a second
         self._steps: Publisher | None = None
         self._override_service: Service | None = None  # only with the lease: the next holder offers its own
-        self._commander = Commander(self, self._on_lease, termination.request_termination, self.warn, lease_wait_max)
+        end = partial(os.kill, os.getpid(), signal.SIGINT)  # as Ctrl-C does
+        self._commander = Commander(self, self._on_lease, end, self.warn, lease_wait_max)
         self._commander.on_answer, self._commander.stamp = self._answer, self._stamp
         self.publish_law, self.publish_reference = self._commander.publish_law, self._commander.publish_reference
         self._states = subscribe(self, STATE, STATE_CODEC, self._on_state)

@@ -13,7 +13,7 @@ from pathlib import Path
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_core.cli.console import FIXED_ON_RESUME, command, explicit_options, make_parser, refuse_changed_options
+from hydro_core.cli.console import command, explicit_options, make_parser, refuse_on_resume
 from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_site, restore_plant_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run_directory import RunDirectory
@@ -84,9 +84,8 @@ def parse_options(words: Sequence[str]) -> argparse.Namespace:
     options = result.parse_args(words)
     if options.resume is not None:
         run = RunDirectory(options.resume)
-        begun = {"start": FIXED_ON_RESUME, "configuration": FIXED_ON_RESUME, "seed": run.load_settings().seed}
-        place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
-        refuse_changed_options(parser(), words, str(run.path), {**begun, **place})
+        run.load_settings()  # refuse a folder without a run first
+        refuse_on_resume(parser(), words, ("start", "configuration", "seed", "runs", "name"))
         restore_plant_options(result, run, explicit_options(parser(), words))
         options = result.parse_args(words)
     apply_site(options)

@@ -21,7 +21,7 @@ from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section
 from hydro_bridge.pages.runs import refresh_index
 from hydro_core.bench_scales import rescale
-from hydro_core.cli.console import FIXED_ON_RESUME, Table, UserError, explicit_options, progress, refuse_changed_options
+from hydro_core.cli.console import Table, UserError, explicit_options, progress, refuse_on_resume
 from hydro_core.files.atomic import write_atomic
 from hydro_core.process import termination
 from hydro_core.settings import SettingsError, from_mapping, read_yaml
@@ -64,20 +64,21 @@ def pretrain(options: argparse.Namespace) -> int:
         best = run.path / AGENT_FILE
         pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
     began = time.monotonic()
-    try:
-        _train(run, pretraining, source)
-    except KeyboardInterrupt as interruption:
-        again = f"go on with: pretrain --resume {run.path}"
-        print(f"interrupted after {pretraining.episode} episodes; {again}", file=sys.stderr)
-        return termination.exit_status(interruption)
-    finally:
-        if pretraining.history:
-            told = {"seed": settings.seed, "best score": pretraining.best_score, "code_version": code_version()}
-            curve = Section(heading="Learning curve", picture=run.path / CURVE_FILE)
-            sections = [curve, Section(heading="Rounds", table=curve_table(pretraining))]
-            write_page(run, f"Pretraining {run.path.name}", {**asdict(source), **told}, sections)
-        else:
-            refresh_index(run.path)
+    with termination.signals_noted() as noted:
+        try:
+            _train(run, pretraining, source, noted)
+        except KeyboardInterrupt as interruption:
+            again = f"go on with: pretrain --resume {run.path}"
+            print(f"interrupted after {pretraining.episode} episodes; {again}", file=sys.stderr)
+            return termination.exit_status(interruption)
+        finally:
+            if pretraining.history:
+                told = {"seed": settings.seed, "best score": pretraining.best_score, "code_version": code_version()}
+                curve = Section(heading="Learning curve", picture=run.path / CURVE_FILE)
+                sections = [curve, Section(heading="Rounds", table=curve_table(pretraining))]
+                write_page(run, f"Pretraining {run.path.name}", {**asdict(source), **told}, sections)
+            else:
+                refresh_index(run.path)
     curve_table(pretraining).show(options.json)
     print(
         f"{run.path}: best score {pretraining.best_score:.3f}, {pretraining.sac.updates} updates, "
@@ -110,18 +111,13 @@ def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, S
 
 
 def resumed_settings(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
-    """Return the settings of a resumed run; raises UserError if `words` change any of them but --episodes."""
+    """Return the settings of a resumed run; raises UserError if `words` give anything but --episodes and --json."""
     source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.provenance())
-    begun = {
-        **asdict(source), "configuration": FIXED_ON_RESUME, "hidden": settings.sac.hidden_size,
-        "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
-    }  # fmt: skip
-    refuse_changed_options(parser(), words, str(run.path), begun)
-    episodes = explicit_options(parser(), words).get("episodes", settings.episodes)
-    if episodes != settings.episodes:
-        settings = replace(settings, episodes=episodes)
-        run.save_settings(settings)
+    given = explicit_options(parser(), words)
+    refuse_on_resume(parser(), words, given.keys() - {"resume", "episodes", "json"})
+    settings = replace(settings, episodes=given.get("episodes", settings.episodes))
+    run.save_settings(settings)
     return settings, source
 
 
@@ -133,24 +129,21 @@ def load_simulation_setup(folder: Path) -> SimulationSetup:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error
 
 
-def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
+def _train(
+    run: RunDirectory, pretraining: Pretraining, source: SimulationSetup, noted: Sequence[int]
+) -> None:  # fmt: skip
     """Run the remaining rounds; save the run after the first, the last, and every `CHECKPOINT_INTERVAL` in between."""
     settings = pretraining.settings.training
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
     bar.update(pretraining.episode * settings.task.steps_per_episode)
-    due, scalars, asked = 0.0, Scalars(run.path), list[int]()
-
-    def ask(number: int, frame: object) -> None:
-        termination.detach_closed_terminal()
-        asked.append(number)
+    due, scalars = 0.0, Scalars(run.path)
 
     def each_step(transitions: Transitions) -> None:
-        if asked:  # polled between steps: an exception raised anywhere could be dropped in a finalizer
-            raise termination.Terminated(asked[-1])
+        if noted:  # polled between steps: an exception raised anywhere could be dropped in a finalizer
+            raise termination.Terminated(noted[-1])
         bar.update(len(transitions.reward))
 
-    termination.install_handlers(ask)
     while not pretraining.finished:
         entry = pretraining.run_round(each_step)
         scalars.add("pretraining", entry)

@@ -7,7 +7,6 @@ import argparse
 import secrets
 import time
 from pathlib import Path
-from types import FrameType
 from typing import get_args
 
 from hydro_bridge.plant_clock import parse_pace
@@ -101,18 +100,12 @@ def _serve(options: argparse.Namespace) -> None:
     control = ControlPipe(options.control) if options.control else None
     felt = load_force.create_ring(options.load_force) if options.load_force else None
     running = RealtimeEmulator(machine, link, pace, control, felt)
-    stop: list[int] = []
-
-    def request_stop(number: int, _: FrameType | None) -> None:
-        termination.detach_closed_terminal()
-        stop.append(number)
-
-    termination.install_handlers(request_stop)
     told = "each sample waits for its host" if pace is None else f"{pace:g} times real time"
     told = f"1 kHz, {request_realtime()}" if pace == 1.0 else told
     print(f"port {terminal.path}, {told}: ros2 run hydro_bridge bridge --port {terminal.path}", flush=True)
     try:
-        running.run(options.seconds, lambda: bool(stop))
+        with termination.signals_noted() as stop:
+            running.run(options.seconds, lambda: bool(stop))
     finally:
         terminal.unplug()
         if control is not None:
