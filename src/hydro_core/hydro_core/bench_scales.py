@@ -20,14 +20,10 @@ T = TypeVar("T")
 class BenchScales:
     """Scales of a bench: force, pressure, length and current."""
 
-    force: Annotated[float, quantity("N", 1e-3, 1e7)]
-    """Usual amplitude of a reference."""
-    pressure: Annotated[float, quantity("Pa", 1e5, 1e8)]
-    """Of the supply."""
-    length: Annotated[float, quantity("m", 1e-3, 5.0)]
-    """Stroke."""
-    current: Annotated[float, quantity("A", 1e-4, 10.0)]
-    """At which the valve saturates."""
+    force: Annotated[float, quantity("N", 1e-3, 1e7, "Usual amplitude of a reference")]
+    pressure: Annotated[float, quantity("Pa", 1e5, 1e8, "Of the supply")]
+    length: Annotated[float, quantity("m", 1e-3, 5.0, "Stroke")]
+    current: Annotated[float, quantity("A", 1e-4, 10.0, "At which the valve saturates")]
 
     @classmethod
     def of_bench(cls, bench: Mapping[str, Any]) -> BenchScales:
@@ -42,21 +38,17 @@ class BenchScales:
     @classmethod
     def of_known_bench(cls, bench: Mapping[str, Any] | None) -> BenchScales | None:
         """Return the size of a bench from a box's bench file; None if the file is unknown or incomplete."""
-        try:
-            return None if bench is None else cls.of_bench(bench)
-        except (KeyError, TypeError):
-            return None
+        needed = ("piston_area", "supply_pressure", "stroke", "valve_current_max")
+        complete = isinstance(bench, Mapping) and all(bench.get(name) for name in needed)
+        return cls.of_bench(bench) if bench and complete else None
 
 
 def rescale(settings: T, before: BenchScales, after: BenchScales) -> T:
     """Return settings scaled from a bench of size `before` to a similar one of size `after`, each value by its unit."""
     force, length = after.force / before.force, after.length / before.length
     current, pressure = after.current / before.current, after.pressure / before.pressure
-    ratios = {
-        "N": force, "N/s": force, "N/m": force / length, "Pa": pressure, "m": length, "m/s": length, "A": current,
-        "A/s": current,
-    }  # fmt: skip
-
+    ratios = {"N": force, "N/s": force, "N/m": force / length, "m": length, "m/s": length}
+    ratios |= {"Pa": pressure, "A": current, "A/s": current}
     changed: dict[str, Any] = {}
     for name, setting in describe(type(settings)).items():
         value = getattr(settings, name)

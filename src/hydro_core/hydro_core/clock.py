@@ -6,9 +6,9 @@
     box time ──BoxClock: slewed──> monotonic time ──HostClock: stepped when the host's clock is set──> ROS time
 
 A sample taken at box time b arrives at monotonic time a = b + offset + delay, and the delay is never negative. So the
-smallest a - b within a window is the best estimate of the offset, including the delay of the fastest delivery; the
-window is finite because the two clocks drift. The estimate is slewed and never stepped: stamps are strictly monotone
-and keep the box's sample spacing. Only when the host's clock is set do they step with it.
+smallest a - b within a window, which is finite because the two clocks drift, is the best estimate of the offset. The
+estimate is slewed: stamps are strictly monotone and keep the box's sample spacing. Only when the host's clock is set do
+they step with it.
 """
 
 from __future__ import annotations
@@ -32,18 +32,9 @@ class BoxClock:
     _last_us: int | None = None
 
     def stamp(self, box_us: int, arrival_ns: int) -> int:
-        """Return the monotonic time of a sample.
+        """Return the monotonic time [ns] at which a sample was taken, ascending.
 
-        Parameters
-        ----------
-        box_us
-            Box time of the sample, us, ascending.
-        arrival_ns
-            Monotonic time at which it arrived, ns.
-
-        Returns
-        -------
-        Estimated monotonic time at which it was taken, ns, ascending.
+        `box_us`: its box time [us], ascending. `arrival_ns`: monotonic time [ns] at which it arrived.
         """
         offset, queue = arrival_ns - 1000 * box_us, self._quickest
         while queue and queue[-1][1] >= offset:
@@ -69,20 +60,15 @@ class HostClock:
 
     STEP_MIN = 1_000_000
     """ns, change of the difference that counts as a step; the error of reading two clocks in turn is smaller."""
-    _READING_TIME_MAX = 100_000  # ns that reading both may take; a longer reading was interrupted
 
     def __init__(self) -> None:
-        self._wall = time.time_ns
         while (offset := self._read()) is None:
             pass
         self.offset = offset
         """ROS time minus monotonic time, ns."""
 
     def detect_step(self) -> int:
-        """Read both clocks; return the step [ns] of the host's clock since the last call, mostly 0.
-
-        Call it about once per sample.
-        """
+        """Return the step [ns] of the host's clock since the last call, mostly 0; call it about once per sample."""
         offset = self._read()
         if offset is None or abs(offset - self.offset) < self.STEP_MIN:
             return 0
@@ -91,6 +77,5 @@ class HostClock:
 
     def _read(self) -> int | None:
         """Return wall time minus monotonic time, ns; None if this thread was interrupted between the two readings."""
-        before = time.monotonic_ns()
-        wall = self._wall()
-        return wall - before if time.monotonic_ns() - before <= self._READING_TIME_MAX else None
+        before, wall = time.monotonic_ns(), time.time_ns()
+        return wall - before if time.monotonic_ns() - before <= 100_000 else None

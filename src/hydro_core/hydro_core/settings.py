@@ -69,26 +69,25 @@ class Setting:
         return typing.get_args(self.kind) if typing.get_origin(self.kind) is Literal else ()
 
     @property
-    def text(self) -> str:
-        """Meaning, unit and range, as shown in help texts and ROS."""
-        limits = ", ".join(part for part in (self.unit.strip("-"), self.range) if part)
-        return f"{self.meaning} [{limits}]".strip() if limits else self.meaning
-
-    @property
     def range(self) -> str:
         """Range as text, `low to high`; empty if there is none."""
         return f"{self.low:.12g} to {self.high:.12g}" if isfinite(self.low) else ""
+
+    @property
+    def text(self) -> str:
+        """Meaning, unit and range, as shown in help texts and ROS."""
+        limits = ", ".join(filter(None, (self.unit.strip("-"), self.range)))
+        return f"{self.meaning} [{limits}]".strip() if limits else self.meaning
 
     @property
     def allowed(self) -> str:
         """Allowed values, for messages: `a number within [0, 1] N`."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
-        if self.kind not in (int, float):
-            return {str: "text", bool: "true or false"}.get(self.kind, "a mapping")
         several = typing.get_origin(self.hint) is tuple
-        noun = "numbers" if several else "a whole number" if self.kind is int else "a number"
-        return f"{noun} within [{self.low:g}, {self.high:g}] {self.unit.strip('-')}".strip()
+        nouns = {float: "numbers" if several else "a number", int: "a whole number", str: "text", bool: "true or false"}
+        limits = f" within [{self.low:g}, {self.high:g}] {self.unit.strip('-')}" if self.range else ""
+        return f"{nouns.get(self.kind, 'a mapping')}{limits}".strip()
 
 
 _SETTINGS_BY_CLASS: dict[type[Any], dict[str, Setting]] = {}

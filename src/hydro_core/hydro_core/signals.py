@@ -48,14 +48,10 @@ PLANT_FIELDS: tuple[str, ...] = STATE_FIELDS[:8]
 """The state x of the paper (eq. state_def)."""
 
 STATE_DTYPE = np.dtype(
-    [
-        ("time", np.float64),
-        ("sequence", np.uint32),
-        *((name, np.float64) for name in STATE_FIELDS),
-        ("flags", np.uint32),
-    ],
+    [("time", np.float64), ("sequence", np.uint32), *((name, np.float64) for name in STATE_FIELDS),
+     ("flags", np.uint32)],
     align=True,
-)
+)  # fmt: skip
 """Record type of one sample, 136 bytes; padded so that every float is aligned, for numba and SIMD."""
 
 
@@ -176,20 +172,5 @@ class Command(LawCommand):
 
 
 def to_matrix(states: StateArray, fields: tuple[str, ...] = PLANT_FIELDS) -> FloatArray:
-    """Return columns of a recording as one matrix.
-
-    Parameters
-    ----------
-    states
-        Records of `STATE_DTYPE`, shape (n,).
-    fields
-        Names of k float fields.
-
-    Returns
-    -------
-    Copy of the columns, shape (n, k), C-contiguous, units of the fields.
-    """
-    columns = np.empty((len(states), len(fields)))
-    for column, name in enumerate(fields):
-        columns[:, column] = states[name]
-    return columns
+    """Return k float fields of n records of `STATE_DTYPE` as a copy of shape (n, k), C-contiguous."""
+    return np.stack([states[name] for name in fields], axis=-1)

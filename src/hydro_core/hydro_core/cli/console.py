@@ -37,15 +37,13 @@ Number = TypeVar("Number", int, float)
 
 def bounded_number(low: Number, high: float = inf) -> Callable[[str], Number]:
     """Return an argparse type: a finite number from `low` to `high`, of the type of `low`."""
-    wanted = (
-        f"{'a whole number, ' if isinstance(low, int) else ''}{low:g} {'or more' if high == inf else f'to {high:g}'}"
-    )
+    noun = "a whole number" if isinstance(low, int) else "a number"
 
     def convert(text: str) -> Number:
         with suppress(ValueError):
             if low <= (value := type(low)(text)) <= high and value < inf:
                 return value
-        raise argparse.ArgumentTypeError(f"{text}: must be {wanted}")
+        raise argparse.ArgumentTypeError(f"{text}: must be {noun} within [{low:g}, {high:g}]")
 
     return convert
 
@@ -53,11 +51,8 @@ def bounded_number(low: Number, high: float = inf) -> Callable[[str], Number]:
 def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
     """Decorate a `main`: known errors are printed as one sentence, its return value becomes the exit status.
 
-    Ctrl-C, SIGTERM and SIGHUP raise `termination.Terminated` in it: the status is 128 + the signal's number, 130 for
-    Ctrl-C.
-
-    `errors`: known errors in addition to `UserError` and to files that cannot be read or written; all others keep their
-    traceback.
+    Ctrl-C, SIGTERM and SIGHUP raise `termination.Terminated` in it: the status is 128 + the signal's number. `errors`:
+    known errors in addition to `UserError` and to files that cannot be read or written; others keep their traceback.
     """
 
     def decorate(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
@@ -134,13 +129,10 @@ def terminal_lines() -> queue.SimpleQueue[str]:
 
 @dataclass
 class Table:
-    """Table of results: aligned text for people, and JSON with documented keys for programs.
-
-    `columns`: key and meaning, with unit, of each column. The keys are those of the JSON. `title`: heading above the
-    table.
-    """
+    """Table of results: aligned text for people, and JSON with documented keys for programs."""
 
     columns: Mapping[str, str]
+    """Key and meaning, with unit, of each column."""
     title: str = ""
     rows: list[dict[str, Any]] = field(default_factory=list)
 
@@ -152,16 +144,15 @@ class Table:
 
     def text(self) -> str:
         """Return aligned columns below their keys, numbers right-aligned; the keys' meanings follow underneath."""
-        cells = [[format_cell(row[key]) for key in self.columns] for row in self.rows]
-        widths = [max(len(key), *(len(row[n]) for row in cells), 0) for n, key in enumerate(self.columns)]
-        right = [bool(self.rows) and not isinstance(self.rows[0][key], str) for key in self.columns]
-        table = [list(self.columns), ["-" * width for width in widths], *cells]
-        lines = [
-            "  ".join(f"{cell:{'>' if r else '<'}{w}}" for cell, w, r in zip(row, widths, right, strict=True)).rstrip()
-            for row in table
-        ]
+        columns = []
+        for key in self.columns:
+            cells = [key, *(format_cell(row[key]) for row in self.rows)]
+            width, right = max(map(len, cells)), bool(self.rows) and not isinstance(self.rows[0][key], str)
+            cells.insert(1, "-" * width)
+            columns.append([f"{cell:{'>' if right else '<'}{width}}" for cell in cells])
+        lines = ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]
         meanings = [f"{key}: {meaning}" for key, meaning in self.columns.items() if meaning]
-        return "\n".join([*([self.title] if self.title else []), *lines, *meanings])
+        return "\n".join([*filter(None, [self.title]), *lines, *meanings])
 
     def show(self, json_file: Path | str | None = None) -> None:
         """Print the table, and write it to `json_file` if given."""

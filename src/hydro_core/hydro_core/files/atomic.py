@@ -36,8 +36,7 @@ def write_atomic(path: Path, content: bytes) -> None:
     except OSError as error:
         with suppress(OSError):
             partial.unlink()
-        if error.filename in (None, str(partial)):  # the error of a full disk names no file
-            error.filename = str(path)
+        error.filename = str(path)  # the error of a full disk names no file
         raise
     fsync_folder(path.parent)
 

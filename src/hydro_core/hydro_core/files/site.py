@@ -20,10 +20,7 @@ from hydro_core.errors import UserError
 BENCH_FILE, MODEL_FILE, METRIC_FILE = "bench.yaml", "corrected.yaml", "metric.safetensors"
 RECORDINGS_FOLDER, REPORTS_FOLDER, RECORD_FILE = "recordings", "reports", "commission.json"
 
-RECOMMISSION_HINT = (
-    "after a change of spring, supply, oil or valve `ros2 run hydro_policy commission --again --site DIR` makes model "
-    "and metric of the bench as it is"
-)
+RECOMMISSION_HINT = "make model and metric anew: `ros2 run hydro_policy commission --again --site DIR`"
 """Remedy for a filter whose model is not that of this bench."""
 
 
@@ -53,10 +50,8 @@ def apply_site_option(options: argparse.Namespace, **files: str) -> None:
     for option, words in files.items():
         if getattr(options, option):
             raise UserError(f"--{option} is told by --site {options.site}: leave one of them out")
-        found = [
-            str(folder / name) if name in (BENCH_FILE, MODEL_FILE, METRIC_FILE) else name for name in words.split()
-        ]
-        for path in map(Path, found):
-            if path.is_absolute() and not path.is_file():
+        found = [word if word.startswith("--") else str(folder / word) for word in words.split()]
+        for path in found:
+            if not path.startswith("--") and not Path(path).is_file():
                 raise UserError(f"{path} is not there: `ros2 run hydro_policy commission` has not got that far")
         setattr(options, option, shlex.join(found) if len(found) > 1 else Path(found[0]))
