@@ -100,7 +100,7 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
     "hydro_sim sim": (
         ("--model shipped --box-bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--ros-args -p box.load_force_limit:=-5.0", "parameter box.load_force_limit: "),
-        ("--ros-args -p simulator:seed:=5", "parameters of /simulator reach no node, this is /sim; is /sim meant?"),
+        ("--ros-args -p simulator:seed:=5", "parameters of /simulator reach no node, this is /sim"),
         ("--ros-args --params-file @every.params", "no parameter gaurd.delta_kp_max; is guard.delta_kp_max meant?"),
     ),
     "hydro_sim validate": (

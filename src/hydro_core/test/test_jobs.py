@@ -54,12 +54,12 @@ def cluster(tmp_path: Path) -> Iterator[str]:
 
 def test_poisoned_job_is_named_and_the_rest_is_done(capsys: pytest.CaptureFixture[str]) -> None:
     found = {}
-    with pytest.raises(jobs.JobsError, match=r"^1 of 3 jobs failed: b; the others are done$") as failed:
+    with pytest.raises(UserError, match=r"^1 of 3 jobs failed: b; the others are done$"):
         for name, result in jobs.run(divmod, {"a": (1, 1), "b": (1, 0), "c": (4, 2)}, processes=1):
             found[name] = result
     assert found == {"a": (1, 0), "c": (2, 0)}
-    assert isinstance(failed.value.errors["b"], ZeroDivisionError)
-    assert "b: Traceback" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "b: Traceback" in said and "ZeroDivisionError" in said
 
 
 @pytest.mark.slow
@@ -68,7 +68,7 @@ def test_job_whose_process_is_killed_is_done_again_poison_kills_no_other_and_res
 ) -> None:
     wanted = {f"recording {number}": (number, tmp_path) for number in range(8)}
     found = {}
-    with pytest.raises(jobs.JobsError, match=r"2 of 8 jobs failed: recording 3, recording 4; the others"):
+    with pytest.raises(UserError, match=r"2 of 8 jobs failed: recording 3, recording 4; the others"):
         for name, result in jobs.run(marked, wanted, processes=2, results_file=tmp_path / "results"):
             found[name] = tuple(result)
     done = [len([*tmp_path.glob(f"{number}-*")]) for number in range(8)]

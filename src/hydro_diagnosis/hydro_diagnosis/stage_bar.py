@@ -30,9 +30,7 @@ class StageBar:
 
     def __init__(self) -> None:
         shown = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
-        self._bar: tqdm[Any] = progress(
-            total=len(STAGES), label=LABEL, every=LINE_INTERVAL, bar_format=shown, delay=LINE_INTERVAL
-        )
+        self._bar: tqdm[Any] = progress(total=len(STAGES), label=LABEL, every=LINE_INTERVAL, bar_format=shown)
         self._simulator = False
 
     def __enter__(self) -> StageBar:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from difflib import get_close_matches
+from fnmatch import fnmatch
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -112,30 +113,21 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
     ours = {node for table in ACCESS_RIGHTS.values() for node in table}
     for option, value in pairwise(ros_arguments()[1]):
         if option in ("-p", "--param") and ":" in (rule := value.partition(":=")[0]):
-            source, patterns = f"-p {value}", ["/" + rule.partition(":")[0].lstrip("/")]
+            patterns = ["/" + rule.partition(":")[0].lstrip("/")]
         elif option == "--params-file":
-            with open(value, encoding="utf-8") as file:
-                source, patterns = value, sorted(_sections(yaml.safe_load(file)))
+            patterns = sorted(_sections(yaml.safe_load(Path(value).read_text(encoding="utf-8"))))
         else:  # without a node's name a parameter is for all nodes
             continue
         # In a parameter file `/**` stands for any parts of a name, `/*` for one.
-        forms = {
-            pattern: re.escape(pattern).replace(r"/\*\*", "(/[^/]+)*").replace(r"\*", "[^/]+") for pattern in patterns
-        }
-        reached = [pattern for pattern in patterns if any(re.fullmatch(forms[pattern], name) for name in here)]
+        reached = [each for each in patterns if any(fnmatch(name, each.replace("/**", "*")) for name in here)]
         for pattern in patterns:
             name = pattern.rpartition("/")[2]
-            meant = name not in ours and get_close_matches(name, (*ours, *ACCESS_RIGHTS), 1, 0.6)
-            if (not reached or meant) and pattern not in reached:
-                close = get_close_matches(pattern, here, 1, 0.5) or here
-                nodes_here = " and ".join(here)
-                raise SettingsError(
-                    f"{source}: parameters of {pattern} reach no node, this is {nodes_here}; is {close[0]} meant?"
-                )
+            misspelt = name not in ours and get_close_matches(name, (*ours, *ACCESS_RIGHTS))
+            if pattern not in reached and (misspelt or not reached):
+                raise SettingsError(f"{value}: parameters of {pattern} reach no node, this is {' and '.join(here)}")
     for name in {name: None for node in nodes for name in node._parameter_overrides}:  # rclpy: no public access
         if not any(node.has_parameter(name) for node in nodes):
-            known = [known for node in nodes for known in node.get_parameters_by_prefix("")]
-            close = get_close_matches(name, known, 1)
+            close = get_close_matches(name, [known for node in nodes for known in node.get_parameters_by_prefix("")], 1)
             hint = f"; is {close[0]} meant?" if close else ""
             raise SettingsError(f"{' and '.join(node.get_name() for node in nodes)} has no parameter {name}{hint}")
 

@@ -41,14 +41,6 @@ WORKER_DEATHS_MAX = 3
 """Worker processes that one job may kill before it counts as failed."""
 
 
-class JobsError(UserError):
-    """Error of a run with failed jobs, raised after all others are done; `errors`: their exceptions by job name."""
-
-    def __init__(self, errors: Mapping[str, Exception], count: int) -> None:
-        super().__init__(f"{len(errors)} of {count} jobs failed: {', '.join([*errors][:10])}; the others are done")
-        self.errors = errors
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options `--jobs N` and `--scheduler ADDRESS`."""
     parser.add_argument(
@@ -71,7 +63,7 @@ def run(
     `processes`: number on this machine; 0: one a core. `scheduler`: address of a Dask scheduler whose workers run the
     jobs instead. `results_file`: file of results, a line of JSON for each job: jobs in it are not run again.
 
-    Raises JobsError at the end, if jobs failed; each is reported on standard error when it fails.
+    Raises UserError at the end, if jobs failed; each is reported on standard error when it fails.
     """
     found: dict[str, Any] = {}
     if results_file is not None and results_file.exists():
@@ -84,13 +76,13 @@ def run(
     processes = min(processes or len(os.sched_getaffinity(0)), len(missing))
     alone = not missing or (processes == 1 and scheduler is None)
     results = _here(function, missing) if alone else _on_dask(function, missing, processes, scheduler)
-    errors: dict[str, Exception] = {}
+    errors = set[str]()
     bar: tqdm[Any] = progress(total=len(missing), label=label, unit=unit, every=60.0)
     with closing(results), bar:
         for name, value, error in results:
             bar.update()
             if error is not None:
-                errors[name] = error
+                errors.add(name)
                 told = user_message(error) if is_user_error(error) else "".join(format_exception(error)).rstrip()
                 bar.write(f"{name}: {told}", file=sys.stderr)
                 continue
@@ -99,7 +91,8 @@ def run(
                     file.write(json.dumps({"key": name, "value": value}) + "\n")
             yield name, value
     if errors:
-        raise JobsError({name: errors[name] for name in arguments if name in errors}, len(arguments))
+        failed = ", ".join([name for name in arguments if name in errors][:10])
+        raise UserError(f"{len(errors)} of {len(arguments)} jobs failed: {failed}; the others are done")
 
 
 def run_all(function: Callable[..., Any], arguments: JobArguments, **how: Any) -> dict[str, Any]:

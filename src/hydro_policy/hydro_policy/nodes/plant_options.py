@@ -34,7 +34,7 @@ SCRATCH = "scratch"  # value of `--from` for no agent, besides a run's folder
 
 
 def _option(*only: str, **words: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Return an option of the command line: the plants that it goes with, if not with all; and as of `add_argument`."""
+    """Return the plants that an option goes with, if not with all, and its words for `add_argument`."""
     return only, words
 
 
@@ -162,7 +162,7 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
     return made
 
 
-PRETRAIN_HINT = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
+PRETRAIN_HINT = "make one with `pretrain` and its --box and --base-gains"
 
 
 def expected_box(options: argparse.Namespace) -> BoxIdentity:
