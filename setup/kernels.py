@@ -1,73 +1,141 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compile the numerical kernels ahead of every run, and tell whether that is done.
+"""The kernels of each package, compiled by calls on small real inputs: `python -m setup.kernels SCOPE STAMP MACHINE`.
 
-numba keeps what it has compiled beside the sources and starts again where a source, the Python or the processor is
-another. What the warm-up read and left is written into a stamp; while all of it is as it was, nothing has to be done.
+`make setup` runs this in the environment. SCOPE is `all` or `main-job`; STAMP gets MACHINE and the sources as they are.
 """
 
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
-from collections.abc import Mapping
+import signal
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import product
 from pathlib import Path
 
-from setup import stamp, workspace
-from setup.layout import Layout
-from setup.progress import run_logged
+import numpy as np
 
-RECORDING = "HYDRO_COMPILATIONS"
-"""The environment variable by which `hydro_sim.compiled` writes down what a run compiles: this is none."""
+from hydro_core.signals import SAMPLES_PER_STEP, ReferenceSignal
+from hydro_diagnosis.effects import LIBRARY, base, closure, dynamics, memory
+from hydro_diagnosis.model import segment_model, simulation
+from hydro_diagnosis.recording import MEASURED_CHANNELS, Segment
+from hydro_filter.controller import factory, loop_filter
+from hydro_filter.metric import ScheduledMetric
+from hydro_policy.compensation.estimator import Compensator
+from hydro_policy.envs import FILTERS, vector_env
+from hydro_policy.learner_process.learner import compile_updates
+from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
+from hydro_policy.task.mdp import ACTION_SIZE
+from hydro_sim import excitation
+from hydro_sim.box.firmware import STRUCTURES
+from hydro_sim.emulator import offline
+from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.files import learned_bench
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.tables import KNOTS
+from hydro_sim.simulation.offline import Schedule, simulate
 
-HINT = "`make lint` says what is wrong with a source that was edited. "
-
-
-def machine_digest(wheels_digest: str) -> str:
-    """Digest of what compiled code depends on besides the sources."""
-    cache = os.environ.get("NUMBA_CACHE_DIR", "")
-    return stamp.digest([wheels_digest, f"cache {cache}", f"processor {_processor()}"])
-
-
-def are_current(layout: Layout, machine: str, main_job: bool) -> bool:
-    """Say whether all kernels, or those of the main job, are compiled, of the sources as they are."""
-    stamps = (layout.kernels_stamp(False), *([layout.kernels_stamp(True)] if main_job else []))
-    return any(_is_current(path, machine) for path in stamps)
-
-
-def _is_current(path: Path, machine: str) -> bool:
-    try:
-        found = json.loads(path.read_text())
-        sources = {path: [(stat := os.stat(path)).st_mtime_ns, stat.st_size] for path in found["sources"]}
-    except (OSError, ValueError, KeyError):
-        return False
-    return bool(
-        found["machine"] == machine and sources == found["sources"] and all(map(os.path.exists, found["caches"]))
-    )
+PROCESSES = 4
+"""At most: each takes half a gigabyte."""
+BENCH = Bench.nominal()
 
 
-def compile_steps(layout: Layout, machine: str, environment: Mapping[str, str], main_job: bool, log: Path) -> None:
-    """Compile what is not compiled yet, in processes of the environment, and write the stamp.
-
-    Colcon may still build the packages: they are imported by `workspace.link_sources`. Raises SetupError: a kernel
-    cannot be compiled.
-    """
-    target = layout.kernels_stamp(main_job)
-    target.unlink(missing_ok=True)
-    quiet = {name: value for name, value in environment.items() if name != RECORDING}
-    for name, folders in (
-        ("PYTHONPATH", workspace.link_sources(layout)),
-        ("AMENT_PREFIX_PATH", [str(layout.install / "hydro_firmware")]),
-    ):
-        quiet[name] = os.pathsep.join(filter(None, [*folders, quiet.get(name)]))
-    words = ["-m", "setup.compile_kernels", "--machine", machine, "--stamp", str(target)]
-    words += ["--main-job"] if main_job else []
-    run_logged([str(layout.python), *words], log, quiet, HINT, layout.root)
+def _filters() -> None:
+    factory.FilterChoice(bench=BENCH).make(loop_filter.LoopFilterSettings())
+    loop_filter.loop_filter(ScheduledMetric.load(), BENCH, BENCH)
 
 
-def _processor() -> str:
-    """What numba compiles for: model and features of the first core."""
-    try:
-        first = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
-    except OSError:
-        return "unknown"
-    return "\n".join(line for line in first if line.startswith(("model name", "flags", "Features")))
+def _learner() -> None:
+    for name in CONFIGURATIONS:
+        compile_updates(configuration(name).sac)
+
+
+def _estimator() -> None:
+    samples = np.zeros((1, SAMPLES_PER_STEP))
+    Compensator().step(samples, samples, np.ones(1, bool), samples)
+
+
+def _vector_benches() -> None:
+    for plant, kind in product((AnalyticPlant(BENCH), learned_bench.make_plant()), FILTERS):
+        benches = vector_env.VectorBench([BENCH], [plant], filters=vector_env.vector_filter(kind, BENCH, 1))
+        benches.reset(0, ReferenceSignal(), 0)
+        benches.step(np.zeros((1, ACTION_SIZE)))
+
+
+def _emulator() -> None:
+    machine = Machine(profile("default"))
+    machine.warm_up()
+    machine.plant.step(0.0)
+
+
+def _emulator_offline() -> None:
+    for precision in STRUCTURES:
+        Machine(profile("default"), precision=precision).warm_up()
+    offline.record_offline(profile("default"), excitation.draw_schedule(0.1, 0))
+
+
+def _simulation() -> None:
+    for plant in (AnalyticPlant(BENCH), learned_bench.make_plant()):
+        simulate(plant, BENCH, Schedule(reference=ReferenceSignal(), gains=(60.0, 10.0), seconds=0.1))
+        plant.step(0.0)
+
+
+def _diagnosis() -> None:
+    path, record = np.zeros(10), memory.Memory(1e-3)
+    record.bristle("z", path, 2e5, np.ones(10))
+    record.play("p", path, 0.1)
+    dynamics.overlap_output(np.zeros((10, 4)), 1e-3, 1e-4)
+    closure.evaluate_spline(path, 0.0, 1.0, np.zeros(KNOTS))
+    rest = {name: np.full(200, 1e6 if name.startswith("pressure") else 0.0) for name in MEASURED_CHANNELS}
+    model = segment_model.SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), BENCH)
+    begins, causes = np.arange(20, 40, 10), {effect.label: effect for effect in LIBRARY}
+    leak = base.EffectHypothesis(causes["leakage_internal"], {"coefficient": 0.0})
+    gain = base.EffectHypothesis(causes["valve_gain"], {"ratio": 1.0})
+    for claims in ((), (leak,), (gain,)):
+        model.residuals(base.PRESSURE, claims), model.motion_residual(claims)
+        plant = simulation.Plant.of(model, claims)
+        plant.run(plant.start(begins), begins, 3)
+
+
+MAIN_JOB: dict[str, Callable[[], None]] = {
+    "estimator": _estimator, "learner": _learner, "emulator": _emulator, "filter": _filters,
+}  # fmt: skip
+"""What `make train` runs, the longest first."""
+KERNELS = MAIN_JOB | {
+    "vector benches": _vector_benches, "offline emulator": _emulator_offline,
+    "simulation": _simulation, "diagnosis": _diagnosis,
+}  # fmt: skip
+
+
+def main(scope: str, stamp: Path, machine: str) -> None:
+    """Compile, in a process per core, and write down of which sources."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # which ends the processes, too
+    kernels = MAIN_JOB if scope == "main-job" else KERNELS
+    loaded = [str(Path(file).resolve()) for module in sys.modules.values() if (file := getattr(module, "__file__", ""))]
+    sources = {file: [(stat := os.stat(file)).st_mtime_ns, stat.st_size] for file in loaded if "/src/hydro_" in file}
+    context = multiprocessing.get_context(
+        "fork"
+    )  # the packages are imported once; nothing runs yet that it would break
+    with ProcessPoolExecutor(min(PROCESSES, len(os.sched_getaffinity(0))), context) as pool:
+        futures = {pool.submit(call): name for name, call in kernels.items()}
+        try:
+            for done, future in enumerate(as_completed(futures), 1):
+                future.result()
+                print(f"{done} of {len(futures)}: {futures[future]}", flush=True)
+        except BaseException:  # what has begun would be waited for, and what has not, be done
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.kill()
+            raise
+    part = stamp.with_suffix(".part")
+    part.write_text(json.dumps({"machine": machine, "sources": sources}))
+    part.replace(stamp)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), sys.argv[3])

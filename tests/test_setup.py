@@ -8,14 +8,13 @@ import os
 import resource
 import shlex
 import sys
-import threading
 from pathlib import Path
 
 import pytest
 
-from setup import compile_kernels, host, kernels, plan, ros2, stamp, venv, wheels
-from setup.layout import Layout
-from setup.progress import SetupError
+from setup import environment, ros2, steps
+from setup.bootstrap import complaint
+from setup.environment import SetupError
 from tests.checks import ran
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -29,17 +28,31 @@ def fake_ros(prefix: Path) -> dict[str, str]:
     return {"ROS_DISTRO": "jazzy", "AMENT_PREFIX_PATH": str(prefix), "PATH": f"{ros2.parent}:/usr/bin"}
 
 
-def test_sourced_jazzy_is_used_and_no_other(tmp_path: Path) -> None:
-    environment, own = fake_ros(tmp_path / "jazzy"), Layout(root=tmp_path).venv
-    ros = host.sourced_ros(environment, own)
+def test_a_python_or_a_folder_that_cannot_be_used_is_refused_in_a_sentence() -> None:
+    for version, folder, sentence in (
+        ((3, 9, 1), "/home/l/hydro", "Python 3.9 found, but 3.10 to 3.13 is needed"),
+        ((3, 14, 0), "/home/l/hydro", "Python 3.14 found, but 3.10 to 3.13 is needed"),
+        ((3, 12, 3), "/home/jürgen/hydro", "/home/jürgen/hydro has letters outside of ASCII"),
+    ):
+        assert complaint(version, folder).startswith(sentence)
+    assert complaint((3, 10, 0), "/home/l/hydro") is None and complaint((3, 13, 9), "/home/l/hydro") is None
+
+
+def test_sourced_jazzy_is_used_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(environment, "VENV", own := tmp_path / ".venv")
+    sourced = fake_ros(tmp_path / "jazzy")
+    ros = environment.sourced_ros(sourced)
     assert ros == tmp_path / "jazzy"
-    built_in = host.build_environment(environment, own, ros)
+    built_in = environment.variables(sourced, ros)
     assert built_in["AMENT_PREFIX_PATH"] == str(tmp_path / "jazzy")
     assert built_in["PATH"].startswith(f"{own}/bin:{tmp_path}/jazzy/bin")
-    assert host.sourced_ros(fake_ros(own), own) is None, "the stand-in"
-    assert host.sourced_ros({"PATH": "/usr/bin"}, own) is None
-    with pytest.raises(SetupError, match="ROS 2 humble is sourced, but hydro needs Jazzy"):
-        host.sourced_ros(environment | {"ROS_DISTRO": "humble"}, own)
+    assert environment.variables(sourced | {"PYTHONPATH": "/else"}, None).keys() & environment.FOREIGN == {
+        "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"
+    }  # fmt: skip
+    assert environment.sourced_ros(fake_ros(own)) is None, "the stand-in"
+    assert environment.sourced_ros({"PATH": "/usr/bin"}) is None
+    with pytest.raises(SetupError, match="ROS 2 humble is sourced: source Jazzy"):
+        environment.sourced_ros(sourced | {"ROS_DISTRO": "humble"})
 
 
 def test_only_what_a_build_reads_calls_for_one(tmp_path: Path) -> None:
@@ -48,37 +61,20 @@ def test_only_what_a_build_reads_calls_for_one(tmp_path: Path) -> None:
         (tmp_path / "rig" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "rig" / name).write_text("one")
     for name, rebuilds in files.items():
-        before = stamp.digest(["same"], *stamp.package_inputs(tmp_path))
+        before = steps.digest(["same"], steps.package_inputs(tmp_path))
         (tmp_path / "rig" / name).write_text("two")
-        assert (stamp.digest(["same"], *stamp.package_inputs(tmp_path)) != before) is rebuilds, name
+        assert (steps.digest(["same"], steps.package_inputs(tmp_path)) != before) is rebuilds, name
 
 
-def test_kernels_are_compiled_anew_where_a_source_a_cache_or_the_machine_changed(tmp_path: Path) -> None:
-    layout, source, cache = Layout(root=tmp_path), tmp_path / "kernel.py", tmp_path / "kernel.nbi"
+def test_kernels_are_compiled_anew_where_a_source_or_the_machine_changed(tmp_path: Path) -> None:
+    source, stamp = tmp_path / "kernel.py", tmp_path / "kernels.json"
     source.write_text("one")
-    cache.touch()
     stat = source.stat()
-    content = {"machine": "this", "sources": {str(source): [stat.st_mtime_ns, stat.st_size]}, "caches": [str(cache)]}
-    written, main_job = layout.kernels_stamp(False), layout.kernels_stamp(True)
-    written.parent.mkdir(parents=True)
-    written.write_text(json.dumps(content))
-    assert kernels.are_current(layout, "this", False) and not kernels.are_current(layout, "that", False)
-    assert kernels.are_current(layout, "this", True), "all kernels are the main job's too"
-    written.rename(main_job)
-    assert kernels.are_current(layout, "this", True) and not kernels.are_current(layout, "this", False)
-    for spoil in (cache.unlink, lambda: source.write_text("another"), source.unlink, lambda: main_job.write_text("{")):
+    stamp.write_text(json.dumps({"machine": "this", "sources": {str(source): [stat.st_mtime_ns, stat.st_size]}}))
+    assert steps.is_compiled(stamp, "this") and not steps.is_compiled(stamp, "that")
+    for spoil in (lambda: source.write_text("another"), source.unlink, lambda: stamp.write_text("{"), stamp.unlink):
         spoil()
-        assert not kernels.are_current(layout, "this", True)
-        cache.touch()
-
-
-def test_what_is_compiled_at_set_up_is_all_that_has_kernels() -> None:
-    sources = [path for path in ROOT.glob("src/hydro_*/hydro_*/**/*.py") if "@njit" in path.read_text()]
-    assert sources
-    packages = {path.relative_to(ROOT / "src").parts[0] for path in sources}
-    assert set(compile_kernels.PACKAGES) == packages | {"hydro_filter"}, "whose models are compiled, too"
-    for package, step in compile_kernels.MAIN_JOB:
-        assert f'"{step}":' in (ROOT / "src" / package / package / "precompile.py").read_text()
+        assert not steps.is_compiled(stamp, "this")
 
 
 def test_uv_is_configured_as_pip(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,36 +83,29 @@ def test_uv_is_configured_as_pip(monkeypatch: pytest.MonkeyPatch) -> None:
     configured = {"CONFIG_FILE": os.devnull, "FIND_LINKS": "/one /two", "INDEX_URL": "file:///mirror", "CERT": "/c.pem"}
     for name, value in configured.items():
         monkeypatch.setenv(f"PIP_{name}", value)
-    found = venv.uv_environment(Layout(root=ROOT))
+    found = environment.with_pip_configuration(os.environ)
     uv = {"UV_FIND_LINKS": "/one,/two", "UV_DEFAULT_INDEX": "file:///mirror", "SSL_CERT_FILE": "/c.pem"}
     assert found == found | uv
     monkeypatch.setenv("UV_FIND_LINKS", "/three")
-    assert venv.uv_environment(Layout(root=ROOT))["UV_FIND_LINKS"] == "/three", "its own setting counts"
+    assert environment.with_pip_configuration(os.environ)["UV_FIND_LINKS"] == "/three", "its own setting counts"
 
 
 def test_a_wheel_in_the_cache_of_uv_stays_as_it_is(tmp_path: Path) -> None:
     cached, linked = tmp_path / "cached.cmake", tmp_path / "venv" / "share" / "rig" / "cmake" / "rig.cmake"
-    cached.write_text("/opt/python/cp311-cp311/include/python3.11")
+    cached.write_text(built := "/opt/python/cp311-cp311/include/python3.11")
     linked.parent.mkdir(parents=True)
     linked.hardlink_to(cached)
-    assert wheels.repair_include_paths(tmp_path / "venv", "/python", "/numpy") == 1
-    assert (linked.read_text(), cached.read_text()) == ("/python", "/opt/python/cp311-cp311/include/python3.11")
+    environment.repair_include_paths(tmp_path / "venv", "/python", "/numpy")
+    assert (linked.read_text(), cached.read_text()) == ("/python", built)
 
 
-def test_a_failed_step_leaves_out_what_waits_beside_it() -> None:
-    begun, released = threading.Event(), threading.Event()
-
-    def build() -> None:
-        begun.set()
-        released.wait(10)
-
-    with pytest.raises(SetupError), plan._beside() as beside:
-        beside.submit(build)
-        waiting = beside.submit(build)
-        assert begun.wait(10)
-        threading.Timer(0.2, released.set).start()
-        raise SetupError("no network")
-    assert waiting.cancelled()
+def test_an_environment_is_made_anew_where_its_filling_was_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ros = environment.sourced_ros(os.environ)
+    assert environment.is_usable(ros) and not environment.is_usable(None if ros else tmp_path)
+    monkeypatch.setattr(environment, "INSTALLING", tmp_path)
+    assert not environment.is_usable(ros)
 
 
 def test_set_up_checkout_is_left_alone_and_at_once() -> None:

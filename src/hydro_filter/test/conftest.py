@@ -9,7 +9,6 @@ import pytest
 
 from hydro_filter.metric import MetricDesign, ScheduledMetric
 from hydro_filter.model.loop import make_loop
-from hydro_filter.precompile import EXAMPLE_EFFECTS
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 
@@ -22,7 +21,12 @@ def bench() -> Bench:
 @pytest.fixture(scope="session")
 def model(bench: Bench) -> Bench:
     """A bench file of what a diagnosis finds on most benches."""
-    return replace(bench, effects=EXAMPLE_EFFECTS)
+    effects = (
+        {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
+        {"id": "friction_coulomb", "parameters": {"force": 12.0}},
+        {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
+    )
+    return replace(bench, effects=effects)
 
 
 @pytest.fixture(scope="session")

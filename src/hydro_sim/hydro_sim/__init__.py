@@ -5,12 +5,3 @@ Stages: `model` (textbook equations, effects, sensors), `box` (the software of t
 together); `excitation`, `files`, `identification` (a bench learnt from recordings), `export` (to other programs);
 `emulator` (a MicroLabBox behind a pseudo-terminal, with a truth plant of its own); `nodes` (executables).
 """
-
-from pathlib import Path
-
-import hydro_bridge
-import hydro_core
-from hydro_sim.compiled import record_compilations, remove_stale_caches
-
-record_compilations()
-remove_stale_caches(*(Path(file).parent for file in (__file__, hydro_core.__file__, hydro_bridge.__file__)))
