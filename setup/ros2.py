@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stand-in for the `ros2` command where only the ROS wheels are installed.
 
-`ros2 run` and `ros2 pkg executables` are here; the other verbs are hydro_bridge's (`hydro_bridge.nodes.verbs`).
+`ros2 run` is here; the other verbs are hydro_bridge's (`hydro_bridge.nodes.verbs`).
 """
 
 from __future__ import annotations
@@ -11,20 +11,18 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_packages_with_prefixes
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 USAGE = """\
 usage: ros2 run PACKAGE EXECUTABLE [ARGUMENT ...]
        ros2 run PACKAGE                    list its executables
-       ros2 pkg executables [PACKAGE]
-       ros2 launch PACKAGE FILE [NAME:=VALUE ...]
        ros2 topic list|echo|hz ...
        ros2 node list
-       ros2 service list|call ...
-       ros2 bag info BAG
+       ros2 service call ...
+       ros2 param get|set ...
 
 A stand-in for where ROS 2 comes from wheels; every other command needs a full ROS 2 Jazzy."""
-VERBS = ("bag", "launch", "node", "service", "topic")
+VERBS = ("node", "param", "service", "topic")
 """Groups that hydro_bridge carries out."""
 
 
@@ -64,17 +62,10 @@ def run(arguments: list[str]) -> None:
     os.execv(found[name], [found[name], *options])
 
 
-def list_executables(packages: list[str]) -> None:
-    """Print `PACKAGE EXECUTABLE` lines, for the named packages or all."""
-    for package in packages or sorted(get_packages_with_prefixes()):
-        for name in executables_of(package):
-            print(package, name)
-
-
 def carry_out(arguments: list[str]) -> None:
     """Hand a command line to hydro_bridge, which ends this process with its exit status."""
     try:
-        verbs = import_module("hydro_bridge.nodes.verbs.command")
+        verbs = import_module("hydro_bridge.nodes.verbs")
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("hydro_bridge", "hydro_msgs"):
             raise
@@ -91,8 +82,6 @@ def main(arguments: list[str]) -> int:
             print(USAGE)
         elif arguments[0] == "run":
             run(arguments[1:])
-        elif arguments[:2] == ["pkg", "executables"]:
-            list_executables(arguments[2:])
         elif arguments[0] in VERBS:
             carry_out(arguments)
         else:
