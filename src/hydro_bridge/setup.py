@@ -13,7 +13,6 @@ setup(
         name: [
             "py.typed",
             "bags/schemas.json",
-            "conformance/cases.yaml",
             "pages/static/*",
             "pages/templates/*",
             "ros/*.xml",
@@ -39,6 +38,7 @@ setup(
         "msgspec",
         "numpy",
         "pyserial",
+        "pytest",
         "pyyaml",
         "rosbags",
         "tqdm",

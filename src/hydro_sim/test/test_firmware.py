@@ -158,9 +158,9 @@ def test_planning_sees_the_reference_that_conformance_derives(waveform: Waveform
     signal = ReferenceSignal(waveform=waveform, amplitude=120.0, offset=-20.0, frequency=1.7, phase=0.4)
     times = np.linspace(0.0, 3.0, 3001)
     values, rates = reference_force(signal, times)
-    expected = np.array([evaluate_signal(signal, time)[:2] for time in times])
-    np.testing.assert_allclose(values, expected[:, 0], rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(rates, expected[:, 1], rtol=0.0, atol=1e-6)
+    expected = evaluate_signal(signal, times)
+    np.testing.assert_allclose(values, expected[0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(rates, expected[1], rtol=0.0, atol=1e-6)
 
 
 def bits(sample: np.void) -> bytes:

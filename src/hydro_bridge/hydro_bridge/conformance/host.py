@@ -1,104 +1,116 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Host side of the line in a conformance test: sends the commands of a case and stores all answers of the box.
+"""Host side of the line in a conformance test: `Host` sends what a rule says, a `Step` is what came back.
 
-A session opens with HELLO and a confirmed safe command, and ends disarmed. Each step of a case between these has a
-handler in `STEP_HANDLERS`; some handlers send damaged frames or noise.
+Checks raise AssertionError with a sentence.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import count
-from random import Random
 from typing import Any
 
+import numpy as np
 from cobs import cobs
 
+from hydro_bridge.conformance.reference import columns, expect, force_gain
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port
+from hydro_bridge.serial.protocol import State
 from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
-from hydro_core.signals import Command, Law, Waveform
+from hydro_core.signals import Command, Flag, flag_names
 
-_SEQUENCE_MODULUS = 1 << 32
-_SILENCE_MAX = 1.0
-"""s without a STATE after which a box counts as silent."""
-_READ_TIME_MAX = 0.005
-"""s, longest wait of one read of the line."""
-READ_INTERVAL_MAX = 0.015
-"""s, longest interval between two reads of a host that is in time: a read ends whatever the box does."""
+REPLY_SAMPLES = 300
+"""Samples within which a HELLO must be answered, and a command confirmed."""
 
 
-class NoStateError(UserError):
+class SilenceError(UserError):
     """The box sends no STATE."""
 
 
-class NoFrameError(UserError):
-    """No valid frame has arrived since the port was opened."""
-
-
 @dataclass(frozen=True)
-class SentCommand:
-    """Sent command, with its place among the received states."""
+class Step:
+    """States received in a step of a session: the last one before it and all since, and those since its command."""
 
-    sequence: int
-    command: Command
-    after: int
-    """Number of states received before."""
+    host: Host
+    states: Sequence[State]
+    confirmed: Sequence[State]
+
+    def has(self, flags: int = 0, lacks: int = 0) -> Step:
+        """Check the flags of all confirmed states."""
+        for state in self.confirmed:
+            right = state.flags & (flags | lacks) == flags
+            assert right, f"STATE {state.sequence} has {flag_names(state.flags)}"
+        return self
+
+    def gains(self, delta_kp: float, delta_ki: float) -> Step:
+        """Check that all confirmed states have the paper's base gains and these changes."""
+        expect(self.confirmed, "proportional_gain", self.host.info.base_kp + delta_kp, 1e-3)
+        expect(self.confirmed, "integral_gain", self.host.info.base_ki + delta_ki, 1e-3)
+        return self
+
+    def has_refused(self, values: int, references: int) -> None:
+        """Check how many values and references the box counted as refused in this step."""
+        last, first = self.states[-1], self.states[0]
+        found = last.refused - first.refused, last.refused_references - first.refused_references
+        assert found == (values, references), f"it counted {found[0]} values and {found[1]} references"
+
+    def rests(self) -> None:
+        """Check that the confirmed states are those of a disarmed box."""
+        for name in ("valve_current", "nominal_valve_current", "reference_force_rate"):
+            expect(self.confirmed, name, 0.0, 0.0)
+        expect(self.confirmed, "reference_force", columns(self.confirmed)[self.host.feedback], 0.0)
+        self.has(lacks=Flag.ARMED)
+
+    def is_late(self) -> None:
+        """Check that WATCHDOG comes 50 ms behind the last command, with base gains, no correction, FILTER_STALE."""
+        self.flag_comes(Flag.WATCHDOG, 50)
+        late = [state for state in self.states[1:] if state.flags & Flag.WATCHDOG]
+        Step(self.host, late, late).has(Flag.FILTER_STALE).gains(0.0, 0.0)
+        whole = [state for state in late if not state.flags & Flag.SATURATED]
+        assert all(state.values[8] == state.values[9] for state in whole), "the correction is still added"
+
+    def flag_comes(self, flag: Flag, samples: int) -> None:
+        """Check that a flag comes `samples` after the last command that the box took, or one more (rounding)."""
+        states = self.host.states
+        since = next(n for n, state in enumerate(states) if state.last_command == states[-1].last_command)
+        found = next((n for n, state in enumerate(states[since:]) if state.flags & flag), -1)
+        assert samples <= found <= samples + 1, f"{flag.name} came {found} samples behind the last command (-1: never)"
+
+    def is_whole(self) -> None:
+        """Check that no sample is missing or repeated, and that every frame of the session is complete."""
+        expect(self.states[1:], "the step of its number", 1, 0, np.diff([state.sequence for state in self.states]))
+        counts = self.host.decoder.counts
+        assert not counts.malformed, f"{counts.crc_errors} check sums, {counts.malformed} frames are wrong"
 
 
-@dataclass
 class Host:
-    """One session with a box: commands sent, states received.
+    """One session with a box: commands sent, states received. It begins and ends disarmed.
 
-    `line`: a port, or a box that is run in lock-step. `clock`: returns seconds; the line's own clock of such a box.
+    `line`: a port, or a box that is run in lock-step; `clock`: its time, s; `bench`: what the box's law believes.
     """
 
-    line: Port
-    clock: Callable[[], float] = time.monotonic
-    bench: Mapping[str, Any] = field(default_factory=dict)
-    """Bench parameters assumed by the box's force law; empty: unknown."""
-    sequence: int = 0
-    info: protocol.BoxInfo = field(default_factory=protocol.BoxInfo)
-    """Content of the box's last HELLO."""
-    details: protocol.BoxDetails = field(default_factory=protocol.BoxDetails)
-    law: protocol.BoxLaw | None = None
-    """The box's compensated law, if it offers one."""
-    states: list[protocol.State] = field(default_factory=list)
-    arrival_times: list[float] = field(default_factory=list)
-    emulated: bool = False
-    """Whether the box is an emulator whose time is not the host's: it sent CLOCK, over a pseudo-terminal."""
-    hellos: list[tuple[int, protocol.Hello]] = field(default_factory=list)
-    """HELLOs of the box, each with the number of states received before."""
-    sent: list[SentCommand] = field(default_factory=list)
-    command: Command = field(default_factory=Command)
-    decoder: Decoder = field(default_factory=Decoder)
-    step_first_state: int = 0
-    """Index of the first state of the present step."""
-    step_first_command: int = 0
-    """Index of the first command of the present step."""
-    hello_index: int = 0
-    """Number of states received when HELLO was last sent in a case."""
-    lag: int = 0
-    """Delay [samples] of a command's confirmation beyond the minimum; measured when the session begins."""
-    longest_read_gap: float = 0.0
-    """Longest interval [s] between two reads of the line, during which no command can have been sent."""
-    last_read: float | None = None
-    correction_scale: float = 1.0
-    """Factor on the cases' delta_u, so that the motion is no larger, in proportion, than the nominal bench's."""
-    notes: list[str] = field(default_factory=list)
-    """Aspects that a passed check could not examine."""
-
-    def begin_step(self) -> None:
-        """Begin a step of a case: checks examine the states received from here on."""
-        self.step_first_state, self.step_first_command = len(self.states), len(self.sent)
-
-    def snapshot(self) -> Host:
-        """Return a copy of the session so far, for evaluation after the case."""
-        states, arrived, hellos, sent = list(self.states), list(self.arrival_times), list(self.hellos), list(self.sent)
-        return replace(self, states=states, arrival_times=arrived, hellos=hellos, sent=sent, notes=[])
+    def __init__(
+        self, line: Port, clock: Callable[[], float] = time.monotonic, bench: Mapping[str, Any] | None = None
+    ) -> None:
+        self.line, self.clock, self.bench, self.decoder = line, clock, bench, Decoder()
+        self.info, self.details = protocol.BoxInfo(), protocol.BoxDetails()
+        self.law: protocol.BoxLaw | None = None
+        self.hello: tuple[int, int] | None = None
+        """Of the box's last HELLO its sequence and the number of states before it."""
+        self.states: list[State] = []
+        self.arrival_times: list[float] = []
+        self.command, self.sequence = Command(), 0
+        self.commands: dict[int, Command] = {}
+        """All that were sent, by sequence number."""
+        self.emulated, self.lag, self.longest_read_gap = False, 0, 0.0
+        """Whether the box sent CLOCK; samples by which the line delays a confirmation; s between two reads."""
+        self.notes: list[str] = []
+        """What a passed case could not examine."""
 
     @property
     def feedback(self) -> str:
@@ -107,250 +119,131 @@ class Host:
 
     @property
     def force_scale(self) -> float:
-        """Ratio of this box's load force limit to the nominal one, by which forces of the cases are scaled."""
-        told = self.details.load_force_limit
-        return told / _LOAD_FORCE_LIMIT if told > 0.0 else 1.0
+        """Ratio of this box's load force limit to the nominal one, 700 N, by which forces of the cases are scaled."""
+        return self.details.load_force_limit / 700.0 or 1.0
 
     @property
-    def new_states(self) -> list[protocol.State]:
-        """States since the step began."""
-        return self.states[self.step_first_state :]
+    def armed(self) -> list[State]:
+        """All armed states of the session."""
+        states = [state for state in self.states if state.flags & Flag.ARMED]
+        assert states, "it was not armed"
+        return states
 
-    def confirmation_index(self, sequence: int) -> int:
-        """Return the index of the first state that confirms this command or a later one; the number of states if none.
-
-        Sequence numbers are compared for equality: the newest may be of the previous session, and larger.
-        """
-        first = next((n for n, each in enumerate(self.sent) if each.sequence == sequence), None)
-        behind = {sequence} if first is None else {each.sequence for each in self.sent[first:]}
-        begin = 0 if first is None else self.sent[first].after
-        return next((n for n in range(begin, len(self.states)) if self.states[n].last_command in behind),
-                    len(self.states))  # fmt: skip
-
-    def send_hello(self) -> None:
-        """Send HELLO, which opens a new session; the reply is stored when it arrives."""
-        self.line.write(protocol.encode_hello(0, int(1e6 * self.clock())))
-
-    def send(self, sequence: int | None = None, **changes: Any) -> None:
-        """Send the last command with changes, under the next sequence number unless one is given."""
-        self.command = apply_changes(self.command, changes)
-        self.sequence = (self.sequence + 1 if sequence is None else sequence) % _SEQUENCE_MODULUS
-        self.sent.append(SentCommand(self.sequence, self.command, len(self.states)))
-        self.line.write(protocol.encode_command(self.sequence, int(1e6 * self.clock()), self.command))
-
-    def receive(self, samples: int, each: Callable[[], None] | None = None) -> None:
-        """Receive a number of states, calling `each` after each.
-
-        Raises NoStateError: no state arrives for a second; NoFrameError: nor has any frame arrived before.
-        """
-        wanted, last = len(self.states) + samples, self.clock()
+    def receive(self, samples: int, each: Callable[[], object] = lambda: None) -> None:
+        """Receive a number of states, calling `each` after each; raises SilenceError after a second without any."""
+        wanted, read, last = len(self.states) + samples, self.clock(), self.clock()
         while len(self.states) < wanted:
-            data = self.line.read(_READ_TIME_MAX)
-            now = self.clock()
-            gap = 0.0 if self.last_read is None else now - self.last_read
-            self.longest_read_gap = max(self.longest_read_gap, gap)
-            self.last_read = now
+            data, before, read = self.line.read(0.005), read, self.clock()
+            self.longest_read_gap = max(self.longest_read_gap, read - before)
             for frame in self.decoder.feed(data):
                 if isinstance(frame, protocol.Hello) and frame.info is not None:
-                    self.info = frame.info
-                    self.hellos.append((len(self.states), frame))
+                    self.info, self.hello = frame.info, (frame.sequence, len(self.states))
                 elif isinstance(frame, protocol.Details):
                     self.details = frame.details
                 elif isinstance(frame, protocol.LawFrame):
                     self.law = frame.record
                 elif isinstance(frame, protocol.ClockFrame):
                     self.emulated = self.line.pseudo_terminal  # a device runs in real time
-                elif isinstance(frame, protocol.State):
-                    self.states.append(frame)
-                    self.arrival_times.append(self.clock())
+                elif isinstance(frame, State):
                     last = self.clock()
-                    if each is not None and len(self.states) <= wanted:
+                    self.states.append(frame)
+                    self.arrival_times.append(last)
+                    if len(self.states) <= wanted:
                         each()
-            if self.clock() - last > _SILENCE_MAX:
-                if self.decoder.foreign_version is not None and not self.states:
-                    raise NoFrameError(protocol.version_mismatch_message(self.decoder.foreign_version))
-                if self.decoder.counts.frames:
-                    raise NoStateError(f"the box sent no STATE for {_SILENCE_MAX:g} s")
-                raise NoFrameError(no_frames_message(self.decoder.counts, LinkCounts(), _SILENCE_MAX))
+            if self.clock() - last > 1.0:
+                told = protocol.version_mismatch_message(self.decoder.foreign_version or protocol.VERSION)
+                if self.decoder.foreign_version is None:
+                    told = no_frames_message(self.decoder.counts, LinkCounts(), 1.0)
+                raise SilenceError("the box sent no STATE for 1 s" if self.decoder.counts.frames else told)
 
+    def send(self, ahead: int = 1, noise: bytes = b"", **changes: Any) -> None:
+        """Send the last command with changes, `ahead` of the last number.
 
-_LOAD_FORCE_LIMIT = 700.0
-"""N, of the nominal bench's box."""
-_UNSCALED_FORCE_MIN = 1e6
-"""Force [N] from which a value in a case applies to any box, unscaled."""
-_FORCE_FIELDS = ("amplitude", "offset")
+        Forces are scaled to this box, and a correction so that it moves no more, in proportion, than on the nominal
+        bench, whose g is 10.53e6 N/s/A.
+        """
+        if self.bench is not None and "delta_u" in changes:
+            supply = 0.5 * self.bench["supply_pressure"]
+            gain = force_gain(self.bench, 0.5 * self.bench["stroke"], supply, supply, 1.0)
+            changes["delta_u"] *= min(1.0, self.force_scale * 10.53e6 / float(gain))
+        for name in changes.keys() & {"amplitude", "offset"}:
+            changes[name] *= self.force_scale
+        names = changes.keys() & {"waveform", "amplitude", "offset", "frequency", "phase"}
+        signal = {name: changes.pop(name) for name in names}
+        self.command = replace(self.command, **changes)
+        self.command = replace(self.command, reference=replace(self.command.reference, **signal))
+        self.sequence = (self.sequence + ahead) % 2**32
+        self.commands[self.sequence] = self.command
+        self.line.write(noise + protocol.encode_command(self.sequence, int(1e6 * self.clock()), self.command))
 
+    def stream(self, samples: int, *, ahead: int = 1, every: int = 1, times: int = 1, **changes: Any) -> Step:
+        """Send a command and, after every `every`-th sample, `times` more, for `samples` behind the confirmation.
 
-def apply_changes(command: Command, changes: Mapping[str, Any]) -> Command:
-    """Return a command with fields replaced by name, those of its reference included; waveform and law by name."""
-    own: dict[str, Any] = dict(changes)
-    for name, kind in (("waveform", Waveform), ("law", Law)):
-        if name in own:
-            own[name] = kind[own[name].upper()]
-    shape = {name: own.pop(name) for name in ("waveform", "amplitude", "offset", "frequency", "phase") if name in own}
-    return replace(command, reference=replace(command.reference, **shape), **own)
+        Raises AssertionError: the box confirms none.
+        """
+        begin, earlier, calls = len(self.states) - 1, len(self.commands), count(1)
 
+        def each() -> None:
+            for _ in range(0 if next(calls) % every else times):
+                self.send()
 
-_TIME_OFFSET, _WAVEFORM_OFFSET, _VERSION_OFFSET, _TYPE_OFFSET = 8, 34, 0, 1
-"""Byte offsets in a frame's body."""
-_FRAME_CHANGES = {
-    "waveform 4": (_WAVEFORM_OFFSET, 4),
-    "version 9": (_VERSION_OFFSET, 9),
-    "type 200": (_TYPE_OFFSET, 200),
-}
-"""Offset and value of each change; the types from 200 are free for experiments."""
-
-
-REPLY_SAMPLES = 300
-"""Samples within which a HELLO must be answered, and a command confirmed."""
-_SESSION_OFFSET = 1000
-"""Offset of a session's sequence numbers from those of the previous session."""
-
-
-def open_session(host: Host) -> None:
-    """Send HELLO until the box replies, then safe commands until it confirms one; discard all earlier states."""
-    for n in range(3 * REPLY_SAMPLES):
-        if n % REPLY_SAMPLES == 0:
-            host.send_hello()
-        host.receive(1)
-        if host.hellos:
-            break
-    else:
-        raise NoStateError(f"the box answered no HELLO within {3 * REPLY_SAMPLES} samples")
-    host.receive(2)
-    # not a number of the previous session
-    host.sequence = (host.states[-1].last_command + _SESSION_OFFSET) % _SEQUENCE_MODULUS
-    host.command = Command()
-    host.begin_step()
-    host.send()
-    host.lag = wait_for_confirmation(host, host.send)
-    host.receive(20, host.send)
-    host.states, host.arrival_times = host.states[-1:], host.arrival_times[-1:]
-    host.hellos, host.sent, host.longest_read_gap = [], [], 0.0
-    host.begin_step()
-
-
-def wait_for_confirmation(host: Host, each: Callable[[], None] | None = None) -> int:
-    """Wait until the step's first command, or a later one, is confirmed; return the delay in samples."""
-    first = host.sent[host.step_first_command]
-    for _ in range(REPLY_SAMPLES):  # a lagging host reads old samples first, and the line may buffer bytes
-        if (at := host.confirmation_index(first.sequence)) < len(host.states):
-            return at - first.after
-        host.receive(1, each)
-    return 0
-
-
-def _at_every(every: int, act: Callable[[], None]) -> Callable[[], None]:
-    """Return a function that acts at every `every`-th call."""
-    calls = count(1)
-    return lambda: None if next(calls) % every else act()
-
-
-def _commands(host: Host, words: dict[str, Any]) -> None:
-    """Send a command at once and after every `every`-th sample, `times` times each, for `samples`."""
-
-    def send() -> None:
-        for _ in range(words.get("times", 1)):
-            host.send()
-
-    each = _at_every(words.get("every", 1), send)
-    host.begin_step()
-    host.send(**_changes(host, words, "samples", "every", "times"))
-    wait_for_confirmation(host, each)
-    host.receive(words["samples"], each)
-
-
-def _once(host: Host, words: dict[str, Any]) -> None:
-    """Send one command; `sequence` counts from the last one sent, 0 repeats it."""
-    changes = _changes(host, words, "sequence", "samples", "goes_on")
-    before, step, samples = host.sequence, words.get("sequence", 1), words.get("samples", 15)
-    host.begin_step()
-    host.send(before + step, **changes)
-    if step == 1 or words.get("goes_on"):
-        wait_for_confirmation(host)
-    else:  # never confirmed: wait for it to arrive
-        host.sequence = before
-        samples += host.lag
-    host.receive(samples)
-
-
-def _greet(host: Host, words: dict[str, Any]) -> None:
-    """Send HELLO; checks begin after the reply, if there is one."""
-    host.begin_step()
-    host.details, host.law, host.hello_index = protocol.BoxDetails(), None, len(host.states)
-    host.send_hello()
-    for _ in range(REPLY_SAMPLES):
-        if host.hellos and host.hellos[-1][0] >= host.hello_index:
-            host.begin_step()
-            host.step_first_state = host.hellos[-1][0]
-            break
-        host.receive(1)
-    host.receive(words.get("samples", 50))
-
-
-def _garbage(host: Host, words: dict[str, Any]) -> None:
-    """Send noise, none of it a frame, before a command after every `every`-th sample, for a number of samples."""
-    random = Random(words["seed"])
-    host.command = apply_changes(host.command, _changes(host, words, "samples", "every", "seed", "longest"))
-    host.begin_step()
-
-    def send() -> None:
-        host.line.write(random.randbytes(random.randint(1, words["longest"])) + b"\0")
-        host.send()
-
-    host.receive(words["samples"], _at_every(words["every"], send))
-    host.receive(5 + host.lag)
-
-
-def _damaged(host: Host, words: dict[str, Any]) -> None:
-    """Send a command that would change the gains, damaged in a way that a box must detect.
-
-    `how`: `bit flipped` and `truncated`, or with a valid check sum `too long`, `too short`, or one of `_FRAME_CHANGES`.
-    """
-    changes, how = {key: value for key, value in words.items() if key != "how"}, words["how"]
-    frame = protocol.encode_command(host.sequence + 1, 0, apply_changes(Command(), changes))
-    raw = bytearray(cobs.decode(frame[1:-1]))
-    body = raw[:-4]
-    if how == "truncated":
-        frame = frame[:-9] + b"\0"
-    elif how == "bit flipped":
-        raw[_TIME_OFFSET] ^= 0x10
-        frame = b"\0" + cobs.encode(bytes(raw)) + b"\0"
-    else:
-        if how == "too long":
-            body.append(1)
-        elif how == "too short":
-            del body[-4:]
+        self.send(ahead, **changes)
+        for _ in range(REPLY_SAMPLES):  # a lagging host reads old samples first, and the line may buffer bytes
+            self.receive(1, each)
+            if self.states[-1].last_command in [*self.commands][earlier:]:
+                break
         else:
-            place, value = _FRAME_CHANGES[how]
-            body[place] = value
-        frame = protocol.encode_frame(bytes(body))
-    host.begin_step()
-    host.line.write(frame)
-    host.receive(10 + host.lag)
+            raise AssertionError(f"no command was taken within {REPLY_SAMPLES} samples")
+        at = len(self.states) - 1
+        self.receive(samples, each)
+        return Step(self, self.states[begin:], self.states[at:])
 
+    def once(self, *, ahead: int = 1, samples: int = 15, **changes: Any) -> Step:
+        """Send one command."""
+        return self.stream(samples, ahead=ahead, times=0, **changes)
 
-def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
-    """Return a step's changes of the command, with forces scaled to this box.
+    def wait(self, samples: int) -> Step:
+        """Receive a number of states, and what is under way, without a command."""
+        begin = len(self.states) - 1
+        self.receive(samples + self.lag)
+        return Step(self, self.states[begin:], self.states[begin + 1 :])
 
-    A number may be given by the name of an entry of DETAILS.
-    """
-    changes = {key: value for key, value in words.items() if key not in others}
-    for key, value in changes.items():
-        if key not in ("waveform", "law") and isinstance(value, str):
-            changes[key] = getattr(host.details, value)
-        elif key in _FORCE_FIELDS and abs(value) < _UNSCALED_FORCE_MIN:
-            changes[key] = host.force_scale * value
-        elif key == "delta_u":
-            changes[key] = host.correction_scale * value
-    return changes
+    def body(self, ahead: int = 1) -> bytes:
+        """Return a COMMAND with another K_p as it stands in a frame, without its CRC."""
+        changed = replace(self.command, delta_kp=self.command.delta_kp + 3.0)
+        return cobs.decode(protocol.encode_command((self.sequence + ahead) % 2**32, 0, changed)[1:-1])[:-4]
 
+    def send_wrong(self, frame: bytes, samples: int = 5) -> Step:
+        """Send a frame with another K_p, and check that the box does not take it."""
+        self.line.write(frame)
+        step = self.wait(samples)
+        expect(step.confirmed, "proportional_gain", columns(step.states[:1])["proportional_gain"], 0.0)
+        return step
 
-STEP_HANDLERS: dict[str, Callable[[Host, Any], None]] = {
-    "commands": _commands,
-    "once": _once,
-    "wait": lambda host, samples: host.receive(samples),
-    "greet": _greet,
-    "garbage": _garbage,
-    "damaged": _damaged,
-}
+    def greet(self, within: int = REPLY_SAMPLES) -> Step:
+        """Send HELLO, and receive the states since its answer, which must come `within` samples and the line's lag."""
+        begin, self.details, self.law, self.hello = len(self.states), protocol.BoxDetails(), None, None
+        self.line.write(protocol.encode_hello(0, int(1e6 * self.clock())))
+        while self.hello is None:
+            assert len(self.states) < begin + within + self.lag, f"no HELLO came within {within + self.lag} samples"
+            self.receive(1)
+        self.receive(30)
+        return Step(self, self.states[self.hello[1] - 1 :], self.states[self.hello[1] :])
+
+    def open(self) -> None:
+        """Greet the box, and send it safe commands until it confirms one; discard all earlier states."""
+        with suppress(AssertionError):
+            self.greet()
+        if self.hello is None:
+            self.greet()
+        self.sequence = self.states[-1].last_command + 1000  # not a number of the previous session
+        with suppress(AssertionError):
+            step = self.stream(20)
+            self.lag = len(step.states) - len(step.confirmed) - 1
+        self.states, self.arrival_times, self.commands = self.states[-1:], self.arrival_times[-1:], {}
+        self.longest_read_gap = 0.0
+
+    def close(self) -> None:
+        """Disarm the box."""
+        self.command = Command()
+        self.receive(10 + self.lag, self.send)
