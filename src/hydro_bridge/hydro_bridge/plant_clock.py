@@ -42,11 +42,7 @@ _SEQUENCE_MASK = 0xFFFFFFFF
 _PEER_CHECK_PERIOD = 0.1  # s of wall clock between two checks for silent peers
 _RESEND_DELAY, _FIRST_RESEND_DELAY = 10.0, 0.5
 """s of wall clock after which an unanswered sample is published again; the first one, which peers may still miss."""
-_CATCH_UP_TIME_MAX = 0.1
-"""s by which a plant that goes no faster than real time may be late and still catches up."""
 _PACE_HELP = "plant: each sample waits for the graph's answers; real: real time; a number: that many times real time"
-_ARMING_SAMPLES_MAX = 500
-"""Samples within which a box confirms an arming."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +177,7 @@ class LockStep:
         Returns the last value of `done`. Call from another thread than the plant's.
         """
         with self._lock:
-            self._exempt, self._exempt_left = done, _ARMING_SAMPLES_MAX
+            self._exempt, self._exempt_left = done, 500
         self._check()
         give_up = time.monotonic() + self.settings.silence_max
         with self._confirmed:
@@ -232,7 +228,7 @@ class LockStep:
                         peer.answered = sequence - peer.window
             self._newest, self._resend, self._began, self._sent = sequence, resend, now, now
             self._deadline = SAMPLE_PERIOD + (
-                now if self._deadline == -inf else max(self._deadline, now - _CATCH_UP_TIME_MAX)
+                now if self._deadline == -inf else max(self._deadline, now - 0.1)  # no more is caught up
             )
         self._check()
 

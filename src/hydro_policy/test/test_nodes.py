@@ -166,7 +166,7 @@ def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(nodes, capfd
     ("told", "sentence"),
     [
         (BoxInfo(plant="bridge", base_kp=30.0, base_ki=8.0), "say --base-gains 30 8"),
-        (None, "no node says on /hydro/box"),
+        (None, "no node describes the box on /hydro/box"),
     ],
 )
 def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything_is_sent(nodes, told, sentence) -> None:

@@ -38,29 +38,12 @@ from hydro_core.signals import STATE_FIELDS, Command, Flag, Law
 NO_COMPENSATED_LAW_MESSAGE = "only the paper's force law can be run: the box offers no other"
 
 
-def incomplete_handshake(details: BoxDetails | None) -> str:
-    """Return an error message for a box whose HELLO is not followed by DETAILS, or DETAILS by LAW."""
-    said, missing = ("DETAILS", "LAW") if details else ("HELLO", "DETAILS")
-    return f"the box sends no {missing} behind its {said}: no command is sent"
-
-
-NO_HELLO_REPLY_MESSAGE = (
-    "frames of a box come, and it does not answer: does the line to it work, and does nobody else talk to it?"
-)
-
 SAMPLE_AGE_MAX = 0.1
 """Largest age [s] of the last sample at which its content still holds; for a box in real time."""
 
 _HISTORY_LENGTH = 256  # number of samples and commands kept
 _SEQUENCE_MASK = 0xFFFFFFFF
-
-
-_NOMINAL_CURRENT_INDEX = STATE_FIELDS.index("nominal_valve_current")
-_HELLO_PERIOD = 0.1
-_READ_TIMEOUT = 0.02
-_SIGN_PERIOD = 1.0
 _PORT_GRACE_TIME = 2.0  # s from the start for which a missing port is no fault
-_EMULATOR_GRACE_TIME = 20.0  # s, the same for an emulator's port: it loads longer
 
 
 class _MuteError(PortLostError):
@@ -180,7 +163,7 @@ class Link(PlantInterface):
         """Keep the line open until `stop`; body of the serial thread."""
         backoff, path = self.port.settings.backoff_first, self.port.settings.path
         begin, waiting = time.monotonic(), False
-        grace = _PORT_GRACE_TIME if path.startswith("/dev/") else _EMULATOR_GRACE_TIME
+        grace = _PORT_GRACE_TIME if path.startswith("/dev/") else 20.0  # an emulator loads longer
         while not self._stopping.is_set():
             try:
                 self.port.open()
@@ -265,11 +248,11 @@ class Link(PlantInterface):
         next_hello, next_sign, frames = 0.0, 0.0, list[Frame]()
         self._framed = replace(self.counts)
         while not self._stopping.is_set():
-            data = self.port.read(min(_READ_TIMEOUT, self.lock_step.poll()) if self.paced else _READ_TIMEOUT)
+            data = self.port.read(min(0.02, self.lock_step.poll()) if self.paced else 0.02)
             now = time.monotonic()
             if self.state is LinkState.OPEN and now >= next_hello:
                 self.port.write(protocol.encode_hello(0, int(1e6 * now), lock_step=True))
-                next_hello = now + _HELLO_PERIOD
+                next_hello = now + 0.1
             if data:
                 before = self.samples
                 for frame in (frames := self._decoder.feed(data)):
@@ -280,12 +263,12 @@ class Link(PlantInterface):
                 alive = now  # the emulator waits for this end
                 if now >= next_sign:
                     self._give_sign()
-                    next_sign = now + _SIGN_PERIOD
+                    next_sign = now + 1.0
             if self.state is LinkState.OPEN:
                 if self._decoder.foreign_version is not None:
                     self._report_fault(protocol.version_mismatch_message(self._decoder.foreign_version))
                 elif frames and self._greeted is None and now - opened > self.port.settings.silence_max:
-                    self._report_fault(NO_HELLO_REPLY_MESSAGE)
+                    self._report_fault("the box sends frames and does not answer HELLO: does the line to it work?")
             waits = self.state is LinkState.CONNECTED and self.paced
             if time.monotonic() - alive > (limit := (self.lock_step if waits else self.port).settings.silence_max):
                 raise _MuteError(f"{self.port.settings.path}: {no_frames_message(self.counts, self._framed, limit)}")
@@ -311,7 +294,8 @@ class Link(PlantInterface):
                 self._restarted()
             if frame.sequence != 0:  # the HELLO of power-on answers no greeting
                 if self._greeted is not None:
-                    self._report_fault(incomplete_handshake(self._told))
+                    said, missing = ("DETAILS", "LAW") if self._told else ("HELLO", "DETAILS")
+                    self._report_fault(f"the box sends no {missing} behind its {said}: no command is sent")
                 self._greeted, self._told = frame.info, None
         elif isinstance(frame, protocol.Details):
             if self.state is LinkState.CONNECTED:
@@ -346,7 +330,7 @@ class Link(PlantInterface):
                 confirmed, sent = self._sent.popleft()
                 if confirmed == frame.last_command:
                     self.statistics.round_trip.add(now - sent)
-            self.guard.add_sample(frame.sequence, frame.values[_NOMINAL_CURRENT_INDEX])
+            self.guard.add_sample(frame.sequence, frame.values[STATE_FIELDS.index("nominal_valve_current")])
         before, self.refused = self.refused[1], (frame.refused, frame.refused_references)
         if before == 0 and frame.refused_references > 0:  # once per connection; the counts are on /diagnostics
             self._warn("the box refused a reference and keeps the one before")
@@ -392,14 +376,13 @@ class Link(PlantInterface):
             self._log(f"the box narrows the guard: {', '.join(changed)}")
         most = wanted.reference_force_max
         if 0.0 < details.force_range < most:
-            beyond = f"the guard those beyond {most:g} N"
-            self._log(f"the box refuses references beyond {details.force_range:g} N, {beyond}")
+            self._log(f"the box refuses references beyond {details.force_range:g} N, the guard beyond {most:g} N")
         if 0.0 < (trips := details.load_force_limit) < most:
             self._log(f"the box trips beyond a load force of {trips:g} N, the guard takes references up to {most:g} N")
         self._on_box(info)
 
     def _restarted(self) -> None:
-        self._warn("the box was restarted, by itself or by its power: it stays disarmed until it is armed again")
+        self._warn("the box was restarted: it stays disarmed until it is armed again")
         self._leave(LinkState.OPEN)
 
     def _leave(self, state: LinkState) -> None:

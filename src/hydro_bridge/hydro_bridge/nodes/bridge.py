@@ -92,9 +92,7 @@ class BridgeNode(PlantNode):
         mismatches = bench_mismatches(info, self._bench, self.link.details)
         self.link.bench_mismatches = mismatches
         if mismatches:
-            self.get_logger().warning(
-                f"this box is not what was expected: {mismatches}: give the bridge its own bench.yaml by --bench"
-            )
+            self.get_logger().warning(f"{mismatches}: give the bridge the box's own bench.yaml by --bench")
         self.publish_box(describe_box(info, self._bench, "bridge", self.link.details), self.link.law)
 
 

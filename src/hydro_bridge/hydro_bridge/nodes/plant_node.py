@@ -71,9 +71,6 @@ from hydro_core.signals import SAMPLES_PER_STEP, Flag, Law, ReferenceSignal, fla
 from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
-ARM_SERVICE_REFUSAL = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
-_CHECK_PERIOD = 0.1  # s between two checks of the publishers
-
 
 class Corrector(Protocol):
     """Contraction filter in the plant's process; see `PlantNode`."""
@@ -86,9 +83,6 @@ class Corrector(Protocol):
 
     def publish(self) -> None:
         """Publish the last correction."""
-
-
-_TROUBLE_FLAGS = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
 
 
 def arming_state(flags: int) -> str:
@@ -119,7 +113,7 @@ class LeaseServer:
         self._tell()
         node.create_service(SetBool, topics.ARM_SERVICE, self._on_arm)
         node.create_service(Claim, topics.CLAIM_SERVICE, self._on_claim)
-        node.create_timer(_CHECK_PERIOD, self._look, clock=steady)
+        node.create_timer(0.1, self._look, clock=steady)
         node.create_timer(1.0, self._tell_refused, clock=steady)
 
     def accepts(self, topic: str, epoch: int) -> bool:
@@ -179,7 +173,8 @@ class LeaseServer:
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = ARM_SERVICE_REFUSAL if request.data else self._disarm(0)
+        refusal = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
+        trouble = refusal if request.data else self._disarm(0)
         response.success, response.message = not trouble, trouble or "disarmed"
         self._called("somebody, by /hydro/arm", response.message)
         return response
@@ -245,8 +240,7 @@ class LeaseServer:
         for topic, count in news.items():
             names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
             self._node.get_logger().warning(
-                f"refused: {count} of {topic} from nodes without the lease ({', '.join(names) or 'gone'})"
-                ": the valve does not follow them; end what sends them, or wait until it holds the lease"
+                f"refused: {count} of {topic} from nodes without the lease ({', '.join(names) or 'gone'}): end them"
             )
 
     def _called(self, who: str, answer: str) -> None:
@@ -293,8 +287,7 @@ class PlantNode(Node):
         )
         if not limits.require_filter:
             self.get_logger().warning(
-                "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
-                "leave it out unless you want that"
+                "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable"
             )
         self._thread = threading.Thread(target=self._run, name="plant", daemon=True)
         self.lease_server = LeaseServer(self, plant, lambda: bool(self._flags & Flag.TRIPPED))
@@ -417,7 +410,8 @@ class PlantNode(Node):
             guard, aborted = asdict(plant.guard.counts), plant.guard.abort_reason
         required = plant.guard.settings.require_filter
         message = status.message + ("" if required else ", FILTER NOT REQUIRED") + (f": {aborted}" if aborted else "")
-        least = Level.WARN if aborted or not required or plant.flags & _TROUBLE_FLAGS else Level.OK
+        trouble = plant.flags & (Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG)
+        least = Level.WARN if aborted or not required or trouble else Level.OK
         values = {"flags": flag_names(plant.flags), "require filter": required, **status.values}
         values |= {f"guard {name}": count for name, count in guard.items()}
         lease = self.lease_server.lease
@@ -441,6 +435,4 @@ class PlantNode(Node):
                 self.get_logger().info(event)
         flags, before, self._tripped = self._flags, self._tripped, bool(self._flags & Flag.TRIPPED)
         if self._tripped and not before:
-            self.get_logger().warning(
-                f"the box tripped ({flag_names(flags)}) and closed the valve: find the cause, disarm it, then arm it"
-            )
+            self.get_logger().warning(f"the box tripped ({flag_names(flags)}): find the cause, disarm it, then arm it")

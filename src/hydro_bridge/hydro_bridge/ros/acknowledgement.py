@@ -10,9 +10,6 @@ from rclpy.subscription import Subscription
 from hydro_bridge.ros.topics import ANSWERED, create_publisher
 from hydro_msgs.msg import Answered
 
-_POLL_PERIOD = 0.05  # s between two polls for a plant
-_REPEAT_POLLS = 20  # polls after which a peer repeats its last answer, as a sign of life
-
 
 class SampleAcknowledger:
     """Acknowledges samples to a plant that runs by its own clock, on /hydro/answered.
@@ -26,7 +23,7 @@ class SampleAcknowledger:
         self._publisher = create_publisher(node, ANSWERED)
         self._message = Answered(node=node.get_name(), window=window)
         self._looks, self._met = 0, False
-        node.create_timer(_POLL_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(0.05, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def acknowledge(self, sequence: int, commands: int = 0) -> None:
         """Publish that all samples up to `sequence` are answered; `commands`: number of commands sent so far."""
@@ -38,5 +35,5 @@ class SampleAcknowledger:
         """Announce this node once it receives the plant's samples, and repeat its last answer once a second."""
         met, self._met = self._met, self._states.get_publisher_count() > 0
         self._looks += 1
-        if self._met and (not met or self._looks % _REPEAT_POLLS == 0):
+        if self._met and (not met or self._looks % 20 == 0):
             self._publisher.publish(self._message)

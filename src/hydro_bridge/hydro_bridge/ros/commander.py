@@ -28,19 +28,10 @@ from hydro_core.signals import LawCommand, ReferenceSignal
 from hydro_msgs import msg
 from hydro_msgs.srv import Claim
 
-_RENEWAL_PERIOD = 0.5  # s between two requests; a lease lapses after 3 s of silence
-_ANSWER_TIMEOUT = 3.0  # s; a plant that has ended no longer answers
-_DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
-_DELIVERY_TIMEOUT = Duration(seconds=0.1)  # for the last reference: undelivered messages are lost with their publisher
 LEASE_WAIT_MAX = 600.0
 """Longest wait [s] for the lease while another node holds it."""
 LEASE_ANSWER_TIMEOUT = 30.0
 """Longest wait [s] for a plant that does not report on its lease."""
-NO_LEASE_ANSWER_MESSAGE = "the plant does not say who may command it (/hydro/claim)"
-DISARM_UNCONFIRMED_MESSAGE = (
-    "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms after 10 s; to "
-    "be sure, `ros2 run hydro_bridge arm --off`"
-)
 
 
 class Commander:
@@ -107,8 +98,8 @@ class Commander:
 
     def renew_lease(self, now: float) -> None:
         """Take or renew the lease; call several times a second, `now` by the monotonic clock [s]."""
-        waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_TIMEOUT
-        if waiting or now < self._asked + _RENEWAL_PERIOD or not self._claims.service_is_ready():
+        waiting = self._answer is not None and not self._answer.done() and now < self._asked + 3.0  # it may have ended
+        if waiting or now < self._asked + 0.5 or not self._claims.service_is_ready():
             return
         self._asked, self._known = now, self.epoch
         self._answer = self._ask(Claim.Request.TAKE, callback=self._on_taken)
@@ -128,7 +119,8 @@ class Commander:
             self._warn(f"{self._refusal}; {self._node.get_name()} waits, {within:g} s at most")
         self._told = self._refusal
         if now - self._waits_since > within:
-            raise NotReadyError(f"{self._refusal or NO_LEASE_ANSWER_MESSAGE}, still after {within:g} s")
+            why = self._refusal or "the plant does not say who may command it (/hydro/claim)"
+            raise NotReadyError(f"{why}, still after {within:g} s")
 
     def publish_gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> None:
         """Publish gain changes [1/s], [1/s^2] if this node holds the lease."""
@@ -196,8 +188,10 @@ class Commander:
             return ""
         answer = self.release()
         if answer is not None:
-            node_executor(self._node).spin_until_future_complete(answer, timeout_sec=_DISARM_TIMEOUT)
-        return "" if answer is not None and answer.done() and answer.result().success else DISARM_UNCONFIRMED_MESSAGE
+            node_executor(self._node).spin_until_future_complete(answer, timeout_sec=2.0)
+        if answer is not None and answer.done() and answer.result().success:
+            return ""
+        return "the plant did not confirm that it is disarmed: to be sure, `ros2 run hydro_bridge arm --off`"
 
     def _ask(self, act: int, *, callback: Callable[[Future], None] = lambda answer: None) -> Future:
         self.flush()  # commands decided earlier go out first
@@ -244,7 +238,7 @@ class Commander:
         for topic, publisher in self._publishers.items():
             if topic == topics.REFERENCE:
                 with suppress(RuntimeError):  # not every middleware supports it
-                    publisher.wait_for_all_acked(_DELIVERY_TIMEOUT)
+                    publisher.wait_for_all_acked(Duration(seconds=0.1))  # else the last reference is lost
             self._node.destroy_publisher(publisher)
         self._publishers = {}
         if self._end_service is not None:

@@ -102,9 +102,6 @@ class RosoutLogger:
         self.log(sentence, logger=f".{CALL_LOGGER}")
 
 
-_PUBLISH_PERIOD = 1.0  # s
-
-
 def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
     """Log the warning `sentence` once, as soon as the graph has another node of the same name."""
 
@@ -113,4 +110,4 @@ def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
             node.get_logger().warning(sentence)
             timer.cancel()
 
-    timer = node.create_timer(_PUBLISH_PERIOD, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    timer = node.create_timer(1.0, look, clock=Clock(clock_type=ClockType.STEADY_TIME))

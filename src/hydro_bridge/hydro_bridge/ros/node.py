@@ -176,9 +176,6 @@ def request_realtime(*, realtime: bool, nice: int | None = None) -> str:
     return f"SCHED_FIFO, priority {REALTIME_PRIORITY}"
 
 
-_WAIT_SLICE = 0.2
-
-
 def ros_arguments() -> tuple[list[str], list[str]]:
     """Split the command line into a node's own arguments and those after `--ros-args` (up to `--`, if there is one)."""
     rest = sys.argv[1:]
@@ -263,7 +260,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
         while not ended and not done.done() and rclpy.ok():
             # In slices: without a deadline this executor (rclpy 7.1) keeps a core busy, may run no callback at all,
             # and gives Python no chance to take a signal.
-            executor.spin_until_future_complete(done, timeout_sec=_WAIT_SLICE)
+            executor.spin_until_future_complete(done, timeout_sec=0.2)
     return bool(ended)
 
 

@@ -15,12 +15,6 @@ from hydro_bridge.serial.protocol import BoxDetails, BoxInfo
 from hydro_core.files import bench_digest
 from hydro_core.signals import SAMPLE_PERIOD
 
-NO_BOX_MESSAGE = (
-    "no node says on /hydro/box what the box is and believes: start a bridge or a sim of this version, "
-    "or a replayer on a recording that has it"
-)
-
-
 _FLOAT32_TOLERANCE = 1e-6  # relative: HELLO carries float32
 
 
@@ -44,9 +38,12 @@ class BoxDescription:
 
 def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement for arming that the plant's node has published the box's description."""
-    hint = "its node publishes it on /hydro/box"
     return Requirement(
-        name="the box's description", ready=ready, hint=hint, timeout=5.0, timeout_message=NO_BOX_MESSAGE
+        name="the box's description",
+        ready=ready,
+        hint="its node publishes it on /hydro/box",
+        timeout=5.0,
+        timeout_message="no node describes the box on /hydro/box: start a bridge or a sim of this version",
     )
 
 

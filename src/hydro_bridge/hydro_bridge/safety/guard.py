@@ -34,16 +34,8 @@ for the running law; MISMATCH: its model or metric is not this bench's."""
 _SAMPLES_KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
 
-_SHAPING_FIELDS = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
-
 LAW_NOT_OFFERED_MESSAGE = "the compensated law is refused: this box does not offer it (protocol.md)"
 LAW_CHANGE_MESSAGE = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
-UNFILTERED_LAW_MESSAGE = (
-    "compensated law: its gains pass within the law's own limits, whether or not the filter decides "
-    "(guard.require_filter is about the paper's law)"
-)
-UNSOUND_LAW_MESSAGE = "the box tells limits of its compensated law that are no limits: that law is not used"
-MISMATCHED_LAW_MESSAGE = "the filter said that its model is not this bench's: base gains of the compensated law"
 STALE_LAW_MESSAGE = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
 
 MISMATCH_MESSAGE = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
@@ -175,12 +167,14 @@ class CommandGuard:
             return
         if changes:
             self._gains, self._gains_at = (0.0, 0.0), -inf  # they were added to another law's base gains
-            self._events[UNFILTERED_LAW_MESSAGE if wanted.law is Law.COMPENSATED else "the paper's law again"] = False
+            unfiltered = "the compensated law: its gains pass within its own limits, whether or not the filter decides"
+            self._events[unfiltered if wanted.law is Law.COMPENSATED else "the paper's law again"] = False
         if self.box_law is None or wanted.law is Law.PAPER:
             self._law = LawCommand()
         else:
             low, _, high, _ = self.box_law.shaping_limits
-            a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, _SHAPING_FIELDS, wanted.shaping, low, high)
+            names = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
+            a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, names, wanted.shaping, low, high)
             self._law = LawCommand(
                 law=wanted.law, coefficients=(a_0, a_1, a_2, a_3), velocity_compensation=c_1, valve_gain_scale=c_2
             )
@@ -197,7 +191,8 @@ class CommandGuard:
             ordered = all(least <= number <= most for least, number, most in zip(low, safe, high, strict=True))
             gains = law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
             sound = bool(np.isfinite(np.hstack(astuple(law))).all()) and ordered and gains
-        self._tell("law record", not sound, UNSOUND_LAW_MESSAGE, "the box's record of its compensated law is sound")
+        unsound = "the box tells limits of its compensated law that are no limits: that law is not used"
+        self._tell("law record", not sound, unsound, "the box's record of its compensated law is sound")
         self.box_law = law if sound else None
         self.release_law()
 
@@ -334,7 +329,8 @@ class CommandGuard:
         self.counts.stale_law += not fresh
         stale = self.armed and self._gained and not fresh
         self._tell("stale law", stale, STALE_LAW_MESSAGE, "the compensated law is commanded")
-        self._tell("mismatch", self._mismatched, MISMATCHED_LAW_MESSAGE, "the filter's model fits again")
+        mismatch = "the filter said that its model is not this bench's: base gains of the compensated law"
+        self._tell("mismatch", self._mismatched, mismatch, "the filter's model fits again")
         gains = (0.0, 0.0) if self._mismatched else self._gains
         self.counts.narrowed += gains != self._gains
         return (self._law, gains) if fresh else (safe_command(self.box_law or BoxLaw()), (0.0, 0.0))

@@ -27,8 +27,6 @@ LEASE_TIMEOUT = 3.0
 DISARMED_BY_PERSON = "a person disarmed the plant: arm it on the live page, or by `ros2 run hydro_bridge arm`"
 """Refusal of a holder's request to arm a plant that a person has disarmed."""
 
-_LATE_COMMAND_TIME = 0.5  # s in which commands of the previous epoch count as late, not as foreign
-
 
 class Lease:
     """Exclusive right to command one plant. Times are seconds of any one monotonic clock.
@@ -99,7 +97,7 @@ class Lease:
             if renews:
                 self._renewed = now
             return True
-        if not (epoch == self._before and now - self._ended <= _LATE_COMMAND_TIME):
+        if not (epoch == self._before and now - self._ended <= 0.5):  # else they are foreign
             self.refused[topic] += 1
         return False
 

@@ -18,9 +18,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-HINT_DELAY = 8.0
-"""Waiting time [s] after which a missing requirement is reported."""
-
 
 class NotReadyError(Exception):
     """A requirement for arming was not met in time; the message is one clear sentence."""
@@ -91,6 +88,6 @@ class Readiness:
         if waited > first.timeout:
             self._forgone.add(first.name)
             self._report(first.timeout_message)
-        elif waited > HINT_DELAY and first.name not in self._told:
+        elif waited > 8.0 and first.name not in self._told:
             self._told.add(first.name)
             self._report(f"waiting for {self.missing_names}, {first.timeout:g} s at most: {first.hint}")

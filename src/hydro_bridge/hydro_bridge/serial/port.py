@@ -16,9 +16,6 @@ import serial
 from hydro_core.errors import UserError
 from hydro_core.settings import check, described, quantity
 
-_READ_SIZE = 65536
-_TAKEN_ERRNOS = (errno.EAGAIN, errno.EBUSY)
-
 
 class PortLostError(UserError):
     """The port cannot be opened or is gone; the message is one clear sentence."""
@@ -68,7 +65,7 @@ class Port:
             self._serial = serial.Serial(path, self.settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             number = getattr(error, "errno", None)
-            if number in _TAKEN_ERRNOS:
+            if number in (errno.EAGAIN, errno.EBUSY):
                 raise PortTakenError(f"{path} is in use by another program") from None
             reason = f"cannot be opened: {_text(error)}"
             if number == errno.ENOENT:
@@ -98,7 +95,7 @@ class Port:
             descriptor = self._descriptor()
             if not select.select([descriptor], [], [], timeout)[0]:
                 return b""
-            data = os.read(descriptor, _READ_SIZE)
+            data = os.read(descriptor, 65536)
         except BlockingIOError:
             return b""
         except (OSError, ValueError) as error:

@@ -318,8 +318,6 @@ _LAYOUTS = {
 }
 _CRC = Struct("<I")
 _ARM_BIT, _FILTER_FRESH_BIT = 1, 2
-_FEED_FORWARD = 0.0
-"""Reserved field of a COMMAND."""
 
 
 def encode_state(
@@ -347,7 +345,7 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     bits = _ARM_BIT * command.arm | _FILTER_FRESH_BIT * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     signal = (reference.waveform, reference.amplitude, reference.offset, reference.frequency, reference.phase)
-    values = (bits, command.corrected_sequence, *numbers, *signal, command.law, *command.shaping, _FEED_FORWARD)
+    values = (bits, command.corrected_sequence, *numbers, *signal, command.law, *command.shaping, 0.0)
     return _encode(FrameType.COMMAND, sequence, time_us, *values)
 
 
