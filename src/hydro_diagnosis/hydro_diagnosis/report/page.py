@@ -4,10 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import cycle
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,20 +17,16 @@ from hydro_diagnosis.model.simulation import Plant, measurements
 from hydro_diagnosis.report import plots
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_diagnosis.report.diagnosis import Diagnosis, accounted_sentence, interval
-from hydro_diagnosis.significance import COVERAGE_FACTOR
 from hydro_diagnosis.simulator_comparison import sentences
 from hydro_diagnosis.validation import FREE_RUN_TIME, SIMULATION_CHANNELS
-from hydro_sim.plotting import GREEN, PURPLE, RED, SKY, UNITS
-
-if TYPE_CHECKING:
-    from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.plotting import UNITS
 
 
 def compare(found: Diagnosis) -> dict[str, Any] | None:
     """Measured and simulated signals of the first held-out segment that is long enough, as content of the page.
 
-    `fits`: NRMSE fits [%] by channel, with the bench file alone and with the claims; `shades`: color and cause of the
-    shaded intervals. None if the segment cannot be simulated.
+    `fits`: NRMSE fits [%] by channel, with the bench file alone and with the claims. None if the segment cannot be
+    simulated.
     """
     model = next((one for one in found.holdout if len(one.segment) * one.step > 2.0 * FREE_RUN_TIME + 1.0), None)
     if model is None or not model.channels.keys() >= SIMULATION_CHANNELS or MOTION not in found.problem.blocks:
@@ -53,38 +48,15 @@ def compare(found: Diagnosis) -> dict[str, Any] | None:
     rows = np.arange(begins[0], begins[-1] + length)
     measured = {name: model.channels[name][rows] for name in UNITS if name in before}
     time = model.segment.start + model.step * rows
-    causes = _causes(found, model, claims, float(time[0]), float(time[-1]))
-    colors = dict(zip(dict.fromkeys(cause for *_, cause in causes), cycle((SKY, GREEN, PURPLE, RED)), strict=False))
-    shades = [(begin, end, colors[cause]) for begin, end, cause in causes]
     words = f"time [s] of {model.segment.recording}, free runs of {FREE_RUN_TIME:g} s one after the other"
     return {
         "recording": model.segment.recording,
-        "plot": plots.signals_plot(time, words, measured, before, after, shades),
+        "plot": plots.signals_plot(time, words, measured, before, after),
         "fits": [
             (UNITS[name][0], [nrmse_fit(one, before[name]), nrmse_fit(one, after[name])])
             for name, one in measured.items()
         ],
-        "shades": [(color, cause) for cause, color in colors.items()],
     }
-
-
-def _causes(
-    found: Diagnosis, model: SegmentModel, claims: tuple[EffectHypothesis, ...], begin: float, end: float
-) -> list[tuple[float, float, str]]:
-    """Intervals [s, s], each with the cause whose omission changes the residuals most."""
-    problem = found.problem
-    unseen = problem.for_segments([model.segment])
-    whole = unseen.residual(claims)
-    parts = {one.effect.label: unseen.residual(tuple(k for k in claims if k is not one)) - whole for one in claims}
-    shaded = []
-    interval = 0.25
-    for at in np.arange(begin, end, interval):
-        inside = (unseen.layout.time >= at) & (unseen.layout.time < at + interval)
-        sizes = {label: float(np.sqrt(np.mean(np.square(part[inside])))) for label, part in parts.items()}
-        label = max(sizes, key=lambda name: sizes[name], default=None) if inside.any() else None
-        if label is not None and sizes[label] > COVERAGE_FACTOR:
-            shaded.append((float(at), float(min(at + interval, end)), label))
-    return shaded
 
 
 def nrmse_fit(measured: FloatArray, simulated: FloatArray) -> float | None:
@@ -147,7 +119,6 @@ def render_report(found: Diagnosis) -> str:
         differences=sentences(report.simulated or ()), accounted=accounted_sentence(report),
         effects=[(effect, plots.effect_plot(found, effect)) for effect in report.effects],
         comparison=comparison, held_out=held_out, equations=equations,
-        location_plot=plots.location_plot(found) if report.location else "",
         curves=plots.curves_plot(found) if report.curves else "", residual_plot=plots.residual_plot(found),
     )  # fmt: skip
 

@@ -1,22 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plots of the report as SVG text: signals, residuals, effects, curves, and locations of the mismatch."""
+"""Plots of the report as SVG text: signals, residuals, effects and curves."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import CHANNELS, Effect, FloatArray
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report_json import EffectReport
-from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, SKY, UNITS, add_legend, figure
+from hydro_sim.plotting import BLUE, GRAY, ORANGE, SKY, UNITS, add_legend, figure
 
 _CHANNEL_LABELS = {
     "pressure_a": ("pressure A", "kPa", 1e-3),
@@ -51,18 +50,16 @@ def svg(rows: int, size: tuple[float, float], **layout: Any) -> Iterator[tuple[A
 
 def signals_plot(
     time: FloatArray, words: str, measured: Mapping[str, FloatArray], before: Mapping[str, FloatArray],
-    after: Mapping[str, FloatArray], shades: Sequence[tuple[float, float, str]],
+    after: Mapping[str, FloatArray],
 ) -> str:  # fmt: skip
     """Plot signals by channel, SI units, (n,): measured, simulated with the bench file, and with the corrected bench.
 
-    `time`: s, shape (n,), `words`: label of the time axis; `shades`: begin, end [s] and color of shaded intervals.
+    `time`: s, shape (n,), `words`: label of the time axis.
     """
     every = max(len(time) // 1500, 1)
     with svg(len(measured), (9.0, 1.5 * len(measured) + 0.5), sharex=True) as (axes, text):
         for axis, name in zip(axes, measured, strict=True):
             label, unit, factor = UNITS[name]
-            for begin, end, color in shades:
-                axis.axvspan(begin, end, color=color, alpha=0.15, linewidth=0)
             for signal, color, style, width, what in (
                 (before, ORANGE, "-", 0.8, "bench file"),
                 (measured, "black", "-", 2.0, "measured"),
@@ -185,34 +182,3 @@ def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     kept = count >= 5
     means = [np.bincount(index, values, bins)[kept] / count[kept] for values in (x, y)]
     return means[0], means[1]
-
-
-def location_plot(found: Diagnosis) -> str:
-    """Plot the residuals of the bench file alone, in units of the noise, over all segments in sequence.
-
-    Moving RMS over 0.1 s, for the four equations with the largest shares of the mismatch, in each one's main channel.
-    """
-    places, pause, layout = found.assessment.locations[:4], 1.0, found.problem.layout
-    begins = np.cumsum([0.0, *(len(model.segment) * model.step + pause for model in found.problem.models)])
-
-    with svg(len(places), (9.0, 1.2 * len(places) + 0.6), sharex=True) as (axes, text):
-        for axis, place in zip(axes, places, strict=True):
-            for k, model in enumerate(found.problem.models):
-                at = (layout.channel == CHANNELS.index(place.channel)) & (layout.segment == k)
-                time = layout.time[at]
-                width = max(int(0.1 / max(float(np.median(np.diff(time))), 1e-3)), 1)
-                squares = uniform_filter1d(np.square(found.outcome.baseline_fit.residual[at]), width, mode="nearest")
-                level = np.sqrt(np.maximum(squares, 1e-2))
-                shift = begins[k] - model.segment.start
-                axis.plot(time + shift, level, color=BLUE, linewidth=0.7, label="unexplained" if k == 0 else None)
-                for number, (begin, end) in enumerate(place.windows[k]):
-                    label = "stands out" if k == 0 and number == 0 else None
-                    axis.axvspan(begin + shift, end + shift, color=ORANGE, alpha=0.18, linewidth=0, label=label)
-                if k:
-                    axis.axvline(begins[k] - 0.5 * pause, color="black", linewidth=0.6)
-            axis.axhline(1.0, color=RED, linewidth=0.7, label="noise")
-            axis.set_yscale("log")
-            axis.set_ylabel(place.equation.replace("pressure_a", "chamber A").replace("pressure_b", "chamber B"))
-        add_legend(axes[0])
-        axes[-1].set_xlabel("time [s], recordings one after the other")
-    return text.getvalue()
