@@ -36,7 +36,6 @@ setup(
         "console_scripts": [
             "diagnose = hydro_core.process.startup:main_of.hydro_diagnosis.cli",
             "diagnose_many = hydro_core.process.startup:main_of.hydro_diagnosis.diagnose_many",
-            "prove = hydro_core.process.startup:main_of.hydro_diagnosis.prove",
             "inspect = hydro_core.process.startup:main_of.hydro_diagnosis.inspect_command",
         ],
     },
