@@ -11,18 +11,15 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from hydro_core.process import termination
 from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report_json import INTERRUPTED, DiagnosisInterrupted
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.simulator_comparison import compare_reports
-from hydro_diagnosis.stage_bar import SIMULATOR_PREFIX
 from hydro_diagnosis.stages.hypotheses import prepare_best_wiring, reconsider_wiring
 from hydro_diagnosis.stages.naming import model_remainder, name_causes
 from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, ProgressCallback
-from hydro_diagnosis.stages.reporting import build_report, interrupted_report
+from hydro_diagnosis.stages.reporting import build_report
 from hydro_sim.model.bench import Bench
 
 
@@ -80,8 +77,6 @@ def diagnose(
     ------
     InputError
         If no recording can be diagnosed, or the bench file lacks parameters that they require.
-    DiagnosisInterrupted
-        On Ctrl-C once the recordings are read; its `report` contains the results so far.
     """
     inputs = DiagnosisInput(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
@@ -92,18 +87,14 @@ def diagnose(
         return _answered(_prepare(inputs, progress), settings, progress)
 
     def told(text: str) -> None:
-        progress(SIMULATOR_PREFIX + text)
+        progress(f"simulator: {text}")
 
     beside = replace(
         inputs, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)
     )
     simulator = _prepare(beside, told)  # both before any search: what cannot be read is refused at once
     found = _answered(_prepare(inputs, progress), settings, progress)
-    try:
-        other = _answered(simulator, settings, told)
-    except DiagnosisInterrupted as interrupted:
-        unfinished = replace(found.report, verdict=INTERRUPTED)
-        raise DiagnosisInterrupted(unfinished, interrupted.status) from None
+    other = _answered(simulator, settings, told)
     return replace(found, report=compare_reports(found.report, other.report))
 
 
@@ -118,16 +109,11 @@ def _answered(read: tuple[PreparedDiagnosis, float], settings: SearchSettings, p
     prepared, begun = read[0], time.monotonic() - read[1]
     given = None not in prepared.estimated_parameters.values()
     search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
-    try:
-        with threadpool_limits(1, "blas"):
+    with threadpool_limits(1, "blas"):
+        found = name_causes(prepared, search)
+        before, prepared = prepared, reconsider_wiring(prepared, found, progress)
+        prepared.inputs.reader.clear()  # no further hypothesis reads
+        if prepared.problem is not before.problem:
+            search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
             found = name_causes(prepared, search)
-            before, prepared = prepared, reconsider_wiring(prepared, found, progress)
-            prepared.inputs.reader.clear()  # no further hypothesis reads
-            if prepared.problem is not before.problem:
-                search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
-                found = name_causes(prepared, search)
-            return build_report(prepared, search, model_remainder(found, prepared, search), begun)
-    except KeyboardInterrupt as interruption:
-        raise DiagnosisInterrupted(
-            interrupted_report(prepared, search, begun), termination.exit_status(interruption)
-        ) from None
+        return build_report(prepared, search, model_remainder(found, prepared, search), begun)

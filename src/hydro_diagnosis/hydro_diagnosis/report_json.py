@@ -9,9 +9,6 @@ from typing import Any
 
 from hydro_core.files.atomic import encode_json, write_atomic
 
-INTERRUPTED = "interrupted"
-"""Verdict of a diagnosis that was interrupted."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Location:
@@ -193,7 +190,7 @@ class Report:
     """Result of a diagnosis."""
 
     verdict: str
-    """no_mismatch, explained, modelled, partly_explained or unknown; `INTERRUPTED` where Ctrl-C came first."""
+    """no_mismatch, explained, modelled, partly_explained or unknown."""
     location: list[Location]
     effects: list[EffectReport]
     remainder: dict[str, Any] | None
@@ -233,11 +230,3 @@ class Report:
     def write(self, folder: Path) -> None:
         """Write report.json to a folder."""
         write_atomic(folder / "report.json", encode_json(self))
-
-
-class DiagnosisInterrupted(KeyboardInterrupt):
-    """Interruption before the verdict, by Ctrl-C or a signal; carries the `report` so far and the exit `status`."""
-
-    def __init__(self, report: Report, status: int) -> None:
-        super().__init__("the diagnosis was interrupted before its verdict")
-        self.report, self.status = report, status

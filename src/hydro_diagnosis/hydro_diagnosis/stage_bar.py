@@ -18,11 +18,8 @@ MODELLING = "modelling what has no name"
 FORECASTING = "forecasting control"
 STAGES = (READING, CURVES, SEARCHING, SELECTING, CHECKING, MODELLING, FORECASTING)
 """Stages of a diagnosis, in order; `MODELLING` is skipped if named effects explain everything."""
-LABEL = "diagnosing"
 LINE_INTERVAL = 10.0
 """Interval [s] of the lines that replace the bar without a terminal."""
-SIMULATOR_PREFIX = "simulator: "
-"""Prefix of progress texts on the simulator's recordings, for which the bar starts anew."""
 
 
 class StageBar:
@@ -30,8 +27,7 @@ class StageBar:
 
     def __init__(self) -> None:
         shown = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
-        self._bar: tqdm[Any] = progress(total=len(STAGES), label=LABEL, every=LINE_INTERVAL, bar_format=shown)
-        self._simulator = False
+        self._bar: tqdm[Any] = progress(total=len(STAGES), label="diagnosing", every=LINE_INTERVAL, bar_format=shown)
 
     def __enter__(self) -> StageBar:
         return self
@@ -45,13 +41,8 @@ class StageBar:
 
     def __call__(self, text: str) -> None:
         """Show a text; one of `STAGES` moves the bar, never back: a stage may be repeated (`stages.hypotheses`)."""
-        simulator, stage = text.startswith(SIMULATOR_PREFIX), text.removeprefix(SIMULATOR_PREFIX)
-        if simulator != self._simulator:
-            self._simulator = simulator
-            self._bar.n = 0
-            self._bar.set_description_str("diagnosing the simulator" if simulator else LABEL, refresh=False)
-        done = max(STAGES.index(stage) if stage in STAGES else 0, int(self._bar.n))
-        self._bar.set_postfix_str(stage, refresh=False)
+        done = max(STAGES.index(text) if text in STAGES else 0, int(self._bar.n))
+        self._bar.set_postfix_str(text, refresh=False)
         self._bar.update(done - self._bar.n)
         if self._bar.mininterval < LINE_INTERVAL:
             self._bar.refresh()

@@ -136,18 +136,11 @@ cli.main()
 """
 
 
-def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path, valid: Callable[[Any], Any]) -> None:
+def test_interrupt_leaves_nothing_behind(worn: list[Path], tmp_path: Path) -> None:
     """Ctrl-C when the search has begun; a terminal sends it to the whole process group, here to the one process."""
     ended = ran(sys.executable, "-c", INTERRUPTED_RUN, *worn[:2], "--out", tmp_path / "out", timeout=60)
     assert ended.returncode == 130, ended.stderr
-    file = tmp_path / "out" / "report.json"
-    said = ended.stderr.splitlines()[-1]  # below the progress that a slow machine shows
-    assert said == f"interrupted: {file} holds what was finished, no verdict"
-    report = json.loads(file.read_text())
-    valid(report)
-    assert report["verdict"] == "interrupted"
-    assert [step["label"] for step in report["steps"]] == ["spring_stiffness"]
-    assert "motion" in report["checked"] and report["effects"] == []
+    assert "Traceback" not in ended.stderr and not (tmp_path / "out").exists()
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.json"]
 
 

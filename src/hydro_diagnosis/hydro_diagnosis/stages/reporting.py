@@ -20,7 +20,7 @@ from hydro_diagnosis.estimation.budget import SEARCH_SHARE
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause_key, fit, holdout_gain
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report_json import INTERRUPTED, EffectReport, Location, LookAlike, Report, Rival
+from hydro_diagnosis.report_json import EffectReport, Location, LookAlike, Report, Rival
 from hydro_diagnosis.significance import VERY_STRONG_EVIDENCE
 from hydro_diagnosis.stages.parameter_checks import bench_parameter_estimates, confirmation_note, undetectable_note
 
@@ -46,8 +46,7 @@ class SpectralLine:
         """Sentence on the line's share and period, with typical origins."""
         return (
             f"{100.0 * self.share:.0f} % of what remains repeats every {1e3 / self.frequency:.3g} ms "
-            f"({self.frequency:.3g} Hz), unless the reference does: typical of the mains, a pump's strokes, a dither "
-            "or a machine nearby; stop it, for it is not modelled."
+            f"({self.frequency:.3g} Hz), as of the mains, a pump, a dither or a machine nearby: it is not modelled."
         )
 
 
@@ -187,20 +186,12 @@ def build_report(prepared: PreparedDiagnosis, search: Search, found: StageResult
         fit=found.holdout_report,
         next_recording=found.next_recording,
         seconds=time.monotonic() - begun,
-        steps=_steps(search),
+        steps=[{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps],
         **prepared.report_fields
         | {"data_quality": [*prepared.report_fields["data_quality"], *notes]}
         | {"not_checked": [*prepared.report_fields["not_checked"], *lacking]},
     )
     return Diagnosis(report, prepared.problem.bench, problem, assessment, found.outcome, found.holdout.models)
-
-
-def interrupted_report(prepared: PreparedDiagnosis, search: Search, begun: float) -> Report:
-    """Return the report after Ctrl-C, without a verdict: equations that can be checked, and search steps so far."""
-    return Report(
-        verdict=INTERRUPTED, location=[], effects=[], remainder=None, fit={}, next_recording=None,
-        seconds=time.monotonic() - begun, steps=_steps(search), **prepared.report_fields,
-    )  # fmt: skip
 
 
 def _notes(
@@ -212,29 +203,17 @@ def _notes(
     for effect in effects:
         bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
         if bounds and any(bounds[0] <= row <= bounds[1] for row in rows):
-            early = (
-                "the dead time is that of one row: a logger that writes each row's current a row before it acts looks "
-                "the same; if this one does, move that column down by one row and diagnose again"
-            )
+            early = "the dead time is that of one row: check that the logger writes each current in the row it acts in"
     if budget.exhausted or (budget.exceeds(SEARCH_SHARE) and found.outcome.stop_reason):
-        stop_reason = (
-            f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: this is the best answer until "
-            "then; --seconds sets another"
-        )
+        stop_reason = f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: --seconds sets another"
     elif found.outcome.stop_reason and assessment.remainder:
-        stop_reason = (
-            f"the search for causes ended early ({found.outcome.stop_reason}): there may be more than it names"
-        )
+        stop_reason = f"the search for causes ended early ({found.outcome.stop_reason}): there may be more"
     sure = (
         "" if assessment.remainder else confirmation_note(found.problem, assessment.fit, found.bounds, library, hidden)
     )
     lacking = found.by_curve.why if found.by_curve is not None else ""
     lacking = f"no friction is named: {lacking}" if lacking else ""
     return tuple(note for note in (early, hidden, stop_reason, lacking, sure) if note)
-
-
-def _steps(search: Search) -> list[dict[str, Any]]:
-    return [{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps]
 
 
 def _remainder(found: StageResult) -> dict[str, Any] | None:
